@@ -1,0 +1,68 @@
+# Everything is installed into .venv, and built into build/, install/ and log/; nothing else is touched.
+
+PYTHON ?= python3
+ARGS ?=
+comma := ,
+VENV := .venv
+BIN := $(VENV)/bin
+
+# A sourced ROS 2 provides rclpy through PYTHONPATH, also inside .venv; otherwise rclpy comes as wheels.
+SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
+EXTRAS := $(if $(SOURCED),test,ros$(comma)test)
+STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test lint build clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST)
+	@echo "PYTHON=python3.12 chooses the interpreter when .venv is made; ARGS='...' goes to demo and test."
+
+venv: $(STAMP) ## create .venv and install the package into it
+
+demo: $(STAMP) ## run the demonstration
+	@$(BIN)/contact-reach demo $(ARGS)
+
+test: $(STAMP) ## run the tests
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(STAMP) ## check style and types
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+build: $(STAMP) ## build the ROS 2 package into install/ with colcon
+	@PATH="$(CURDIR)/$(BIN):$$PATH" colcon build
+
+clean: ## remove what build, test and lint leave; .venv stays
+	rm -rf build install log *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+
+FAIL = { echo "error: $(1)" >&2; exit 1; }
+FOREIGN = ROS 2 $(ROS_DISTRO) is sourced, but $(1) cannot import its rclpy (see above). Remove $(VENV) and name \
+  the interpreter that ROS uses, as in make venv PYTHON=/usr/bin/python3, or use a shell without ROS.
+
+$(STAMP): setup.py setup.cfg package.xml constraints.txt | $(BIN)/pip
+ifeq ($(SOURCED),)
+	@test "$$(uname -sm)" = "Linux x86_64" || $(call FAIL,the rclpy wheels are for Linux on x86-64$(comma) \
+	  and this is $$(uname -sm). Install ROS 2 Jazzy$(comma) source its setup.bash and run make again.)
+endif
+	@echo "Installing into $(VENV); the first time takes a minute or two ..."
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+ifneq ($(SOURCED),)
+	@$(BIN)/python -c 'import rclpy' || $(call FAIL,$(call FOREIGN,$(BIN)/python))
+endif
+	@touch $@
+
+$(BIN)/pip:
+	@command -v $(PYTHON) >/dev/null || $(call FAIL,there is no $(PYTHON). Install Python 3.11 or newer \
+	  (Debian and Ubuntu: sudo apt install python3 python3-venv).)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || $(call FAIL,Python 3.11 or newer is needed$(comma) \
+	  and $(PYTHON) is $$($(PYTHON) --version 2>&1). Name a newer one: make venv PYTHON=python3.12)
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(call FAIL,$(PYTHON) cannot create environments. Install its \
+	  venv module (Debian and Ubuntu: sudo apt install \
+	  $$($(PYTHON) -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')).)
+ifneq ($(SOURCED),)
+	@$(PYTHON) -c 'import rclpy' || $(call FAIL,$(call FOREIGN,$(PYTHON)))
+endif
+	@$(PYTHON) -m venv --clear $(VENV)

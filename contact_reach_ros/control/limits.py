@@ -1,0 +1,56 @@
+"""What keeps torques and joints within their limits, whatever the laws ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.control.settings import LimitSettings
+from contact_reach_ros.robot import iiwa14
+
+Array = NDArray[np.float64]
+
+
+class JointLimitRepulsion:
+    """Pushes joints out of a margin before their position limits.
+
+    The torque grows with the square of the depth, so that it starts without a step, and reaches the given share of
+    the joint's torque limit at the position limit. Damping acts on motion towards the limit and grows alike.
+    """
+
+    def __init__(self, settings: LimitSettings) -> None:
+        self._margin = settings.joint_limit_margin
+        self._threshold = np.array(iiwa14.POSITION_LIMITS) - self._margin
+        self._strength = settings.joint_limit_torque_share * np.array(iiwa14.TORQUE_LIMITS)
+        self._damping = settings.joint_limit_damping
+
+    def torque(self, q: Array, v: Array) -> Array | None:
+        """Torque (7,) in N m for positions (7,) rad and velocities (7,) rad/s; None when no joint is near a limit."""
+        depth = np.abs(q) - self._threshold
+        if depth.max() <= 0.0:
+            return None
+        depth = np.clip(depth / self._margin, 0.0, 1.5)
+        side = np.sign(q)
+        approach = np.maximum(side * v, 0.0)
+        return -side * (self._strength * depth * depth + self._damping * depth * approach)
+
+
+class TorqueLimiter:
+    """Caps each torque and the rate at which it changes; the cap wins."""
+
+    def __init__(self, settings: LimitSettings) -> None:
+        self._cap = settings.torque_share * np.array(iiwa14.TORQUE_LIMITS)
+        self._rate = settings.torque_rate
+        self._previous = np.zeros(iiwa14.N_JOINTS)
+
+    def start(self, torque: Array) -> None:
+        """Take a torque (7,) in N m, the one that holds the arm, as the last one sent."""
+        self._previous = np.minimum(np.maximum(torque, -self._cap), self._cap)
+
+    def limit(self, torque: Array, period: float) -> Array:
+        """The torque (7,) in N m that may follow the last one after `period` seconds."""
+        step = self._rate * period
+        limited = np.minimum(np.maximum(torque, self._previous - step), self._previous + step)
+        limited = np.minimum(np.maximum(limited, -self._cap), self._cap)
+        self._previous = limited
+        return limited

@@ -1,0 +1,63 @@
+"""Settings of the controller; the planner reads the gains too, because it plans what the controller will do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from contact_reach_ros.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class ImpedanceSettings(Settings):
+    """Gains of the laws (1) and (2); each multiplies the identity, as in the paper's Section V."""
+
+    task_stiffness: float = setting(880.0, "Kp of law (1)", unit="1/s²", minimum=0.0, maximum=2500.0)
+    task_damping: float = setting(100.0, "Kd of law (1)", unit="1/s", minimum=0.0, maximum=300.0)
+    null_stiffness: float = setting(30.0, "Kqp of law (2)", unit="Nm/rad", minimum=0.0, maximum=200.0)
+    null_damping: float = setting(1.0, "Kqd of law (2)", unit="Nm s/rad", minimum=0.0, maximum=50.0)
+    singularity_floor: float = setting(
+        0.03, "eigenvalues of J M⁻¹ Jᵀ below this are lifted, which bounds Λ", unit="1/kg", minimum=1e-6, maximum=1.0
+    )
+
+
+@dataclass(frozen=True)
+class LimitSettings(Settings):
+    """Limits on torques and joints."""
+
+    torque_share: float = setting(0.9, "torque cap as a share of the data sheet's", minimum=0.05, maximum=1.0)
+    torque_rate: float = setting(1000.0, "greatest change of a torque", unit="Nm/s", minimum=1.0, maximum=1000.0)
+    joint_limit_margin: float = setting(
+        0.1, "distance to a position limit at which repulsion begins", unit="rad", minimum=0.01, maximum=0.5
+    )
+    joint_limit_torque_share: float = setting(
+        0.3, "repulsion at the position limit, as a share of the joint's torque limit", minimum=0.0, maximum=1.0
+    )
+    joint_limit_damping: float = setting(
+        10.0, "damping of motion towards a limit, at the limit", unit="Nm s/rad", minimum=0.0, maximum=50.0
+    )
+
+
+@dataclass(frozen=True)
+class SupervisionSettings(Settings):
+    """Plan age, start and stop."""
+
+    gravity_compensation: bool = setting(True, "send g(q); false for arms that compensate gravity themselves")
+    start_ramp: float = setting(0.5, "time in which the laws get full authority", unit="s", minimum=0.0, maximum=5.0)
+    hold_blend: float = setting(
+        0.3, "time in which the reference decays to the pose at hand", unit="s", minimum=0.01, maximum=2.0
+    )
+    hold_limit: float = setting(
+        5.0, "time without a valid plan, after one, until the compliant stop", unit="s", minimum=0.1, maximum=3600.0
+    )
+    observer_timeout: float = setting(
+        0.05, "silence of the observer that stops the arm", unit="s", minimum=0.005, maximum=1.0
+    )
+    max_plan_lead: float = setting(
+        1.0, "a plan that takes effect later than this is refused", unit="s", minimum=0.0, maximum=10.0
+    )
+    stop_damping: float = setting(
+        20.0, "damping of every joint in the compliant stop", unit="Nm s/rad", minimum=0.0, maximum=100.0
+    )
+    reset_velocity: float = setting(
+        0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
+    )

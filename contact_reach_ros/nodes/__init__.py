@@ -1,0 +1,1 @@
+"""ROS 2 lifecycle nodes: thin wrappers that only translate messages."""

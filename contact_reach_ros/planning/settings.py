@@ -1,0 +1,69 @@
+"""Settings of the planner: the optimisation problem (4)-(5), its transfer model and Algorithm 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.settings import Settings, setting
+
+SOLVER_METHODS = ("hybrid", "cma", "gradient")
+CONTACT_MEASURES = ("largest", "sum")
+
+
+@dataclass(frozen=True)
+class PlanningSettings(Settings):
+    """Everything that shapes a plan except the permitted contact force, which belongs to the contact budget."""
+
+    horizon: int = setting(3, "H of (4): number of knots in a plan", minimum=1, maximum=10)
+    knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.02, maximum=0.5)
+    substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
+    goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
+    progress_weight: float = setting(
+        0.2, "λ2 of (5): distance from the start of the plan", unit="1/m", minimum=0.0, maximum=100.0
+    )
+    contact_limit_weight: float = setting(
+        5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
+    )
+    contact_weight: float = setting(
+        0.001, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=1.0
+    )
+    contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
+    orientation_weight: float = setting(
+        0.1, "rotation error to a goal that has one", unit="1/rad", minimum=0.0, maximum=10.0
+    )
+    joint_limit_weight: float = setting(
+        20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
+    )
+    joint_limit_margin: float = setting(0.15, "where the cost of a joint limit starts", unit="rad", minimum=0.0, maximum=1.0)
+    null_motion_weight: float = setting(
+        0.003, "squared Δq, so that the elbow rests when nothing asks it to move", unit="1/rad²", minimum=0.0, maximum=1.0
+    )
+    translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
+    rotation_bound: float = setting(0.2, "γ of the rotation in Δx, each axis", unit="rad", minimum=0.001, maximum=1.0)
+    posture_bound: float = setting(0.2, "γ of Δq, each joint", unit="rad", minimum=0.001, maximum=1.0)
+    contact_stiffness: float = setting(
+        1000.0, "force per penetration between a link and a sphere", unit="N/m", minimum=10.0, maximum=100000.0
+    )
+    solver: str = setting("hybrid", "Algorithm 1, CMA-ES alone, or gradient steps alone", choices=SOLVER_METHODS)
+    population: int = setting(200, "k: candidates per step", minimum=4, maximum=5000)
+    elite: int = setting(50, "k_top: candidates that make the next mean", minimum=2, maximum=2500)
+    line_search_points: int = setting(200, "β that are tried along the gradient", minimum=2, maximum=5000)
+    sigma: float = setting(0.01, "initial standard deviation of the candidates", minimum=1e-4, maximum=0.2)
+    max_steps: int = setting(100, "solver steps in one plan", minimum=1, maximum=1000)
+    stagnation_tolerance: float = setting(
+        1e-4, "decrease of the cost below which a step counts as stagnant", minimum=0.0, maximum=0.1
+    )
+    stagnation_steps: int = setting(3, "stagnant steps in a row that end the search", minimum=1, maximum=100)
+    deadline: float = setting(
+        0.2, "wall-clock time for one plan, 0 for none (and then the same input gives the same plan)", unit="s",
+        minimum=0.0, maximum=10.0,
+    )
+    seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.elite >= self.population:
+            raise SettingsError(
+                f"PlanningSettings.elite = {self.elite}: expected less than the population, {self.population}"
+            )

@@ -1,0 +1,64 @@
+"""Forward kinematics of all lanes at once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, prefix_sum
+from contact_reach_ros.planning.transfer.model import N_LINKS, ArmModel
+
+
+class Frames(NamedTuple):
+    """Link frames in the base frame; axes are the columns of the rotation matrices."""
+
+    x: jax.Array
+    """(3, 7, B)."""
+    y: jax.Array
+    """(3, 7, B)."""
+    z: jax.Array
+    """(3, 7, B), the joint axes."""
+    origin: jax.Array
+    """(3, 7, B), m."""
+    flange: jax.Array
+    """(3, B), m."""
+
+    @property
+    def flange_rotation(self) -> jax.Array:
+        """(3, 3, B), indexed [row, column]."""
+        return jnp.stack([self.x[:, -1], self.y[:, -1], self.z[:, -1]], axis=1)
+
+
+def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
+    """Frames of the links at joint angles `q` (7, B)."""
+    cosine, sine = jnp.cos(q), jnp.sin(q)
+    identity = np.eye(3)[:, :, None]
+    axes = [jnp.broadcast_to(identity[:, column], (3, q.shape[1])).astype(q.dtype) for column in range(3)]
+    origin = jnp.zeros_like(axes[0])
+    frames = []
+    for joint in range(N_LINKS):
+        origin = keep(origin + combine(axes, arm.joint_offset[joint]))
+        x, y, z = (combine(axes, arm.joint_rotation[joint][:, column]) for column in range(3))
+        axes = [keep(x * cosine[joint] + y * sine[joint]), keep(y * cosine[joint] - x * sine[joint]), z]
+        frames.append((*axes, origin))
+    flange = origin + combine(axes, arm.flange_offset)
+    x, y, z, origins = (jnp.stack(parts, axis=1) for parts in zip(*frames, strict=True))
+    return Frames(x, y, z, origins, flange)
+
+
+def flange_drift(frames: Frames, v: jax.Array, keep: Keep) -> jax.Array:
+    """J̇ q̇ of the flange, (6, B): its acceleration, linear then angular, while the joints keep their speeds `v` (7, B)."""
+    rates = frames.z * v
+    angular_velocity = keep(prefix_sum(rates))
+    angular_acceleration = keep(prefix_sum(cross(angular_velocity, rates)))
+    ends = jnp.concatenate([frames.origin[:, 1:], frames.flange[:, None]], axis=1)
+    lever = ends - frames.origin
+    centripetal = cross(angular_velocity, keep(cross(angular_velocity, lever)))
+    linear = keep(cross(angular_acceleration, lever) + centripetal)
+    total = linear[:, 0]
+    for link in range(1, N_LINKS):
+        total = total + linear[:, link]
+    return jnp.concatenate([total, angular_acceleration[:, -1]])

@@ -1,0 +1,95 @@
+"""Arithmetic on arrays whose last axis is the lanes, in the forms that XLA compiles well for a CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Keep = Callable[[jax.Array], jax.Array]
+"""Returns its argument unchanged, and makes XLA store it instead of computing it again for every reader."""
+
+
+def make_keep(value: jax.Array) -> Keep:
+    """A `Keep` for programs that have `value`, any array of finite numbers, among their inputs.
+
+    XLA on CPU fuses cheap producers into each of their consumers and ignores optimisation barriers, so that long
+    chains are computed again and again. It does not repeat a division: one by a number that happens to be 1, but that
+    the compiler cannot know, is the barrier.
+    """
+    one = jnp.where(value.ravel()[0] > 1e30, 2.0, 1.0).astype(value.dtype)
+    return lambda array: array / one
+
+
+def cross(a: Sequence[jax.Array] | jax.Array, b: Sequence[jax.Array] | jax.Array) -> jax.Array:
+    """Cross product of (3, ...) arrays along the first axis."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Scalar product of (3, ...) arrays along the first axis."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cycled(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A (3, ...) array with its components moved up by one (y, z, x) and by two (z, x, y)."""
+    return jnp.concatenate([a[1:], a[:1]]), jnp.concatenate([a[2:], a[:2]])
+
+
+def combine(vectors: Sequence[jax.Array], weights: Sequence[np.ndarray | float]) -> jax.Array | float:
+    """Σ weights[k] * vectors[k] with constant weights, of which the zeros cost nothing; 0.0 if all are zero."""
+    total: jax.Array | float = 0.0
+    for vector, weight in zip(vectors, weights, strict=True):
+        if not np.any(weight):
+            continue
+        term = vector if np.all(weight == 1.0) else -vector if np.all(weight == -1.0) else vector * weight
+        total = term if isinstance(total, float) else total + term
+    return total
+
+
+def per_link(values: np.ndarray) -> list[np.ndarray]:
+    """Constants (L, 3) as three weights (L, 1) for `combine` with vectors (3, L, B)."""
+    return [values[:, axis, None] for axis in range(3)]
+
+
+def sum_over(array: jax.Array, axis: int) -> jax.Array:
+    """Sum over a short axis as a chain of additions, which fuses where a reduction would not."""
+    slices = [jax.lax.index_in_dim(array, index, axis, keepdims=False) for index in range(array.shape[axis])]
+    total = slices[0]
+    for part in slices[1:]:
+        total = total + part
+    return total
+
+
+def suffix_sum(array: jax.Array) -> jax.Array:
+    """Sums (C, L, B) -> (C, L, B) over the links from each one to the last, in log₂ L steps."""
+    shift = 1
+    while shift < array.shape[1]:
+        moved = jnp.concatenate([array[:, shift:], jnp.zeros_like(array[:, :shift])], axis=1)
+        array = array + moved
+        shift *= 2
+    return array
+
+
+def prefix_sum(array: jax.Array) -> jax.Array:
+    """Sums (C, L, B) -> (C, L, B) over the links from the first to each one, in log₂ L steps."""
+    shift = 1
+    while shift < array.shape[1]:
+        moved = jnp.concatenate([jnp.zeros_like(array[:, :shift]), array[:, :-shift]], axis=1)
+        array = array + moved
+        shift *= 2
+    return array
+
+
+def rotate(rotation_vector: jax.Array, columns: jax.Array) -> jax.Array:
+    """exp(w) R for rotation vectors (3, B), rad, and rotation matrices (3, 3, B) indexed [row, column]."""
+    square = dot(rotation_vector, rotation_vector) + 1e-12  # keeps the derivative at zero finite
+    angle = jnp.sqrt(square)
+    sine, cosine = jnp.sin(angle) / angle, (1.0 - jnp.cos(angle)) / square
+    rotated = []
+    for column in (columns[:, 0], columns[:, 1], columns[:, 2]):
+        turned = cross(rotation_vector, column)
+        rotated.append(column + sine * turned + cosine * cross(rotation_vector, turned))
+    return jnp.stack(rotated, axis=1)

@@ -1,0 +1,94 @@
+"""The robot's own watchdog: what the arm does when commands stop coming."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.plant.plant import Actuation, Plant
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.units import NANOSECONDS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WatchdogSettings(Settings):
+    """When a silent controller stops the arm."""
+
+    hold_after: float = setting(
+        0.02, "silence after which the arm is held with damping", unit="s", minimum=0.002, maximum=1.0
+    )
+    stop_after: float = setting(
+        0.1, "silence after which the brakes close and stay closed", unit="s", minimum=0.005, maximum=5.0
+    )
+
+
+class Drive:
+    """Feeds commands to the plant and watches over them.
+
+    The brakes are closed until the first command. Commands that stop for `hold_after` seconds bring the damped hold, for
+    `stop_after` seconds a stop that is latched until `reset`.
+
+    Attributes
+    ----------
+    stop_reason
+        Why the arm is stopped; empty while it is not.
+    rejected
+        Commands that were refused.
+    """
+
+    def __init__(self, plant: Plant, settings: WatchdogSettings) -> None:
+        self.plant = plant
+        self.stop_reason = ""
+        self.rejected = 0
+        self._hold_ns = int(settings.hold_after * NANOSECONDS)
+        self._stop_ns = int(settings.stop_after * NANOSECONDS)
+        self._command: Array | None = None
+        self._command_ns = 0
+
+    def command(self, torque: Array, clock_ns: int) -> None:
+        """Take a command (7,) in N m that arrived at `clock_ns`.
+
+        Raises
+        ------
+        InputError
+            If it has the wrong size or is not finite; it is counted and the last one stays.
+        """
+        if torque.shape != (iiwa14.N_JOINTS,):
+            self.rejected += 1
+            raise InputError(f"effort_controller/commands: data has {torque.size} values; expected {iiwa14.N_JOINTS}")
+        if not np.isfinite(torque.sum()):
+            self.rejected += 1
+            raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
+        self._command = torque
+        self._command_ns = clock_ns
+
+    def tick(self, clock_ns: int) -> None:
+        """Advance the plant by one tick under the command at hand."""
+        silence = clock_ns - self._command_ns
+        if self.stop_reason or self._command is None:
+            actuation = Actuation.BRAKED
+        elif silence > self._stop_ns:
+            self.stop(f"no command for {silence / NANOSECONDS * 1000:.0f} ms")
+            actuation = Actuation.BRAKED
+        elif silence > self._hold_ns:
+            actuation = Actuation.DAMPED_HOLD
+        else:
+            actuation = Actuation.COMMANDED
+        self.plant.set_actuation(actuation)
+        self.plant.step(self._command)
+
+    def stop(self, reason: str) -> None:
+        """Close the brakes until `reset`; the first reason is kept."""
+        if not self.stop_reason:
+            self.stop_reason = reason
+
+    def reset(self) -> None:
+        """Release a stop; the brakes open with the next command."""
+        self.stop_reason = ""
+        self._command = None

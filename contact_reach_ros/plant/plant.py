@@ -1,0 +1,205 @@
+"""The simulated robot: MuJoCo at the driver's tick, with contact, sensors, friction and brakes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf, numbers
+from contact_reach_ros.scenes.scene import Ball, Scene
+
+Array = NDArray[np.float64]
+
+TICK = 0.001
+"""Length of one step, s."""
+
+CONTACT_BODIES = tuple(iiwa14.LINK_NAMES[capsule.link - 1] for capsule in iiwa14.CAPSULES)
+"""Bodies whose contact force is reported, in the order of `Plant.contact_forces`."""
+
+
+class Actuation(Enum):
+    """What moves the joints."""
+
+    BRAKED = "braked"
+    """Brakes closed."""
+    COMMANDED = "commanded"
+    """The commanded torques."""
+    DAMPED_HOLD = "damped hold"
+    """Gravity compensation and damping of the robot's own."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the joint sensors say: positions (7,) rad, velocities (7,) rad/s, torques (7,) N m, NaN where unknown."""
+
+    position: Array
+    velocity: Array
+    torque: Array
+
+
+class Plant:
+    """The arm and the obstacles of one scene.
+
+    Attributes
+    ----------
+    actuation
+        What moves the joints; braked at first.
+    steps
+        Steps taken.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        sensors: SensorSettings,
+        joints: JointSettings,
+        mismatch: MismatchSettings,
+    ) -> None:
+        """Build the simulation at the scene's start; `scene.seed` seeds the sensor noise."""
+        inertia_set = "alternative" if mismatch.enabled else "nominal"
+        payload = mismatch.payload if mismatch.enabled else 0.0
+        bodies = [_ball_body(index, ball) for index, ball in enumerate(scene.balls)]
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(inertia_set, bodies, payload))
+        self.model.opt.timestep = TICK
+        self.data = mujoco.MjData(self.model)
+        self.actuation = Actuation.BRAKED
+        self.steps = 0
+        self.balls = scene.balls
+        self._sensors = sensors
+        self._joints = joints
+        self._friction_scale = mismatch.friction_scale if mismatch.enabled else 1.0
+        self._random = np.random.default_rng(scene.seed)
+        self._arm = slice(0, iiwa14.N_JOINTS)
+        self._torque_limits = np.array(iiwa14.TORQUE_LIMITS)
+        self._torque = np.full(iiwa14.N_JOINTS, np.nan)
+        self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "flange")
+        self._rests = np.array([ball.center for ball in scene.balls]).reshape(-1, 3)
+        self._body_of_geom = self._contact_body_indices()
+        self._wrench = np.zeros(6)
+        self.data.qpos[self._arm] = scene.start
+        self._apply_joint_settings()
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.steps * TICK
+
+    @property
+    def flange_position(self) -> Array:
+        """True position of the flange, (3,), m, base frame."""
+        return self.data.site_xpos[self._flange].copy()
+
+    def set_actuation(self, actuation: Actuation) -> None:
+        """Change what moves the joints."""
+        if actuation is not self.actuation:
+            self.actuation = actuation
+            self._apply_joint_settings()
+
+    def step(self, command: Array | None = None) -> None:
+        """Advance by one tick; `command` (7,) N m acts when the actuation is commanded, capped at the data sheet's limits.
+
+        Raises
+        ------
+        ValueError
+            If the actuation is commanded and there is no command.
+        """
+        data = self.data
+        if self.actuation is Actuation.COMMANDED:
+            if command is None:
+                raise ValueError("the plant is commanded but got no command: pass one or change the actuation")
+            torque = np.minimum(np.maximum(command, -self._torque_limits), self._torque_limits)
+            data.ctrl[:] = torque
+            data.qfrc_applied[self._arm] = 0.0
+            self._torque = torque
+        else:
+            data.ctrl[:] = 0.0
+            data.qfrc_applied[self._arm] = data.qfrc_bias[self._arm]
+            self._torque = np.full(iiwa14.N_JOINTS, np.nan)
+        mujoco.mj_step(self.model, data)
+        self.steps += 1
+
+    def read(self) -> Reading:
+        """Sensor readings of the state at hand; each call draws new noise."""
+        sensors = self._sensors
+        noise = self._random.standard_normal((3, iiwa14.N_JOINTS))
+        position = self.data.qpos[self._arm] + sensors.position_noise * noise[0]
+        if sensors.position_resolution > 0.0:
+            position = sensors.position_resolution * np.rint(position / sensors.position_resolution)
+        velocity = self.data.qvel[self._arm] + sensors.velocity_noise * noise[1]
+        return Reading(position, velocity, self._torque + sensors.torque_noise * noise[2])
+
+    def contact_forces(self) -> Array:
+        """Magnitude of the contact force on each of `CONTACT_BODIES`, (6,), N: the vector sum over its contacts."""
+        total = np.zeros((len(CONTACT_BODIES), 3))
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            body = max(self._body_of_geom[contact.geom1], self._body_of_geom[contact.geom2])
+            if body >= 0:
+                mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
+                total[body] += self._wrench[:3] @ contact.frame.reshape(3, 3)
+        return np.sqrt(np.sum(total * total, axis=1))
+
+    def ball_centers(self) -> Array:
+        """Where the balls are, (K, 3), m, base frame."""
+        return self._rests + self.data.qpos[iiwa14.N_JOINTS :].reshape(-1, 3)
+
+    def _apply_joint_settings(self) -> None:
+        joints, scale = self._joints, self._friction_scale
+        damping, friction = {
+            Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
+            Actuation.DAMPED_HOLD: (joints.hold_damping, scale * joints.coulomb_friction),
+            Actuation.BRAKED: (joints.brake_damping, joints.brake_torque),
+        }[self.actuation]
+        # MuJoCo integrates joint damping implicitly, so the brakes are stable whatever the inertia.
+        self.model.dof_damping[self._arm] = damping
+        self.model.dof_frictionloss[self._arm] = friction
+
+    def _contact_body_indices(self) -> list[int]:
+        """For each geometry, its place in `CONTACT_BODIES`, or -1."""
+        indices = []
+        for geom in range(self.model.ngeom):
+            name = self.model.body(self.model.geom_bodyid[geom]).name
+            indices.append(CONTACT_BODIES.index(name) if name in CONTACT_BODIES else -1)
+        return indices
+
+
+_IMPEDANCE = 0.9
+_CONTACT_DAMPING = 10.0
+"""N s/m."""
+
+
+def _ball_body(index: int, ball: Ball) -> Element:
+    """A sphere on three sprung sliders."""
+    settings = ball.settings
+    body = Element("body", name=f"ball_{index}", pos=numbers(ball.center))
+    for axis in ("1 0 0", "0 1 0", "0 0 1"):
+        attributes = {"type": "slide", "axis": axis, "stiffness": repr(settings.stiffness), "damping": repr(settings.damping)}
+        SubElement(body, "joint", attributes)
+    # MuJoCo scales a contact's stiffness by the effective mass and d / (1 - d); the ball's mass dominates the former.
+    scale = (1.0 - _IMPEDANCE) / (_IMPEDANCE * settings.mass)
+    SubElement(
+        body,
+        "geom",
+        name=f"ball_{index}",
+        type="sphere",
+        size=repr(settings.radius),
+        mass=repr(settings.mass),
+        contype=str(OBSTACLE_CONTACT_TYPE),
+        conaffinity=str(ROBOT_CONTACT_TYPE),
+        condim="3" if settings.friction > 0.0 else "1",
+        friction=numbers((max(settings.friction, 1e-5), 0.005, 0.0001)),
+        priority="1",
+        solref=numbers((-settings.contact_stiffness * scale, -_CONTACT_DAMPING * scale)),
+        solimp=numbers((_IMPEDANCE, _IMPEDANCE, 0.001, 0.5, 2)),
+    )
+    # The spring stands for what carries the ball, so gravity is not simulated on it.
+    body.set("gravcomp", "1")
+    return body

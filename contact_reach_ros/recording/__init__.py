@@ -1,0 +1,1 @@
+"""Bags: writing, reading, replay and report."""

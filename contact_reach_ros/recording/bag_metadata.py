@@ -1,0 +1,119 @@
+"""metadata.yaml of a rosbag2 directory."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.recording.topics import Topic
+
+FILE_NAME = "metadata.yaml"
+VERSION = 9
+ROS_DISTRO = "jazzy"
+MCAP_NAME = "rosbag2"
+MCAP_KEY = "serialized_metadata"
+"""Record and key under which rosbag2 keeps a copy of the same inside the mcap file."""
+
+_ROOT = "rosbag2_bagfile_information"
+
+
+@dataclasses.dataclass(frozen=True)
+class TopicCount:
+    """A topic of a bag with the hash of its type and the number of its messages."""
+
+    topic: Topic
+    type_hash: str
+    message_count: int
+
+
+def information(
+    file_name: str,
+    topics: Sequence[TopicCount],
+    start_ns: int,
+    duration_ns: int,
+    custom_data: Mapping[str, str],
+) -> dict[str, Any]:
+    """What rosbag2 keeps about a bag of one mcap file."""
+    start = {"nanoseconds_since_epoch": start_ns}
+    duration = {"nanoseconds": duration_ns}
+    message_count = sum(entry.message_count for entry in topics)
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": duration,
+        "starting_time": start,
+        "message_count": message_count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": entry.topic.name,
+                    "type": entry.topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [qos.as_mapping() for qos in entry.topic.offered_qos],
+                    "type_description_hash": entry.type_hash,
+                },
+                "message_count": entry.message_count,
+            }
+            for entry in topics
+        ],
+        # The chunks inside an mcap file may be compressed; these two are about whole messages or files.
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file_name],
+        "files": [
+            {"path": file_name, "starting_time": start, "duration": duration, "message_count": message_count}
+        ],
+        "custom_data": dict(custom_data) or None,
+        "ros_distro": ROS_DISTRO,
+    }
+
+
+def write(directory: Path, content: Mapping[str, Any]) -> None:
+    """Write metadata.yaml; renamed into place, so that it is always a whole one."""
+    target = directory / FILE_NAME
+    partial = target.with_suffix(".yaml.partial")
+    partial.write_text(dump_yaml({_ROOT: dict(content)}), encoding="utf-8")
+    os.replace(partial, target)
+
+
+def read(directory: Path) -> dict[str, Any] | None:
+    """What metadata.yaml of a bag says; None if there is none, as after a killed recording.
+
+    Raises
+    ------
+    BagError
+        If the file cannot be read as rosbag2 metadata.
+    """
+    path = directory / FILE_NAME
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BagError(f"{path}: cannot be read: {error}") from error
+    inner = content.get(_ROOT) if isinstance(content, dict) else None
+    if not isinstance(inner, dict):
+        raise BagError(f"{path}: expected the metadata of a rosbag2 bag, with the key '{_ROOT}'")
+    return inner
+
+
+def custom_data(content: Mapping[str, Any] | None) -> dict[str, str]:
+    """The text that was kept in a bag, empty if there is none."""
+    found = (content or {}).get("custom_data")
+    return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
+
+
+def dump_yaml(content: Any) -> str:
+    """YAML in the order given and without anchors, which not every reader of bags follows."""
+    return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    def ignore_aliases(self, data: Any) -> bool:
+        return True

@@ -1,0 +1,79 @@
+"""Where the package finds the files that are not Python, and where it keeps what it computes once."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from contact_reach_ros.errors import ContactReachError
+
+PACKAGE = "contact_reach_ros"
+
+
+def share_directory() -> Path:
+    """Directory that holds `package.xml`, `config/`, `launch/` and `msg_docs/`.
+
+    It is the source checkout if the package runs from one, else `share/contact_reach_ros` of the prefix that
+    colcon or pip installed the package in.
+
+    Raises
+    ------
+    ContactReachError
+        If no such directory exists; the places that were looked at are named.
+    """
+    module = Path(__file__).resolve()
+    checkout = module.parents[1]
+    installed = [prefix / "share" / PACKAGE for prefix in (*module.parents[2:], Path(sys.prefix))]
+    candidates = [checkout, *dict.fromkeys(installed)]
+    for candidate in candidates:
+        if (candidate / "package.xml").is_file() and (candidate / "config").is_dir():
+            return candidate
+    places = "\n".join(f"  {candidate}" for candidate in candidates)
+    raise ContactReachError(
+        f"the configuration of {PACKAGE} is missing: expected package.xml and config/ in one of\n{places}\n"
+        "Install the package again with `pip install .` or `colcon build`."
+    )
+
+
+def config_file(name: str) -> Path:
+    """Path of a file in `config/`.
+
+    Parameters
+    ----------
+    name
+        Path relative to `config/`, such as `scenes/ball.yaml`.
+
+    Raises
+    ------
+    ContactReachError
+        If there is no such file; the existing ones are named.
+    """
+    directory = share_directory() / "config"
+    path = directory / name
+    if not path.is_file():
+        existing = sorted(str(file.relative_to(directory)) for file in directory.rglob("*") if file.is_file())
+        raise ContactReachError(f"no file '{name}' in {directory}; expected one of: {', '.join(existing)}")
+    return path
+
+
+def cache_directory() -> Path:
+    """Directory of the user's cache for this package; it is created if it does not exist.
+
+    Raises
+    ------
+    ContactReachError
+        If it cannot be created.
+    """
+    setting = os.environ.get("XDG_CACHE_HOME", "")
+    # The XDG specification has relative paths ignored.
+    parent = Path(setting) if os.path.isabs(setting) else Path.home() / ".cache"
+    directory = parent / PACKAGE
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ContactReachError(
+            f"cannot create the cache directory {directory}: {error.strerror}; "
+            "set XDG_CACHE_HOME to a directory that can be written"
+        ) from error
+    return directory

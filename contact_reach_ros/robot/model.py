@@ -1,0 +1,92 @@
+"""Pinocchio model of the arm: everything that controller and observer need of it, computed once per tick."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.mjcf import build_mjcf
+
+Array = NDArray[np.float64]
+
+_WORLD_ALIGNED = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+class RobotModel:
+    """Kinematics and dynamics of the arm at one state.
+
+    `update` sets the attributes below; they are valid until the next call. The task frame is the flange; velocities
+    and wrenches are (linear, angular), expressed in the axes of the base frame, at the flange.
+
+    Attributes
+    ----------
+    mass_matrix
+        M(q), (7, 7), kg m², armature included.
+    bias
+        C(q, q̇) + g(q), (7,), N m.
+    gravity
+        g(q), (7,), N m.
+    position, rotation
+        Flange pose in the base frame, (3,) m and (3, 3).
+    jacobian
+        J(q), (6, 7).
+    twist
+        ẋ = J q̇, (6,), m/s and rad/s.
+    drift
+        J̇ q̇, (6,), m/s² and rad/s².
+    """
+
+    mass_matrix: Array
+    bias: Array
+    gravity: Array
+    position: Array
+    rotation: Array
+    jacobian: Array
+    twist: Array
+    drift: Array
+
+    def __init__(self, inertia_set: str = "nominal") -> None:
+        """Build the model; raises `SettingsError` if the inertia set is unknown."""
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "iiwa14.xml"
+            file.write_text(build_mjcf(inertia_set))
+            self.pinocchio: pin.Model = pin.buildModelFromMJCF(str(file))
+        self.data: pin.Data = self.pinocchio.createData()
+        self.flange: int = self.pinocchio.getFrameId(iiwa14.FLANGE_NAME)
+        self._no_acceleration = np.zeros(iiwa14.N_JOINTS)
+        self.update(np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
+
+    def update(self, q: Array, v: Array) -> None:
+        """Compute all attributes for joint positions (7,) in rad and velocities (7,) in rad/s."""
+        model, data, flange = self.pinocchio, self.data, self.flange
+        pin.computeAllTerms(model, data, q, v)
+        self.mass_matrix = data.M
+        self.bias = data.nle
+        self.gravity = data.g
+        self.jacobian = pin.getFrameJacobian(model, data, flange, _WORLD_ALIGNED)
+        pin.forwardKinematics(model, data, q, v, self._no_acceleration)
+        pose = pin.updateFramePlacement(model, data, flange)
+        self.position = pose.translation
+        self.rotation = pose.rotation
+        self.drift = pin.getFrameClassicalAcceleration(model, data, flange, _WORLD_ALIGNED).vector
+        self.twist = self.jacobian @ v
+
+    def coriolis_matrix(self, q: Array, v: Array) -> Array:
+        """C(q, q̇), (7, 7), with Ṁ = C + Cᵀ."""
+        return pin.computeCoriolisMatrix(self.pinocchio, self.data, q, v)
+
+    def gravity_at(self, q: Array) -> Array:
+        """g(q), (7,), N m; leaves the attributes alone."""
+        return pin.computeGeneralizedGravity(self.pinocchio, self.pinocchio.createData(), q)
+
+    def flange_pose(self, q: Array) -> tuple[Array, Array]:
+        """Flange position (3,) m and rotation (3, 3) in the base frame; leaves the attributes alone."""
+        data = self.pinocchio.createData()
+        pin.forwardKinematics(self.pinocchio, data, q)
+        pose = pin.updateFramePlacement(self.pinocchio, data, self.flange)
+        return pose.translation, pose.rotation

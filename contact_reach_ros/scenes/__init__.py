@@ -1,0 +1,1 @@
+"""The paper's environments: free space, ball and wall."""

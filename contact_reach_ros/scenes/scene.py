@@ -1,0 +1,128 @@
+"""What stands around the arm: scenes are YAML files, made concrete by a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.resources import share_directory
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
+
+Array = NDArray[np.float64]
+
+JOINTS = iiwa14.N_JOINTS
+
+
+@dataclass(frozen=True)
+class TargetSettings(Settings):
+    """The box in which targets are drawn, and where episodes start."""
+
+    minimum: tuple[float, ...] = setting((0.2, -0.3, 0.0), "lower corner", unit="m", minimum=-1.5, maximum=1.5)
+    maximum: tuple[float, ...] = setting((0.6, 0.3, 0.5), "upper corner", unit="m", minimum=-1.5, maximum=1.5)
+    min_distance: float = setting(0.2, "least distance from the start", unit="m", minimum=0.0, maximum=1.5)
+    start: tuple[float, ...] = setting(
+        iiwa14.HOME_POSITION, "joint angles at the start", unit="rad", minimum=-3.05, maximum=3.05
+    )
+
+
+@dataclass(frozen=True)
+class BallSettings(Settings):
+    """A foam-like ball, held to its place by a spring."""
+
+    radius: float = setting(0.1, "radius", unit="m", minimum=0.01, maximum=0.5)
+    mass: float = setting(0.1, "mass", unit="kg", minimum=0.001, maximum=10.0)
+    stiffness: float = setting(100.0, "spring to its place", unit="N/m", minimum=1.0, maximum=5000.0)
+    damping: float = setting(30.0, "damping of its motion", unit="N s/m", minimum=0.0, maximum=500.0)
+    contact_stiffness: float = setting(1000.0, "of the foam itself", unit="N/m", minimum=50.0, maximum=50000.0)
+    friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
+    min_overlap: float = setting(
+        0.02, "least depth at which the free path would enter the ball", unit="m", minimum=0.0, maximum=0.2
+    )
+    max_overlap: float = setting(
+        0.05, "greatest depth at which the free path would enter the ball", unit="m", minimum=0.0, maximum=0.2
+    )
+    hand_clearance: float = setting(
+        0.02, "least distance of links 6 and 7 from the ball on the free path", unit="m", minimum=0.0, maximum=0.5
+    )
+    start_clearance: float = setting(
+        0.01, "least distance of the arm from the ball at the start", unit="m", minimum=0.0, maximum=0.5
+    )
+
+
+@dataclass(frozen=True)
+class Ball:
+    """One ball of a concrete scene: where its spring holds it, (3,) m in the base frame, and what it is made of."""
+
+    center: Array
+    settings: BallSettings
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A concrete scene.
+
+    Attributes
+    ----------
+    name
+        Of the YAML file.
+    seed
+        What target and obstacles were drawn from.
+    start
+        Joint angles, (7,), rad.
+    target
+        Flange position to reach, (3,), m, base frame.
+    balls
+        Obstacles.
+    """
+
+    name: str
+    seed: int
+    start: Array
+    target: Array
+    balls: tuple[Ball, ...]
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """The content of a scene's YAML file."""
+
+    name: str
+    target: TargetSettings
+    ball: BallSettings | None
+
+
+_SECTIONS = {"target": TargetSettings, "ball": BallSettings}
+
+
+def scene_names() -> list[str]:
+    """The scenes that come with the package."""
+    return sorted(file.stem for file in (share_directory() / "config" / "scenes").glob("*.yaml"))
+
+
+def read_scene(name: str) -> SceneFile:
+    """Read a scene by its name, or by the path of a YAML file.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene; the message lists those there are.
+    SettingsError
+        If the file has an unknown section or key, or a value out of range.
+    """
+    file = Path(name) if name.endswith((".yaml", ".yml")) else share_directory() / "config" / "scenes" / f"{name}.yaml"
+    if not file.is_file():
+        raise SceneError(f"scene '{name}' is unknown; expected one of {', '.join(scene_names())}, or a YAML file")
+    content = read_yaml(file)
+    for key, section in content.items():
+        if key not in _SECTIONS:
+            raise SettingsError(unknown_key(str(key), _SECTIONS, str(file)))
+        if not isinstance(section, dict):
+            raise SettingsError(f"{file}: {key} = {section!r}; expected a mapping of keys to values")
+    target = TargetSettings.from_mapping(content.get("target", {}), f"{file}: target")
+    ball = BallSettings.from_mapping(content["ball"], f"{file}: ball") if "ball" in content else None
+    return SceneFile(file.stem, target, ball)

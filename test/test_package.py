@@ -1,0 +1,188 @@
+"""The package as users get it: built by colcon, found through the ament index, started as `ros2 run` does."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.metadata import Distribution, distributions
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import contact_reach_ros
+from contact_reach_ros import resources
+from contact_reach_ros.errors import ContactReachError
+
+SOURCES = Path(__file__).resolve().parents[1]
+PACKAGE = "contact_reach_ros"
+EXECUTABLES = {"driver", "controller", "observer", "planner", "recorder", "bringup", "contact-reach"}
+BUILD_FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE")
+BUILD_FOLDERS = ("resource", PACKAGE)
+SHARED_FOLDERS = ("config", "launch", "msg_docs", "bags")
+
+
+def run(command: list[str], directory: Path, environment: dict[str, str]) -> str:
+    """Standard output of the command; if it fails, the test shows everything that the command wrote."""
+    result = subprocess.run(command, cwd=directory, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, f"{command} failed:\n{result.stdout}\n{result.stderr}"
+    return result.stdout
+
+
+def files_in(directory: Path) -> set[Path]:
+    files = (path.relative_to(directory) for path in directory.rglob("*") if path.is_file())
+    return {file for file in files if "__pycache__" not in file.parts}
+
+
+class Workspace:
+    """A colcon build of a copy of the sources, and the environment that sourcing it makes."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.sources = directory / "src" / PACKAGE
+        self.prefix = directory / "install" / PACKAGE
+        self.share = self.prefix / "share" / PACKAGE
+        self.executables = self.prefix / "lib" / PACKAGE
+        self.sources.mkdir(parents=True)
+        compiled = shutil.ignore_patterns("__pycache__")
+        for name in (*BUILD_FILES, *BUILD_FOLDERS, *SHARED_FOLDERS):
+            if (SOURCES / name).is_dir():
+                shutil.copytree(SOURCES / name, self.sources / name, ignore=compiled)
+            else:
+                shutil.copy2(SOURCES / name, self.sources / name)
+        tools = Path(sys.executable).parent
+        path = f"{tools}{os.pathsep}{os.environ['PATH']}"
+        # COLCON_HOME: the user's colcon defaults must not change this build.
+        unsourced = {**os.environ, "PATH": path, "COLCON_HOME": str(directory)}
+        run([str(tools / "colcon"), "build"], directory, unsourced)
+        sourced = run(["bash", "-c", ". install/setup.bash && env -0"], directory, unsourced)
+        self.environment = dict(entry.split("=", 1) for entry in sourced.split("\0") if entry)
+
+    def run(self, *command: str) -> str:
+        return run(list(command), self.directory, self.environment).strip()
+
+    @property
+    def distribution(self) -> Distribution:
+        (site_packages,) = self.prefix.glob("lib/python3*/site-packages")
+        (distribution,) = distributions(path=[str(site_packages)])
+        return distribution
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    return Workspace(tmp_path_factory.mktemp("workspace"))
+
+
+def test_ament_index_leads_to_the_install_prefix(workspace):
+    look_up = f"from ament_index_python.packages import get_package_prefix as p; print(p('{PACKAGE}'))"
+    assert Path(workspace.run(sys.executable, "-c", look_up)) == workspace.prefix
+
+
+def test_executables_are_where_ros2_run_looks(workspace):
+    found = {file.name for file in workspace.executables.iterdir() if os.access(file, os.X_OK)}
+    assert found == EXECUTABLES
+
+
+def test_executable_starts_and_reports_the_version(workspace):
+    printed = workspace.run(str(workspace.executables / "contact-reach"), "--version")
+    assert contact_reach_ros.__version__ in printed
+
+
+def test_executables_import_the_installed_copy(workspace):
+    first_line = (workspace.executables / "driver").read_text().splitlines()[0]
+    assert first_line.startswith("#!")
+    locate = "from contact_reach_ros import resources as r; print(r.__file__); print(r.share_directory())"
+    module, share = workspace.run(first_line.removeprefix("#!").strip(), "-c", locate).splitlines()
+    assert Path(module).is_relative_to(workspace.prefix)
+    assert Path(share) == workspace.share
+
+
+@pytest.mark.parametrize("folder", SHARED_FOLDERS)
+def test_every_shared_file_is_installed(workspace, folder):
+    installed = files_in(workspace.share / folder)
+    assert installed
+    assert installed == files_in(workspace.sources / folder)
+
+
+def test_every_package_file_is_installed(workspace):
+    (installed,) = workspace.prefix.glob(f"lib/python3*/site-packages/{PACKAGE}")
+    assert files_in(installed) == files_in(workspace.sources / PACKAGE)
+
+
+def test_versions_agree(workspace):
+    manifest = ElementTree.parse(workspace.share / "package.xml")
+    versions = {manifest.findtext("version"), workspace.distribution.version, contact_reach_ros.__version__}
+    assert len(versions) == 1
+
+
+def test_every_executable_has_its_module(workspace):
+    scripts = workspace.distribution.entry_points.select(group="console_scripts")
+    assert {script.name for script in scripts} == EXECUTABLES
+    missing = [s.value for s in scripts if not (SOURCES / f"{s.module.replace('.', '/')}.py").is_file()]
+    assert not missing
+
+
+def test_constraints_are_versions_only():
+    lines = (SOURCES / "constraints.txt").read_text().splitlines()
+    entries = [line for line in lines if not line.startswith("#")]
+    assert entries
+    unexpected = [line for line in entries if not re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+", line)]
+    assert not unexpected
+
+
+@pytest.fixture
+def installed_module(tmp_path, monkeypatch):
+    """Makes the package believe that it is installed below `tmp_path`."""
+    module = tmp_path / "lib" / "python3.12" / "site-packages" / PACKAGE / "resources.py"
+    monkeypatch.setattr(resources, "__file__", str(module))
+    return tmp_path
+
+
+def test_source_checkout_is_its_own_share_directory():
+    assert resources.share_directory() == SOURCES
+
+
+def test_share_directory_of_an_installed_package(installed_module):
+    share = installed_module / "share" / PACKAGE
+    (share / "config").mkdir(parents=True)
+    (share / "package.xml").touch()
+    assert resources.share_directory() == share
+
+
+def test_missing_share_directory_names_the_places(installed_module, monkeypatch):
+    monkeypatch.setattr(sys, "prefix", str(installed_module / "environment"))
+    with pytest.raises(ContactReachError) as raised:
+        resources.share_directory()
+    assert str(installed_module / "share" / PACKAGE) in str(raised.value)
+    assert str(installed_module / "environment" / "share" / PACKAGE) in str(raised.value)
+
+
+def test_missing_config_file_names_the_existing_ones(installed_module):
+    config = installed_module / "share" / PACKAGE / "config"
+    (config / "scenes").mkdir(parents=True)
+    (config.parent / "package.xml").touch()
+    (config / "scenes" / "ball.yaml").touch()
+    assert resources.config_file("scenes/ball.yaml") == config / "scenes" / "ball.yaml"
+    with pytest.raises(ContactReachError, match=r"scenes/bell\.yaml.*scenes/ball\.yaml"):
+        resources.config_file("scenes/bell.yaml")
+
+
+def test_cache_directory_follows_xdg(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert resources.cache_directory() == tmp_path / "cache" / PACKAGE
+    assert resources.cache_directory().is_dir()
+
+
+@pytest.mark.parametrize("ignored", ["", "relative/path"])
+def test_cache_directory_defaults_to_the_home_directory(tmp_path, monkeypatch, ignored):
+    monkeypatch.setenv("XDG_CACHE_HOME", ignored)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert resources.cache_directory() == tmp_path / ".cache" / PACKAGE
+
+
+def test_unusable_cache_directory_says_what_to_do(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with pytest.raises(ContactReachError, match="XDG_CACHE_HOME"):
+        resources.cache_directory()
