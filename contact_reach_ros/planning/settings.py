@@ -8,6 +8,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
 SOLVER_METHODS = ("hybrid", "cma", "gradient")
+BOUNDARY_PENALTIES = ("quadratic", "paper")
 CONTACT_MEASURES = ("largest", "sum")
 
 
@@ -48,6 +49,13 @@ class PlanningSettings(Settings):
     solver: str = setting("hybrid", "Algorithm 1, CMA-ES alone, or gradient steps alone", choices=SOLVER_METHODS)
     population: int = setting(200, "k: candidates per step", minimum=4, maximum=5000)
     elite: int = setting(50, "k_top: candidates that make the next mean", minimum=2, maximum=2500)
+    boundary_penalty: str = setting(
+        "quadratic", "on candidates outside γ: squared distance, or line 9 of Algorithm 1", choices=BOUNDARY_PENALTIES
+    )
+    boundary_weight: float = setting(
+        0.01, "quadratic penalty per squared distance in units of γ", minimum=0.0, maximum=10.0
+    )
+    gradient_steps: int = setting(10, "gradient steps per solver step of the solver 'gradient'", minimum=2, maximum=100)
     line_search_points: int = setting(200, "β that are tried along the gradient", minimum=2, maximum=5000)
     sigma: float = setting(0.01, "initial standard deviation of the candidates", minimum=1e-4, maximum=0.2)
     max_steps: int = setting(100, "solver steps in one plan", minimum=1, maximum=1000)

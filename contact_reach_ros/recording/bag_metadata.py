@@ -66,9 +66,7 @@ def information(
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file_name],
-        "files": [
-            {"path": file_name, "starting_time": start, "duration": duration, "message_count": message_count}
-        ],
+        "files": [{"path": file_name, "starting_time": start, "duration": duration, "message_count": message_count}],
         "custom_data": dict(custom_data) or None,
         "ros_distro": ROS_DISTRO,
     }

@@ -16,6 +16,7 @@ from rosbags.typesys.base import TypesysError
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.recording import bag_metadata
 from contact_reach_ros.recording.mcap_file import McapFile
+from contact_reach_ros.units import NANOSECONDS
 
 
 class RawMessage(NamedTuple):
@@ -126,9 +127,7 @@ class BagReader:
         for file in self._files:
             for channel, message in file.messages(wanted):
                 type_name = self.topics()[channel.topic].type
-                yield RawMessage(
-                    channel.topic, type_name, message.log_time, message.publish_time, message.data
-                )
+                yield RawMessage(channel.topic, type_name, message.log_time, message.publish_time, message.data)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages of some topics, or of all, decoded by the definitions that the bag itself holds.
@@ -199,7 +198,7 @@ class BagReader:
             self._path,
             topics,
             start_ns,
-            (end_ns - start_ns) * 1e-9,
+            (end_ns - start_ns) / NANOSECONDS,
             bag_metadata.custom_data(information or self._embedded_information()),
             tuple(self._notes),
         )
@@ -229,9 +228,7 @@ class BagReader:
         try:
             self._store.register(get_types_from_msg(schema.data.decode(), type_name))
         except (TypesysError, UnicodeDecodeError) as error:
-            raise BagError(
-                f"bag '{self._path}': type '{type_name}' has no clear definition: {error}"
-            ) from error
+            raise BagError(f"bag '{self._path}': type '{type_name}' has no clear definition: {error}") from error
         self._registered.add(type_name)
 
     def _schema(self, type_name: str) -> Schema | None:

@@ -141,9 +141,7 @@ class McapFile:
             schemas, channels, dict(counts), start_ns, end_ns, metadata, indexed=False, cut_at=records.cut_at
         )
 
-    def _messages_until_cut(
-        self, stream: BinaryIO, topics: Collection[str]
-    ) -> Iterator[tuple[Channel, Message]]:
+    def _messages_until_cut(self, stream: BinaryIO, topics: Collection[str]) -> Iterator[tuple[Channel, Message]]:
         channels = self.contents.channels
         for record in _Records(stream):
             if isinstance(record, Message) and channels[record.channel_id].topic in topics:
@@ -172,7 +170,6 @@ def _complete(summary: Summary) -> bool:
     """Whether a summary has what reading by index needs: files of other writers may leave parts out."""
     counted = summary.statistics.channel_message_counts if summary.statistics else {}
     repeated = all(
-        number in summary.channels and summary.channels[number].schema_id in summary.schemas
-        for number in counted
+        number in summary.channels and summary.channels[number].schema_id in summary.schemas for number in counted
     )
     return summary.statistics is not None and repeated and bool(summary.chunk_indexes or not counted)

@@ -1,34 +1,12 @@
-"""Which topics a bag holds, and what is known of each."""
+"""Topics of a bag: their names, types and quality of service."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from contact_reach_ros.errors import BagError
-
-STANDARD_TOPICS: Mapping[str, str] = MappingProxyType(
-    {
-        "joint_states": "sensor_msgs/msg/JointState",
-        "effort_controller/commands": "std_msgs/msg/Float64MultiArray",
-        "goal_pose": "geometry_msgs/msg/PoseStamped",
-        "reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
-        "reference/posture": "trajectory_msgs/msg/JointTrajectory",
-        "obstacles": "visualization_msgs/msg/MarkerArray",
-        "external_torque": "sensor_msgs/msg/JointState",
-        "external_wrench": "geometry_msgs/msg/WrenchStamped",
-        "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
-        "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-        "plan/path": "nav_msgs/msg/Path",
-        "plan/markers": "visualization_msgs/msg/MarkerArray",
-        "sim/contacts": "sensor_msgs/msg/JointState",
-        "robot_description": "std_msgs/msg/String",
-        "/clock": "rosgraph_msgs/msg/Clock",
-    }
-)
-"""Topics that are recorded when none is named, with their types; relative names are in the namespace."""
+from contact_reach_ros.units import NANOSECONDS
 
 INFINITE_NS = 2**63 - 1
 """A duration without limit, as ROS writes it, in ns."""
@@ -101,5 +79,5 @@ def parse_topic(text: str) -> tuple[str, str | None]:
 
 
 def _seconds_and_nanoseconds(duration_ns: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(duration_ns, 10**9)
+    seconds, nanoseconds = divmod(duration_ns, NANOSECONDS)
     return {"sec": seconds, "nsec": nanoseconds}

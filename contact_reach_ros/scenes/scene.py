@@ -126,3 +126,22 @@ def read_scene(name: str) -> SceneFile:
     target = TargetSettings.from_mapping(content.get("target", {}), f"{file}: target")
     ball = BallSettings.from_mapping(content["ball"], f"{file}: ball") if "ball" in content else None
     return SceneFile(file.stem, target, ball)
+
+
+def parse_target(text: str) -> Array | None:
+    """A position (3,) in m from 'x y z'; None for an empty text.
+
+    Raises
+    ------
+    SceneError
+        If it is not three finite numbers.
+    """
+    if not text.strip():
+        return None
+    try:
+        position = np.array([float(word) for word in text.split()])
+    except ValueError:
+        position = np.empty(0)
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise SceneError(f"target '{text}': expected three finite numbers 'x y z' in m")
+    return position

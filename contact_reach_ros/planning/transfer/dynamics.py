@@ -17,6 +17,9 @@ from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, cycl
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 
+CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+
+
 class Dynamics(NamedTuple):
     """What law (3) and the equation of motion need of the arm."""
 
@@ -34,11 +37,18 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
     composite_mass = np.cumsum(arm.mass[::-1])[::-1][:, None]
     # Momentum of everything beyond a joint when that joint alone turns at unit speed.
     velocity = jacobian[:3]
-    linear = velocity * composite_mass + cross(axis, first)
-    axis_up, axis_up_twice = cycled(axis)
-    products_up, products_up_twice = cycled(products)
-    angular = cross(first, velocity) + diagonal * axis + products_up_twice * axis_up + products_up * axis_up_twice
-    momentum = keep(jnp.concatenate([linear, angular]))
+    linear = [
+        keep(velocity[a] * composite_mass + axis[b] * first[c] - axis[c] * first[b]) for a, b, c in CYCLES
+    ]
+    # Row a of the inertia tensor: its moment and the products with b and c.
+    angular = [
+        keep(
+            first[b] * velocity[c] - first[c] * velocity[b]
+            + diagonal[a] * axis[a] + products[c] * axis[b] + products[b] * axis[c]
+        )
+        for a, b, c in CYCLES
+    ]
+    momentum = [*linear, *angular]
     # Outer products summed in this form are 20 times faster than a contraction.
     mass_matrix = jacobian[0][:, None] * momentum[0][None]
     for row in range(1, 6):
@@ -49,17 +59,17 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
 def _composite_inertias(arm: ArmModel, frames: Frames, keep: Keep) -> tuple[jax.Array, jax.Array, jax.Array]:
     """First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, 7, B)."""
     axes = (frames.x, frames.y, frames.z)
-    center = frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None]
+    center = keep(frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None])
     mass = arm.mass[:, None]
-    first = center * mass
-    weighted = first * center
-    diagonal = dot(first, center)[None] - weighted
-    center_up, center_up_twice = cycled(center)
-    products = -center_up * mass * center_up_twice
+    first = keep(center * mass)
+    diagonal = dot(first, center)[None] - first * center
+    products = [-first[a] * center[b] for a, b in ((1, 2), (2, 0), (0, 1))]
     # Σ_ab I_ab axis_a axis_bᵀ, the inertia about the centre of mass in base axes.
     for index, axis in enumerate(axes):
         tensor_axis = combine(axes, per_link(arm.inertia[:, index]))
         diagonal = diagonal + tensor_axis * axis
-        products = products + cycled(tensor_axis)[0] * cycled(axis)[1]
-    composite = keep(suffix_sum(keep(jnp.concatenate([first, diagonal, products]))))
-    return composite[:3], composite[3:6], composite[6:]
+        products = [
+            product + tensor_axis[a] * axis[b] for product, (a, b) in zip(products, ((1, 2), (2, 0), (0, 1)))
+        ]
+    composite = [keep(suffix_sum(keep(part))) for part in (first, diagonal, jnp.stack([keep(x) for x in products]))]
+    return composite

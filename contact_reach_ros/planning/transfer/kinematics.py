@@ -34,7 +34,7 @@ class Frames(NamedTuple):
 
 def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
     """Frames of the links at joint angles `q` (7, B)."""
-    cosine, sine = jnp.cos(q), jnp.sin(q)
+    cosine, sine = keep(jnp.cos(q)), keep(jnp.sin(q))
     identity = np.eye(3)[:, :, None]
     axes = [jnp.broadcast_to(identity[:, column], (3, q.shape[1])).astype(q.dtype) for column in range(3)]
     origin = jnp.zeros_like(axes[0])

@@ -1,0 +1,81 @@
+"""The command `contact-reach`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from contact_reach_ros import __version__
+from contact_reach_ros.errors import ContactReachError
+
+BAD_INPUT = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    options = _parser().parse_args(arguments)
+    try:
+        sys.exit(options.run(options))
+    except ContactReachError as error:
+        print(f"contact-reach: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="contact-reach", description="Safe contact on the way to a goal, for a redundant arm under ROS 2."
+    )
+    parser.add_argument("--version", action="version", version=f"contact-reach {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", help="bring the stack up, send a goal, record a bag and judge the result")
+    demo.add_argument("--scene", default="ball", help="scene: a name (free, ball) or a YAML file (default: ball)")
+    demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
+    demo.add_argument("--seed", type=int, default=0, help="seed of the scene and the sensor noise (default: 0)")
+    demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
+    demo.add_argument("--mismatch", action="store_true", help="simulate an arm that differs from its model")
+    demo.add_argument("--timeout", type=float, default=30.0, help="time to reach the goal, s (default: 30)")
+    demo.add_argument("--output", type=Path, default=Path("bags"), help="where bag, plot and log go (default: bags)")
+    demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    demo.set_defaults(run=_demo)
+
+    bench = commands.add_parser("bench", help="measure on this machine")
+    benches = bench.add_subparsers(required=True, metavar="WHAT")
+    control = benches.add_parser("control", help="arithmetic of controller and observer, per tick")
+    control.add_argument("--ticks", type=int, default=20000, help="ticks to measure (default: 20000)")
+    control.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    control.set_defaults(run=_bench_control)
+    return parser
+
+
+def _demo(options: argparse.Namespace) -> int:
+    # rclpy is only needed, and only has to be installed, for the commands that use it.
+    from contact_reach_ros.nodes.demo import DemoOptions, run_demo
+
+    return run_demo(
+        DemoOptions(
+            scene=options.scene,
+            seed=options.seed,
+            goal=None if options.goal is None else tuple(options.goal),
+            lockstep=options.lockstep,
+            mismatch=options.mismatch,
+            timeout=options.timeout,
+            output=options.output,
+            json=options.json,
+        )
+    )
+
+
+def _bench_control(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_control import bench_control
+
+    bench_control(options.ticks, options.json)
+    return 0
+
+
+if __name__ == "__main__":
+    main()

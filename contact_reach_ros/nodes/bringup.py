@@ -1,0 +1,100 @@
+"""Starts and supervises the whole stack: `ros2 run contact_reach_ros bringup`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from dataclasses import dataclass
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.nodes.parameters import check_arguments, declare
+from contact_reach_ros.nodes.processes import StackOptions, processes
+from contact_reach_ros.nodes.supervisor import Supervisor
+from contact_reach_ros.settings import Settings, setting
+
+NAME = "bringup"
+
+STARTUP_TIMEOUT_S = 240.0
+"""The first start compiles the planner."""
+
+
+@dataclass(frozen=True)
+class BringupSettings(Settings):
+    """What to start."""
+
+    scene: str = setting("ball", "scene: a name or the path of a YAML file")
+    seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
+    target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
+    lockstep: bool = setting(False, "simulated time that waits for every node, instead of real time")
+    mismatch: bool = setting(False, "simulate an arm that differs from its model")
+    bag: str = setting("", "directory to record a bag to; none when empty")
+    parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
+    driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")
+
+
+SECTIONS = {"": BringupSettings}
+
+
+def main() -> None:
+    """Bring the stack up and supervise it until Ctrl-C, SIGTERM or the end of one process."""
+    sys.exit(_run(sys.argv))
+
+
+def _run(arguments: list[str]) -> int:
+    try:
+        check_arguments(arguments, NAME, SECTIONS)
+    except ContactReachError as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 2
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(NAME)
+    supervisor: Supervisor | None = None
+    try:
+        options = StackOptions(**vars(declare(node, SECTIONS)[""]))
+        supervisor = Supervisor(node, processes(options), options.parameter_file)
+        supervisor.start()
+        _supervise(node, supervisor, ended)
+        return 0
+    except ContactReachError as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 1
+    finally:
+        if supervisor is not None:
+            supervisor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _supervise(node: Node, supervisor: Supervisor, ended: threading.Event) -> None:
+    said = ""
+
+    def progress(line: str) -> None:
+        nonlocal said
+        if ended.is_set():
+            raise KeyboardInterrupt
+        if line != said:
+            node.get_logger().info(line)
+            said = line
+
+    try:
+        supervisor.wait_active(STARTUP_TIMEOUT_S, progress)
+    except KeyboardInterrupt:
+        return
+    node.get_logger().info("all nodes are active; send a goal to goal_pose")
+    while not ended.is_set():
+        supervisor.check()
+        supervisor.spin(0.1)
+
+
+if __name__ == "__main__":
+    main()

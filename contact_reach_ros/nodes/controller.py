@@ -1,0 +1,206 @@
+"""The controller: one torque command for every joint state."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.reference import PoseKnots, PostureKnots
+from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.managed import ManagedNode, run
+from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, vector
+from contact_reach_ros.nodes.observer import NAME as OBSERVER
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.timing import Histogram
+
+PRIORITY = 70
+
+NAME = "controller"
+
+
+class ControllerNode(ManagedNode):
+    """Runs the controller's tick for each joint state and publishes the torque."""
+
+    NAME = NAME
+    SECTIONS = {"impedance": ImpedanceSettings, "limits": LimitSettings, "supervision": SupervisionSettings}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._commands = self.make_publisher(topics.COMMANDS)
+        self._safety = self.make_publisher(topics.SAFETY_STATE)
+        # Plans and safety before joint states: a tick uses all that came before it.
+        self.inbox.add(topics.SAFETY_STATE, self._on_safety)
+        self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
+        self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
+        lockstep = self.get_parameter("use_sim_time").value
+        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY if lockstep else topics.NEWEST)
+        self._lockstep = lockstep
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        self._controller: Controller | None = None
+        self._started = False
+        self._state_ns = 0
+        self._state = (np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
+        self._command_message = Float64MultiArray()
+        self._compute = Histogram()
+        self._published_mode: tuple[Mode, str] | None = None
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the robot model."""
+        settings = ControllerSettings(
+            self.settings["impedance"], self.settings["limits"], self.settings["supervision"]
+        )
+        self._controller = Controller(settings, RobotModel())
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start from the next joint state."""
+        self._started = False
+        return super().on_activate(state)
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """Mode, plan age and computing time."""
+        controller = self._controller
+        if controller is None:
+            return "", {}
+        values = {
+            "mode": controller.mode.value,
+            "plans accepted": controller.references.accepted,
+            "plan halves unpaired": controller.references.unpaired,
+            "plan age s": controller.references.age(self._state_ns),
+            "position error m": float(np.linalg.norm(controller.error[:3])),
+            **{f"compute {key} us": value for key, value in self._compute.summary().items()},
+        }
+        return controller.stop_reason, values
+
+    def _clock_ns(self) -> int:
+        """Clock of the watchdogs: the steady one, or simulated time in lockstep, where real time means nothing."""
+        return self._state_ns if self._lockstep else time.monotonic_ns()
+
+    def _on_state(self, message: JointState) -> None:
+        began_ns = time.monotonic_ns()
+        controller = self._controller
+        try:
+            q = self._order.pick(message, "position", topics.JOINT_STATES.name)
+            v = self._order.pick(message, "velocity", topics.JOINT_STATES.name)
+            self._state_ns = nanoseconds(message.header.stamp)
+            if not self._started:
+                controller.start(q, v, self._state_ns)
+                self._started = True
+            torque = controller.tick(q, v, self._state_ns, self._clock_ns())
+        except InputError as error:
+            self.refuse("joint states", error)
+            return
+        self._state = (q, v)
+        self._command_message.data = torque.tolist()
+        self._commands.publish(self._command_message)
+        self._compute.add(time.monotonic_ns() - began_ns)
+        if (controller.mode, controller.stop_reason) != self._published_mode:
+            self._publish_safety()
+
+    def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
+        try:
+            if any(len(point.transforms) != 1 for point in message.points):
+                raise InputError("reference/pose: each point needs exactly one transform, the flange's x_d")
+            transforms = [point.transforms[0] for point in message.points]
+            knots = PoseKnots(
+                nanoseconds(message.header.stamp),
+                tuple(nanoseconds(point.time_from_start) for point in message.points),
+                np.array([vector(transform.translation) for transform in transforms]).reshape(-1, 3),
+                _rotations([quaternion(transform.rotation) for transform in transforms]),
+            )
+            self._controller.references.offer_poses(knots, self._state_ns)
+        except InputError as error:
+            self.refuse("references", error)
+
+    def _on_postures(self, message: JointTrajectory) -> None:
+        try:
+            indices = JointOrder(iiwa14.JOINT_NAMES).indices(message.joint_names, topics.REFERENCE_POSTURE.name)
+            if any(len(point.positions) != len(message.joint_names) for point in message.points):
+                raise InputError("reference/posture: each point needs one position for each joint name")
+            postures = np.array([point.positions for point in message.points], dtype=float)
+            postures = postures.reshape(-1, len(message.joint_names))
+            knots = PostureKnots(
+                nanoseconds(message.header.stamp),
+                tuple(nanoseconds(point.time_from_start) for point in message.points),
+                postures if indices is None else postures[:, indices],
+            )
+            self._controller.references.offer_postures(knots, self._state_ns)
+        except InputError as error:
+            self.refuse("references", error)
+
+    def _on_safety(self, message: DiagnosticStatus) -> None:
+        if message.name == OBSERVER:
+            reason = message.message if message.level >= DiagnosticStatus.ERROR else ""
+            self._controller.observer_report(reason, self._clock_ns())
+
+    def _publish_safety(self) -> None:
+        controller = self._controller
+        self._published_mode = (controller.mode, controller.stop_reason)
+        stopped = controller.mode is Mode.STOPPED
+        message = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if stopped else DiagnosticStatus.OK,
+            name=NAME,
+            message=controller.stop_reason if stopped else controller.mode.value,
+            hardware_id="iiwa14",
+            values=[KeyValue(key="mode", value=controller.mode.value)],
+        )
+        self._safety.publish(message)
+        if stopped:
+            self.get_logger().error(f"compliant stop: {controller.stop_reason}; call ~/reset to go on")
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._controller is None:
+            response.message = "the controller is not configured"
+            return response
+        self._controller.stop("stop service called")
+        response.success, response.message = True, "compliant stop"
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._controller is None or not self._started:
+            response.message = "the controller has not seen a joint state yet"
+            return response
+        try:
+            self._controller.reset(*self._state, self._state_ns, self._clock_ns())
+        except InputError as error:
+            response.message = str(error)
+            return response
+        response.success, response.message = True, "holding; send a goal to go on"
+        return response
+
+
+def _rotations(quaternions: list[np.ndarray]) -> np.ndarray:
+    """Rotation matrices (H, 3, 3) of quaternions (x, y, z, w)."""
+    if not quaternions:
+        return np.zeros((0, 3, 3))
+    lengths = np.linalg.norm(quaternions, axis=1)
+    if not all(math.isfinite(length) and length > 1e-6 for length in lengths):
+        raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
+    return Rotation.from_quat(np.array(quaternions)).as_matrix()
+
+
+def main() -> None:
+    """Run the controller."""
+    sys.exit(run(ControllerNode, ControllerNode, PRIORITY, sys.argv))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+"""The demo: bring the stack up, send a goal as a user's node would, watch, record, and judge what happened."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import BagError, ContactReachError
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, to_point
+from contact_reach_ros.nodes.processes import StackOptions, processes
+from contact_reach_ros.nodes.supervisor import Supervisor
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
+from contact_reach_ros.recording.summary import Episode, EpisodeSummary
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.units import NANOSECONDS
+
+INTERRUPTED = 130
+
+_LOOK_S = 0.1
+_LINE_S = 1.0
+_RECORDER_S = 3.0
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What the command line asks for."""
+
+    scene: str = "ball"
+    seed: int = 0
+    goal: tuple[float, float, float] | None = None
+    lockstep: bool = False
+    mismatch: bool = False
+    timeout: float = 30.0
+    """Time of the robot's clock in which the goal must be reached, s."""
+    settle: float = 1.2
+    """Time of the robot's clock that is recorded after the goal was reached, s."""
+    output: Path = Path("bags")
+    json: Path | None = None
+
+
+class _Watcher:
+    """Newest state of the stack, as a user's node would see it."""
+
+    def __init__(self, supervisor: Supervisor, model: RobotModel, target: np.ndarray) -> None:
+        self._model = model
+        self._target = target
+        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        self.stamp_ns = 0
+        self.distance = float("nan")
+        self.force = 0.0
+        self.safety = "starting"
+        self.stopped = False
+        self.plan_ns = 0
+        inbox = supervisor.inbox
+        inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
+        inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
+        inbox.add(topics.SAFETY_STATE, self._on_safety)
+        inbox.add(topics.REFERENCE_POSE, self._on_plan, topics.NEWEST)
+
+    def line(self, since_ns: int) -> str:
+        """One line of progress."""
+        age = f"{(self.stamp_ns - self.plan_ns) / 1e6:4.0f} ms" if self.plan_ns else "   -   "
+        return (
+            f"{(self.stamp_ns - since_ns) / NANOSECONDS:5.1f} s   distance {1000 * self.distance:6.1f} mm   "
+            f"contact {self.force:5.1f} N   plan age {age}   {self.safety}"
+        )
+
+    def _on_state(self, message: JointState) -> None:
+        position, _ = self._model.flange_pose(self._order.pick(message, "position", topics.JOINT_STATES.name))
+        self.distance = float(np.linalg.norm(position - self._target))
+        self.stamp_ns = nanoseconds(message.header.stamp)
+
+    def _on_contacts(self, message: JointState) -> None:
+        self.force = message.effort[-1]
+
+    def _on_safety(self, message: DiagnosticStatus) -> None:
+        if message.level >= DiagnosticStatus.ERROR:
+            self.stopped = True
+            self.safety = f"STOP by {message.name}: {message.message}"
+        elif message.name == "controller" and not self.stopped:
+            self.safety = message.message
+
+    def _on_plan(self, message: MultiDOFJointTrajectory) -> None:
+        self.plan_ns = nanoseconds(message.header.stamp)
+
+
+def run_demo(options: DemoOptions) -> int:
+    """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
+
+    Raises
+    ------
+    ContactReachError
+        If the scene, the goal or the settings are refused.
+    """
+    scene = make_scene(read_scene(options.scene), options.seed, None if options.goal is None else np.array(options.goal))
+    name = f"demo_{scene.name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
+    options.output.mkdir(parents=True, exist_ok=True)
+    bag = options.output.resolve() / name
+    stack = StackOptions(
+        scene=options.scene,
+        seed=options.seed,
+        target="" if options.goal is None else " ".join(map(str, options.goal)),
+        lockstep=options.lockstep,
+        mismatch=options.mismatch,
+        bag=str(bag),
+    )
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("demo")
+    supervisor = Supervisor(node, processes(stack), stack.parameter_file, bag.with_suffix(".log"))
+    model = RobotModel()
+    interrupted, failure = False, ""
+    end_ns: int | None = None
+    try:
+        supervisor.start()
+        end_ns = _drive_to_goal(node, supervisor, _Watcher(supervisor, model, scene.target), scene.target, options)
+    except KeyboardInterrupt:
+        interrupted = True
+    except ContactReachError as error:
+        failure = str(error)
+    finally:
+        # A second Ctrl-C must not leave processes behind.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        _say("ending the stack", done=True)
+        supervisor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    if failure:
+        print(f"demo: {failure}", file=sys.stderr)
+    summary = _judge(bag, model, end_ns, options)
+    if interrupted:
+        return INTERRUPTED
+    return 0 if summary is not None and summary.success and not failure else 1
+
+
+def _drive_to_goal(
+    node: Node, supervisor: Supervisor, watcher: _Watcher, target: np.ndarray, options: DemoOptions
+) -> int:
+    """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
+    publisher = node.create_publisher(topics.GOAL_POSE.type, topics.GOAL_POSE.name, topics.GOAL_POSE.qos)
+    began = time.monotonic()
+    supervisor.wait_active(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+    # Planner and recorder have to know this publisher before it says something.
+    deadline = time.monotonic() + _RECORDER_S
+    while publisher.get_subscription_count() < 2 and time.monotonic() < deadline:
+        supervisor.spin(_LOOK_S)
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
+    goal = PoseStamped()
+    goal.header.frame_id = iiwa14.BASE_NAME
+    goal.header.stamp = node.get_clock().now().to_msg()
+    goal.pose.position = to_point(target.tolist())
+    goal.pose.orientation.w = 1.0
+    publisher.publish(goal)
+    sent_ns = watcher.stamp_ns
+    reached_ns: int | None = None
+    said_at = 0.0
+    while True:
+        supervisor.spin(_LOOK_S)
+        supervisor.check()
+        now = time.monotonic()
+        if sys.stdout.isatty() or now - said_at >= _LINE_S:
+            _say(watcher.line(sent_ns))
+            said_at = now
+        if reached_ns is None and watcher.distance <= SUCCESS_DISTANCE:
+            reached_ns = watcher.stamp_ns
+        settled = reached_ns is not None and watcher.stamp_ns - reached_ns > options.settle * NANOSECONDS
+        if settled or watcher.stopped or watcher.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
+            _say(watcher.line(sent_ns), done=True)
+            return watcher.stamp_ns
+
+
+def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
+    """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
+    impedance, planning = ImpedanceSettings(), PlanningSettings()
+    speed_limit = planning.max_translation * impedance.task_stiffness / impedance.task_damping
+    try:
+        episode = Episode(bag, lambda q: model.flange_pose(q)[0], speed_limit, end_ns)
+    except BagError as error:
+        print(f"no summary: {error}", file=sys.stderr)
+        return None
+    summary = episode.summary()
+    verdict = "reached" if summary.reached else "not reached"
+    if summary.safety_events:
+        verdict += ", stopped"
+    title = f"scene {options.scene}, seed {options.seed}: {verdict}"
+    plot = episode.plot(bag.with_suffix(".png"), title, load_budget())
+    report = {**summary.as_json(), "bag": str(bag), "plot": str(plot)}
+    if options.json is not None:
+        options.json.write_text(json.dumps(report, indent=2) + "\n")
+    _print_summary(verdict, summary, bag, plot)
+    return summary
+
+
+def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path, plot: Path) -> None:
+    trip, plan = summary.round_trip_us, summary.plan_ms
+    rows = [
+        ("goal", f"{verdict}, final error {1000 * summary.final_error_m:.1f} mm"),
+        ("time", f"{summary.duration_s:.2f} s for {summary.distance_m:.3f} m, {summary.time_ratio:.2f} x the limit"),
+        ("contact force", f"{summary.max_contact_force_N:.1f} N at most on one body"),
+        ("external torque", f"{summary.max_external_torque_Nm:.1f} Nm at most on one joint"),
+        ("ticks", f"{summary.ticks}, missed {summary.missed_ticks}"),
+        ("round trip", f"p50 {trip['p50']:.0f}, p99 {trip['p99']:.0f}, p99.9 {trip['p999']:.0f} us"),
+        ("plans", f"p50 {plan['p50']:.1f}, p95 {plan['p95']:.1f}, max {plan['max']:.1f} ms"),
+        ("plan age", f"{summary.plan_age_ms_max:.0f} ms at most"),
+        *(("stop", f"{stop['source']}: {stop['reason']}") for stop in summary.safety_events),
+        ("bag", str(bag)),
+        ("plot", str(plot)),
+    ]
+    print()
+    for label, text in rows:
+        print(f"  {label:16}{text}")
+
+
+def _say(line: str, done: bool = False) -> None:
+    """Show progress on one line of a terminal, or on lines of their own elsewhere."""
+    if sys.stdout.isatty():
+        print(f"\r\033[K{line}", end="\n" if done else "", flush=True)
+    else:
+        print(line, flush=True)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,286 @@
+"""The driver of the simulated iiwa: joint states out, torques in, at 1 kHz or in lockstep.
+
+A real robot's driver replaces this node; topics and watchdog behaviour are described in msg_docs/driver.md.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Vector3
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
+
+from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.managed import ManagedNode, run
+from contact_reach_ros.nodes.messages import nanoseconds, set_time, to_point
+from contact_reach_ros.plant.drive import Drive, WatchdogSettings
+from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
+from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.urdf import build_urdf
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import parse_target, read_scene
+from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.timing import Histogram
+from contact_reach_ros.units import NANOSECONDS
+
+PRIORITY = 80
+
+_TICK_NS = int(TICK * NANOSECONDS)
+_MAX_CATCH_UP = 20
+_CONTACTS_EVERY = 5
+_OBSTACLES_EVERY = 20
+_CLOCK_EVERY = 10
+_LOCKSTEP_START_NS = 1000 * NANOSECONDS
+"""Simulated time begins well after zero, which ROS takes for 'not set'."""
+_LOCKSTEP_REPEAT_NS = 20_000_000
+_LOCKSTEP_PATIENCE_NS = 30 * NANOSECONDS
+
+
+@dataclass(frozen=True)
+class DriverSettings(Settings):
+    """What to simulate, and in which time."""
+
+    scene: str = setting("ball", "scene: a name or the path of a YAML file")
+    seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
+    target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
+    lockstep: bool = setting(False, "advance only when controller, observer and planner are done with the last tick")
+
+
+class DriverNode(ManagedNode):
+    """Simulated robot behind the topics of a real one."""
+
+    NAME = "driver"
+    SECTIONS = {
+        "": DriverSettings,
+        "watchdog": WatchdogSettings,
+        "sensors": SensorSettings,
+        "joints": JointSettings,
+        "mismatch": MismatchSettings,
+    }
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lockstep: bool = self.settings[""].lockstep
+        self._joint_states = self.make_publisher(topics.JOINT_STATES)
+        self._contacts = self.make_publisher(topics.SIM_CONTACTS)
+        self._obstacles = self.make_publisher(topics.OBSTACLES)
+        self._description = self.make_publisher(topics.ROBOT_DESCRIPTION)
+        self._clock_publisher = self.make_publisher(topics.CLOCK) if self._lockstep else None
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.inbox.add(topics.COMMANDS, self._on_command, topics.EVERY if self._lockstep else topics.NEWEST)
+        self._horizons = {"observer": 0, "planner": 0}
+        if self._lockstep:
+            self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
+        self._plant: Plant | None = None
+        self._drive: Drive | None = None
+        self._start_ns = 0
+        self._next_ns = 0
+        self._published_ns = 0
+        self._answered = False
+        self._round_trip = Histogram()
+        self._wake_up_late = Histogram()
+        self._missed = 0
+        self._peak_contact = np.zeros(len(CONTACT_BODIES))
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the scene and the simulation."""
+        settings = self.settings
+        try:
+            chosen = settings[""]
+            scene = make_scene(read_scene(chosen.scene), chosen.seed, parse_target(chosen.target))
+        except ContactReachError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self._plant = Plant(scene, settings["sensors"], settings["joints"], settings["mismatch"])
+        self._drive = Drive(self._plant, settings["watchdog"])
+        self._prepare_messages()
+        self.get_logger().info(
+            f"scene {scene.name}, seed {scene.seed}, {len(scene.balls)} ball(s); a goal for it: "
+            f"{np.round(scene.target, 3).tolist()} m"
+        )
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to tick."""
+        self._description.publish(String(data=build_urdf()))
+        self._start_ns = _LOCKSTEP_START_NS if self._lockstep else time.time_ns()
+        self._start_ns -= self._plant.steps * _TICK_NS
+        self._next_ns = time.monotonic_ns() + _TICK_NS
+        return super().on_activate(state)
+
+    def turn(self) -> None:
+        """One tick."""
+        if self._lockstep:
+            self._lockstep_tick()
+        else:
+            self._realtime_tick()
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """Tick rates, misses, round trip and watchdog."""
+        if self._drive is None or self._plant is None:
+            return "", {}
+        values: dict[str, Any] = {
+            "ticks": self._plant.steps,
+            "missed ticks": self._missed,
+            "commands rejected": self._drive.rejected,
+            "actuation": self._plant.actuation.value,
+            "stop reason": self._drive.stop_reason,
+        }
+        for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
+            values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
+        return self._drive.stop_reason, values
+
+    def _realtime_tick(self) -> None:
+        now_ns = time.monotonic_ns()
+        while now_ns < self._next_ns:
+            self.inbox.wait(self._next_ns - now_ns)
+            now_ns = time.monotonic_ns()
+        late_ns = now_ns - self._next_ns
+        self._wake_up_late.add(late_ns)
+        missed = late_ns // _TICK_NS
+        self._missed += missed
+        # The simulated robot moves on as a real one would, whether or not this process was on time.
+        for _ in range(1 + min(missed, _MAX_CATCH_UP)):
+            self._tick(now_ns)
+        self._next_ns += (1 + missed) * _TICK_NS
+        self._publish()
+
+    def _lockstep_tick(self) -> None:
+        self._publish()
+        due_ns = self._now_ns + _TICK_NS
+        start_ns = repeat_ns = time.monotonic_ns()
+        while not (self._answered and min(self._horizons.values()) >= due_ns):
+            self.inbox.wait(_LOCKSTEP_REPEAT_NS)
+            if self._stop.is_set() or not self.running:
+                return
+            now_ns = time.monotonic_ns()
+            if self._plant.steps == 0 and now_ns - repeat_ns > _LOCKSTEP_REPEAT_NS:
+                # Nodes that come up late see the first state too.
+                repeat_ns = now_ns
+                self._publish()
+            elif self._plant.steps > 0 and now_ns - start_ns > _LOCKSTEP_PATIENCE_NS:
+                silent = [name for name, horizon in self._horizons.items() if horizon < due_ns]
+                silent += [] if self._answered else ["controller"]
+                raise ContactReachError(f"lockstep: no answer from {', '.join(silent)} for 30 s; see the node's log")
+        self._tick(self._now_ns)
+
+    @property
+    def _now_ns(self) -> int:
+        """Time of the simulated robot, ns."""
+        return self._start_ns + self._plant.steps * _TICK_NS
+
+    def _tick(self, clock_ns: int) -> None:
+        self._drive.tick(clock_ns)
+        np.maximum(self._peak_contact, self._plant.contact_forces(), out=self._peak_contact)
+
+    def _publish(self) -> None:
+        now_ns, steps = self._now_ns, self._plant.steps
+        reading = self._plant.read()
+        message = self._state_message
+        set_time(message.header.stamp, now_ns)
+        message.position = reading.position.tolist()
+        message.velocity = reading.velocity.tolist()
+        message.effort = reading.torque.tolist()
+        self._answered = False
+        self._published_ns = time.monotonic_ns()
+        self._joint_states.publish(message)
+        if steps % _CONTACTS_EVERY == 0:
+            self._publish_contacts(now_ns)
+        if steps % _OBSTACLES_EVERY == 0 and self._plant.balls:
+            self._publish_obstacles(now_ns)
+        if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
+            message = Clock()
+            set_time(message.clock, now_ns)
+            self._clock_publisher.publish(message)
+
+    def _publish_contacts(self, now_ns: int) -> None:
+        forces = self._peak_contact.tolist()
+        message = self._contact_message
+        set_time(message.header.stamp, now_ns)
+        message.effort = [*forces, sum(forces), max(forces)]
+        self._contacts.publish(message)
+        self._peak_contact[:] = 0.0
+
+    def _publish_obstacles(self, now_ns: int) -> None:
+        for marker, center in zip(self._obstacle_message.markers, self._plant.ball_centers().tolist(), strict=False):
+            set_time(marker.header.stamp, now_ns)
+            marker.pose.position = to_point(center)
+        self._obstacles.publish(self._obstacle_message)
+
+    def _prepare_messages(self) -> None:
+        """Messages that are filled again each time."""
+        self._state_message = JointState(name=list(iiwa14.JOINT_NAMES))
+        self._state_message.header.frame_id = iiwa14.BASE_NAME
+        self._contact_message = JointState(name=[*CONTACT_BODIES, "sum", "max"])
+        self._contact_message.header.frame_id = iiwa14.BASE_NAME
+        balls = self._plant.balls
+        markers = [self._ball_marker("obstacles", index, 1.0) for index in range(len(balls))]
+        markers += [self._ball_marker("rest", index, 0.15) for index in range(len(balls))]
+        self._obstacle_message = MarkerArray(markers=markers)
+
+    def _ball_marker(self, namespace: str, index: int, opacity: float) -> Marker:
+        ball = self._plant.balls[index]
+        diameter = 2.0 * ball.settings.radius
+        marker = Marker(
+            ns=namespace,
+            id=index,
+            type=Marker.SPHERE,
+            scale=Vector3(x=diameter, y=diameter, z=diameter),
+            color=ColorRGBA(r=0.35, g=0.7, b=0.35, a=opacity),
+        )
+        marker.header.frame_id = iiwa14.BASE_NAME
+        marker.pose.position = to_point(ball.center.tolist())
+        marker.pose.orientation.w = 1.0
+        return marker
+
+    def _on_command(self, message: Float64MultiArray) -> None:
+        now_ns = time.monotonic_ns()
+        if not self._answered:
+            self._round_trip.add(now_ns - self._published_ns)
+        self._answered = True
+        try:
+            self._drive.command(np.array(message.data), self._now_ns if self._lockstep else now_ns)
+        except InputError as error:
+            self.refuse("commands", error)
+
+    def _on_horizon(self, message: Header) -> None:
+        if message.frame_id in self._horizons:
+            self._horizons[message.frame_id] = nanoseconds(message.stamp)
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._drive is None:
+            response.message = "the driver is not configured"
+            return response
+        self._drive.stop("stop service called")
+        response.success, response.message = True, "brakes closed"
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._drive is None:
+            response.message = "the driver is not configured"
+            return response
+        self._drive.reset()
+        response.success, response.message = True, "released; the brakes open with the next command"
+        return response
+
+
+def main() -> None:
+    """Run the driver."""
+    sys.exit(run(DriverNode, DriverNode, PRIORITY, sys.argv))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,193 @@
+"""What all nodes of the stack have in common: lifecycle, parameters, diagnostics, and a clean start and end."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
+from contact_reach_ros.nodes.realtime import Inbox, request_realtime
+from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
+
+_REFUSALS_LOGGED_EVERY_S = 1.0
+_IDLE_NS = 100_000_000
+
+
+class ManagedNode(LifecycleNode):
+    """A lifecycle node whose work is done by one loop thread.
+
+    Subclasses set `NAME` and `SECTIONS`, create their subscriptions in `self.inbox`, and implement `turn`.
+
+    Attributes
+    ----------
+    settings
+        The settings objects by parameter prefix.
+    running
+        Whether the node is active.
+    """
+
+    NAME: str
+    SECTIONS: Sections
+
+    def __init__(self) -> None:
+        super().__init__(self.NAME)
+        autostart = self.declare_parameter("autostart", True)
+        self.autostart = bool(autostart.value)
+        self.settings = declare(self, self.SECTIONS)
+        self.inbox = Inbox(self)
+        self.running = False
+        self.refused: dict[str, int] = {}
+        self._diagnostics = self.create_publisher(DIAGNOSTICS.type, DIAGNOSTICS.name, DIAGNOSTICS.qos)
+        self._stop = threading.Event()
+        self.create_timer(1.0, self._publish_diagnostics)
+
+    def turn(self) -> None:
+        """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
+        self.inbox.wait(_IDLE_NS)
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """A summary (empty when all is well) and values for the diagnostics topic."""
+        return "", {}
+
+    def loop(self) -> None:
+        """Take turns until `request_stop`; while the node is inactive its messages are dropped."""
+        while not self._stop.is_set():
+            if self.running:
+                self.turn()
+            else:
+                self._stop.wait(0.02)
+
+    def request_stop(self) -> None:
+        """End the loop."""
+        self._stop.set()
+        self.inbox.wake()
+
+    def make_publisher(self, topic: Topic) -> Any:
+        """Publisher for a topic of the stack."""
+        return self.create_publisher(topic.type, topic.name, topic.qos)
+
+    def refuse(self, what: str, error: Exception) -> None:
+        """Count refused input and say so in the log, at most once a second."""
+        self.refused[what] = self.refused.get(what, 0) + 1
+        self.get_logger().warning(str(error), throttle_duration_sec=_REFUSALS_LOGGED_EVERY_S)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start the loop's work."""
+        result = super().on_activate(state)
+        self.running = result == TransitionCallbackReturn.SUCCESS
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let the loop idle."""
+        self.running = False
+        return super().on_deactivate(state)
+
+    def _publish_diagnostics(self) -> None:
+        summary, values = self.diagnosis()
+        refused = {f"refused {what}": count for what, count in self.refused.items()}
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if summary else DiagnosticStatus.OK,
+            name=self.get_name(),
+            message=summary or "ok",
+            values=[KeyValue(key=key, value=_text(value)) for key, value in {**values, **refused}.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def run(make: Callable[[], ManagedNode], node_class: type[ManagedNode], priority: int | None, arguments: Sequence[str]) -> int:
+    """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
+
+    Parameters
+    ----------
+    make
+        Makes the node.
+    node_class
+        Its class, whose name and settings the arguments are checked against.
+    priority
+        SCHED_FIFO priority, or None for a node that must not preempt others.
+    arguments
+        Command line, program name first.
+    """
+    try:
+        check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
+    except ContactReachError as error:
+        print(f"{node_class.NAME}: {error}", file=sys.stderr)
+        return 2
+    # Threads inherit the priority, so it comes before rclpy starts any.
+    warning = request_realtime(priority) if priority is not None else ""
+    sys.setswitchinterval(2e-4)
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    node: ManagedNode | None = None
+    try:
+        node = make()
+        return _serve(node, warning)
+    except ContactReachError as error:
+        print(f"{node_class.NAME}: {error}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _serve(node: ManagedNode, warning: str) -> int:
+    """Loop in a thread of its own, executor in the main thread, where Python handles signals."""
+    failures: list[BaseException] = []
+    stop = threading.Event()
+
+    def work() -> None:
+        try:
+            node.loop()
+        except BaseException as error:  # noqa: BLE001 - handed to the main thread, which ends the process with it
+            failures.append(error)
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    if warning:
+        node.get_logger().warning(warning)
+    if node.autostart and not _start(node):
+        return 1
+    thread = threading.Thread(target=work, name="loop")
+    thread.start()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=0.05)
+    except ExternalShutdownException:
+        pass
+    finally:
+        node.request_stop()
+        thread.join()
+        executor.shutdown()
+    if failures:
+        node.get_logger().fatal(f"the loop ended with {type(failures[0]).__name__}: {failures[0]}")
+        return 1
+    return 0
+
+
+def _start(node: ManagedNode) -> bool:
+    """Configure and activate; says what failed."""
+    for transition in (node.trigger_configure, node.trigger_activate):
+        if transition() != TransitionCallbackReturn.SUCCESS:
+            node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
+            return False
+    return True
+

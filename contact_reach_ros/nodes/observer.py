@@ -1,0 +1,199 @@
+"""The observer: external torque from joint states, and the safety state that stops the arm."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import WrenchStamped
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, Header
+from std_srvs.srv import Trigger
+
+from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.managed import ManagedNode, run
+from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, set_time
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
+from contact_reach_ros.plant.plant import TICK
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.units import NANOSECONDS
+
+PRIORITY = 60
+
+NAME = "observer"
+
+_WRENCH_EVERY = 10
+_HEARTBEAT_EVERY = 10
+
+
+@dataclass(frozen=True)
+class ObserverSettings(Settings):
+    """Where the observer takes its numbers from."""
+
+    contact_budget: str = setting("", "contact budget YAML; the one of the package when empty")
+    torque_source: str = setting(
+        "measured", "torque that acts on the links: the effort of joint_states, or the commands", choices=("measured", "commanded")
+    )
+
+
+class ObserverNode(ManagedNode):
+    """Runs the momentum observer and the safety monitor for each joint state."""
+
+    NAME = NAME
+    SECTIONS = {"": ObserverSettings, "momentum": MomentumSettings, "safety": SafetySettings}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._torque = self.make_publisher(topics.EXTERNAL_TORQUE)
+        self._wrench = self.make_publisher(topics.EXTERNAL_WRENCH)
+        self._safety = self.make_publisher(topics.SAFETY_STATE)
+        self._lockstep: bool = self.get_parameter("use_sim_time").value
+        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
+        qos = topics.EVERY if self._lockstep else topics.NEWEST
+        self._commanded: np.ndarray | None = None
+        if self.settings[""].torque_source == "commanded":
+            self.inbox.add(topics.COMMANDS, self._on_command, qos)
+        self.inbox.add(topics.JOINT_STATES, self._on_state, qos)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        self._observer: MomentumObserver | None = None
+        self._monitor: SafetyMonitor | None = None
+        self._ticks = 0
+        self._last_ns = 0
+        self._published_reason: str | None = None
+        self._torque_message = JointState(name=list(iiwa14.JOINT_NAMES))
+        self._torque_message.header.frame_id = iiwa14.BASE_NAME
+        self._wrench_message = WrenchStamped()
+        self._wrench_message.header.frame_id = iiwa14.BASE_NAME
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the contact budget and build the robot model."""
+        try:
+            budget = load_budget(self.settings[""].contact_budget)
+        except ContactReachError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self._observer = MomentumObserver(self.settings["momentum"], RobotModel())
+        self._monitor = SafetyMonitor(self.settings["safety"], budget)
+        return super().on_configure(state)
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """Ticks, gaps and the largest external torque."""
+        if self._observer is None or self._monitor is None:
+            return "", {}
+        values = {
+            "ticks": self._ticks,
+            "gaps": self._observer.gaps,
+            "stops": self._monitor.stops,
+            "external torque max Nm": float(np.abs(self._observer.residual).max()),
+        }
+        return self._monitor.stop_reason, values
+
+    def _on_command(self, message: Float64MultiArray) -> None:
+        self._commanded = np.array(message.data)
+
+    def _on_state(self, message: JointState) -> None:
+        try:
+            q = self._order.pick(message, "position", topics.JOINT_STATES.name)
+            v = self._order.pick(message, "velocity", topics.JOINT_STATES.name)
+            torque = self._acting_torque(message)
+            if not np.isfinite(q.sum() + v.sum()):
+                raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
+        except InputError as error:
+            self.refuse("joint states", error)
+            return
+        stamp_ns = nanoseconds(message.header.stamp)
+        if stamp_ns != self._last_ns:
+            self._last_ns = stamp_ns
+            self._observer.update(q, v, torque, stamp_ns)
+            self._monitor.update(self._observer.residual, v)
+            self._publish(stamp_ns)
+        if self._horizon is not None:
+            header = Header(frame_id=NAME)
+            set_time(header.stamp, stamp_ns + int(TICK * NANOSECONDS))
+            self._horizon.publish(header)
+
+    def _acting_torque(self, message: JointState) -> np.ndarray | None:
+        """Torque (7,) N m of the last step, None where it is not known, as while the brakes are closed."""
+        if self.settings[""].torque_source == "commanded":
+            torque, self._commanded = self._commanded, None
+            return torque
+        if not message.effort:
+            raise InputError("joint_states: effort is empty; let the driver fill it, or set torque_source to commanded")
+        torque = self._order.pick(message, "effort", topics.JOINT_STATES.name)
+        return torque if np.isfinite(torque.sum()) else None
+
+    def _publish(self, stamp_ns: int) -> None:
+        self._ticks += 1
+        message = self._torque_message
+        set_time(message.header.stamp, stamp_ns)
+        message.effort = self._observer.residual.tolist()
+        self._torque.publish(message)
+        if self._monitor.stop_reason != self._published_reason or self._ticks % _HEARTBEAT_EVERY == 0:
+            self._publish_safety()
+        if self._ticks % _WRENCH_EVERY == 0:
+            self._publish_wrench(stamp_ns)
+
+    def _publish_wrench(self, stamp_ns: int) -> None:
+        values = self._observer.flange_wrench().tolist()
+        message = self._wrench_message
+        set_time(message.header.stamp, stamp_ns)
+        message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = values[:3]
+        message.wrench.torque.x, message.wrench.torque.y, message.wrench.torque.z = values[3:]
+        self._wrench.publish(message)
+
+    def _publish_safety(self) -> None:
+        """The safety state, also as the sign of life that the controller waits for."""
+        reason = self._monitor.stop_reason
+        if reason and reason != self._published_reason:
+            self.get_logger().error(f"stop: {reason}; call ~/reset to go on")
+        self._published_reason = reason
+        largest = float(np.abs(self._observer.residual).max())
+        message = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if reason else DiagnosticStatus.OK,
+            name=NAME,
+            message=reason or "monitoring",
+            hardware_id="iiwa14",
+            values=[KeyValue(key="external torque max Nm", value=f"{largest:.3f}")],
+        )
+        self._safety.publish(message)
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._monitor is None:
+            response.message = "the observer is not configured"
+            return response
+        self._monitor.stop("stop service called")
+        response.success, response.message = True, "stopped"
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._monitor is None:
+            response.message = "the observer is not configured"
+            return response
+        try:
+            self._monitor.reset()
+        except InputError as error:
+            response.message = str(error)
+            return response
+        response.success, response.message = True, "monitoring"
+        return response
+
+
+def main() -> None:
+    """Run the observer."""
+    sys.exit(run(ObserverNode, ObserverNode, PRIORITY, sys.argv))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""Settings as ROS parameters: declared with their ranges, and checked with a message that names file and key."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.settings import Setting, Settings, read_yaml, unknown_key
+
+Sections = Mapping[str, type[Settings]]
+"""Settings classes by parameter prefix; the prefix '' is the node itself."""
+
+_BUILT_IN = ("use_sim_time", "start_type_description_service", "autostart")
+
+
+def full_name(prefix: str, name: str) -> str:
+    """Name of a parameter."""
+    return f"{prefix}.{name}" if prefix else name
+
+
+def declare(node: Node, sections: Sections) -> dict[str, Any]:
+    """Declare all settings as read-only parameters and return them, one settings object by prefix.
+
+    Raises
+    ------
+    SettingsError
+        If a parameter has a value that is not accepted.
+    """
+    made: dict[str, Any] = {}
+    for prefix, settings_class in sections.items():
+        values = {}
+        for entry in settings_class.declared():
+            default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
+            name = full_name(prefix, entry.name)
+            values[entry.name] = node.declare_parameter(name, default, _descriptor(entry)).value
+        made[prefix] = settings_class.from_mapping(values, f"parameters of {node.get_name()}, {prefix or 'node'}")
+    return made
+
+
+def _descriptor(entry: Setting) -> ParameterDescriptor:
+    unit = f" [{entry.unit}]" if entry.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{entry.description}{unit}",
+        additional_constraints=entry.accepts,
+        read_only=True,
+        # A whole number is accepted for a float; the settings class checks and converts it.
+        dynamic_typing=entry.kind is float,
+    )
+    if isinstance(entry.default, tuple) or (entry.minimum is None and entry.maximum is None):
+        return descriptor
+    if entry.kind is float:
+        low, high = entry.minimum, entry.maximum
+        limits = FloatingPointRange(
+            from_value=float("-inf") if low is None else low, to_value=float("inf") if high is None else high
+        )
+        descriptor.floating_point_range = [limits]
+    elif entry.kind is int and entry.minimum is not None and entry.maximum is not None:
+        descriptor.integer_range = [IntegerRange(from_value=int(entry.minimum), to_value=int(entry.maximum))]
+    return descriptor
+
+
+def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> None:
+    """Check the parameter files and overrides on a command line against the settings of a node.
+
+    ROS itself drops an unknown key without a word; here the node does not start.
+
+    Raises
+    ------
+    SettingsError
+        Naming file and key, and what is accepted.
+    """
+    known = {
+        full_name(prefix, entry.name): entry for prefix, cls in sections.items() for entry in cls.declared()
+    }
+    for option, value in zip(arguments, arguments[1:], strict=False):
+        if option == "--params-file":
+            for key, item in _parameters_in(Path(value), node_name).items():
+                _check(known, key, item, value)
+        elif option in ("-p", "--param"):
+            key = value.partition(":=")[0].rpartition(":")[2]
+            if key not in known and key not in _BUILT_IN:
+                raise SettingsError(unknown_key(key, known, f"argument {option} {value}"))
+
+
+def _check(known: Mapping[str, Setting], key: str, value: Any, source: str) -> None:
+    if key in _BUILT_IN or key.startswith("qos_overrides."):
+        return
+    if key not in known:
+        raise SettingsError(unknown_key(key, known, source))
+    known[key].check(value, f"{source}: {key}")
+
+
+def _parameters_in(file: Path, node_name: str) -> dict[str, Any]:
+    """The parameters of a file that concern a node, flattened to dotted names."""
+    found: dict[str, Any] = {}
+    for pattern, content in read_yaml(file).items():
+        if not isinstance(content, dict) or "ros__parameters" not in content:
+            raise SettingsError(f"{file}: '{pattern}' has no ros__parameters; expected '<node>: ros__parameters: ...'")
+        if fnmatch.fnmatch(f"/{node_name}", str(pattern)) or str(pattern).strip("/") == node_name:
+            parameters = content["ros__parameters"] or {}
+            if not isinstance(parameters, dict):
+                raise SettingsError(f"{file}: {pattern}.ros__parameters is no mapping of keys to values")
+            found.update(_flatten(parameters))
+    return found
+
+
+def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = full_name(prefix, str(key))
+        if isinstance(value, dict):
+            flat.update(_flatten(value, name))
+        else:
+            flat[name] = value
+    return flat

@@ -1,0 +1,306 @@
+"""The planner: goals in, paired references out, re-planned all the time.
+
+The loop thread is the worker that solves; the executor in the main thread goes on serving services meanwhile.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import (
+    JointTrajectory,
+    JointTrajectoryPoint,
+    MultiDOFJointTrajectory,
+    MultiDOFJointTrajectoryPoint,
+)
+from visualization_msgs.msg import Marker, MarkerArray
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.managed import ManagedNode, run
+from contact_reach_ros.nodes.messages import (
+    JointOrder,
+    nanoseconds,
+    quaternion,
+    set_time,
+    to_duration,
+    to_point,
+    to_time,
+    to_transform,
+    vector,
+)
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
+from contact_reach_ros.planning.problem import Goal, Plan, Spheres
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.plant.plant import TICK
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.timing import Histogram
+from contact_reach_ros.units import NANOSECONDS
+
+NAME = "planner"
+
+_IDLE_NS = 100_000_000
+_POLL_S = 0.003
+_TICK_NS = int(TICK * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class PlannerSettings(Settings):
+    """When to plan, and for what."""
+
+    period: float = setting(0.04, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
+    latency: float = setting(
+        0.04, "time from a state to the moment its plan takes effect", unit="s", minimum=0.001, maximum=0.5
+    )
+    goal_orientation: str = setting(
+        "hold",
+        "orientation of the goal: held as it is when the goal arrives, the pose's, or left free",
+        choices=ORIENTATIONS,
+    )
+    contact_budget: str = setting("", "contact budget YAML; the one of the package when empty")
+    max_spheres: int = setting(
+        1, "obstacle spheres that a plan looks at, the nearest ones; 0 plans without contact", minimum=0, maximum=64
+    )
+    sphere_stiffness: float = setting(
+        100.0, "spring that holds an obstacle sphere to its place", unit="N/m", minimum=1.0, maximum=5000.0
+    )
+    sphere_damping: float = setting(
+        30.0, "damping of an obstacle sphere's motion", unit="N s/m", minimum=0.1, maximum=500.0
+    )
+
+
+class PlannerNode(ManagedNode):
+    """Plans from the newest state whenever there is a goal."""
+
+    NAME = NAME
+    SECTIONS = {"": PlannerSettings, "planning": PlanningSettings, "impedance": ImpedanceSettings}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._poses = self.make_publisher(topics.REFERENCE_POSE)
+        self._postures = self.make_publisher(topics.REFERENCE_POSTURE)
+        self._path = self.make_publisher(topics.PLAN_PATH)
+        self._lockstep: bool = self.get_parameter("use_sim_time").value
+        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
+        self.inbox.add(topics.SAFETY_STATE, self._on_safety)
+        self.inbox.add(topics.OBSTACLES, self._on_obstacles)
+        self.inbox.add(topics.GOAL_POSE, self._on_goal)
+        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY if self._lockstep else topics.NEWEST)
+        settings = self.settings[""]
+        self._period_ns = int(settings.period * NANOSECONDS)
+        self._latency_ns = int(settings.latency * NANOSECONDS)
+        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        self._model = RobotModel()
+        self._planner: RecedingHorizonPlanner | None = None
+        self._goal: Goal | None = None
+        self._spheres = Spheres.none()
+        self._rests: dict[int, np.ndarray] = {}
+        self._state: tuple[np.ndarray, np.ndarray] | None = None
+        self._due_ns = 0
+        self._promised_ns = 0
+        self._plan: Plan | None = None
+        self._goals = 0
+        self._late = 0
+        self._solve_times = Histogram()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Compile the solver."""
+        settings = self.settings[""]
+        try:
+            budget = load_budget(settings.contact_budget)
+            self._planner = RecedingHorizonPlanner(
+                self.settings["planning"], self.settings["impedance"], budget.permitted_force, settings.max_spheres
+            )
+            began = time.monotonic()
+            self._planner.warm_up(lambda line: self.get_logger().info(line))
+        except ContactReachError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self.get_logger().info(f"compiled in {time.monotonic() - began:.1f} s")
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Wait for a goal."""
+        self._withdraw()
+        return super().on_activate(state)
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """Plans, solve times and the parts of the last plan's cost."""
+        values: dict[str, Any] = {
+            "goals": self._goals,
+            "late plans": self._late,
+            **{f"solve {key} us": value for key, value in self._solve_times.summary().items()},
+            "solve max us": self._solve_times.maximum_ns / 1000,
+        }
+        plan = self._plan
+        if plan is not None:
+            values |= {
+                "plan": plan.number,
+                "plan age s": (self.get_clock().now().nanoseconds - plan.effect_ns) / NANOSECONDS,
+                "solve ms": 1000 * plan.solve_s,
+                "steps": plan.steps,
+                "stop reason": plan.stop_reason,
+                "cost": plan.cost,
+                "non-finite candidates": plan.rejected,
+                "spheres left out": plan.left_out,
+                **{f"cost {name}": value for name, value in plan.cost_terms.items()},
+            }
+        return "", values
+
+    def turn(self) -> None:
+        """Handle what arrived; `_on_state` plans when a plan is due."""
+        if not self._lockstep:
+            # States come much faster than plans are made; looking at each would only take time from the loops.
+            self._stop.wait(_POLL_S)
+        self.inbox.wait(_IDLE_NS)
+
+    def _on_state(self, message: JointState) -> None:
+        try:
+            q = self._order.pick(message, "position", topics.JOINT_STATES.name)
+            v = self._order.pick(message, "velocity", topics.JOINT_STATES.name)
+            if not np.isfinite(q.sum() + v.sum()):
+                raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
+        except InputError as error:
+            self.refuse("joint states", error)
+            return
+        self._state = (q, v)
+        now_ns = nanoseconds(message.header.stamp)
+        if self._goal is not None and now_ns >= self._due_ns:
+            effect_ns = now_ns + self._latency_ns
+            self._promise(effect_ns - _TICK_NS)
+            self._make_plan(q, v, now_ns, effect_ns, self._goal)
+            self._due_ns = now_ns + self._period_ns
+        # Nothing can take effect before the next plan that may still be asked for.
+        self._promise(max(now_ns + _TICK_NS, self._due_ns) + self._latency_ns - _TICK_NS)
+
+    def _make_plan(self, q: np.ndarray, v: np.ndarray, now_ns: int, effect_ns: int, goal: Goal) -> None:
+        began_ns = time.monotonic_ns()
+        plan = self._planner.plan(q, v, now_ns, effect_ns, goal, self._spheres)
+        self._publish(plan)
+        took_ns = time.monotonic_ns() - began_ns
+        self._solve_times.add(took_ns)
+        self._late += took_ns > self._latency_ns
+        self._plan = plan
+
+    def _promise(self, until_ns: int) -> None:
+        """In lockstep: no plan that takes effect up to then is still to come."""
+        if self._horizon is not None and until_ns > self._promised_ns:
+            self._promised_ns = until_ns
+            header = Header(frame_id=NAME)
+            set_time(header.stamp, until_ns)
+            self._horizon.publish(header)
+
+    def _publish(self, plan: Plan) -> None:
+        header = Header(stamp=to_time(plan.effect_ns), frame_id=iiwa14.BASE_NAME)
+        knot_ns = int(plan.knot_duration_s * NANOSECONDS)
+        times = [to_duration((index + 1) * knot_ns) for index in range(len(plan.positions))]
+        poses = MultiDOFJointTrajectory(header=header, joint_names=[iiwa14.FLANGE_NAME])
+        postures = JointTrajectory(header=header, joint_names=list(iiwa14.JOINT_NAMES))
+        for time_from_start, position, rotation, posture in zip(
+            times, plan.positions, plan.rotations, plan.postures, strict=True
+        ):
+            transform = to_transform(position, rotation)
+            poses.points.append(MultiDOFJointTrajectoryPoint(transforms=[transform], time_from_start=time_from_start))
+            point = JointTrajectoryPoint(positions=posture.tolist(), time_from_start=time_from_start)
+            postures.points.append(point)
+        self._poses.publish(poses)
+        self._postures.publish(postures)
+        path = Path(header=header)
+        for index, position in enumerate(plan.predicted_positions.tolist()):
+            pose = PoseStamped(header=Header(stamp=to_time(plan.effect_ns + index * knot_ns), frame_id=iiwa14.BASE_NAME))
+            pose.pose.position = to_point(position)
+            path.poses.append(pose)
+        self._path.publish(path)
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        if self._state is None:
+            self.refuse("goals", InputError("goal_pose: no joint state yet; is the driver running?"))
+            return
+        try:
+            _, rotation = self._model.flange_pose(self._state[0])
+            pose = message.pose
+            goal = make_goal(
+                message.header.frame_id,
+                vector(pose.position),
+                quaternion(pose.orientation),
+                self.settings[""].goal_orientation,
+                rotation,
+            )
+        except InputError as error:
+            self.refuse("goals", error)
+            return
+        self._goal = goal
+        self._goals += 1
+        self.get_logger().info(f"goal {self._goals}: {np.round(goal.position, 3).tolist()} m")
+
+    def _on_obstacles(self, message: MarkerArray) -> None:
+        try:
+            self._spheres = self._read_spheres(message)
+        except InputError as error:
+            self.refuse("obstacles", error)
+
+    def _read_spheres(self, message: MarkerArray) -> Spheres:
+        """Spheres of a marker array; namespace 'rest' says where their springs hold them, else where first seen."""
+        centers: dict[int, np.ndarray] = {}
+        radii: dict[int, float] = {}
+        for marker in message.markers:
+            if marker.header.frame_id != iiwa14.BASE_NAME:
+                raise InputError(
+                    f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{iiwa14.BASE_NAME}'"
+                )
+            if marker.action != Marker.ADD or marker.type != Marker.SPHERE:
+                raise InputError(f"obstacles: marker {marker.ns}/{marker.id} is no sphere to add; expected SPHERE, ADD")
+            position = vector(marker.pose.position)
+            if marker.ns == "rest":
+                self._rests[marker.id] = position
+            else:
+                centers[marker.id] = position
+                radii[marker.id] = 0.5 * marker.scale.x
+        for identifier, center in centers.items():
+            self._rests.setdefault(identifier, center)
+        count = len(centers)
+        settings = self.settings[""]
+        return Spheres(
+            center=np.array(list(centers.values())).reshape(-1, 3),
+            rest=np.array([self._rests[identifier] for identifier in centers]).reshape(-1, 3),
+            radius=np.array(list(radii.values())),
+            stiffness=np.full(count, settings.sphere_stiffness),
+            damping=np.full(count, settings.sphere_damping),
+        )
+
+    def _on_safety(self, message: DiagnosticStatus) -> None:
+        if message.level >= DiagnosticStatus.ERROR and self._goal is not None:
+            self.get_logger().warning(f"goal withdrawn: {message.name} stopped the arm ({message.message})")
+            self._withdraw()
+
+    def _withdraw(self) -> None:
+        """Forget the goal: after a stop the arm moves again only when somebody sends a new one."""
+        self._goal = None
+        self._plan = None
+        if self._planner is not None:
+            self._planner.reset()
+
+
+def main() -> None:
+    """Run the planner."""
+    sys.exit(run(PlannerNode, PlannerNode, None, sys.argv))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""The bring-up table: which processes make up the stack, and with which arguments. The launch file uses it too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from contact_reach_ros.resources import config_file
+from contact_reach_ros.scenes.scene import read_scene
+
+PACKAGE = "contact_reach_ros"
+DEFAULT_PARAMETERS = "default.yaml"
+
+
+@dataclass(frozen=True)
+class Process:
+    """One process of the stack.
+
+    Attributes
+    ----------
+    name
+        Of node and executable.
+    parameters
+        Given on its command line, after the parameter file.
+    managed
+        Whether it is a lifecycle node.
+    """
+
+    name: str
+    parameters: dict[str, bool | int | float | str]
+    managed: bool = True
+
+    @property
+    def module(self) -> str:
+        """Python module to run."""
+        return f"{PACKAGE}.nodes.{self.name}"
+
+
+@dataclass(frozen=True)
+class StackOptions:
+    """What a user chooses at bring-up."""
+
+    scene: str = "ball"
+    seed: int = 0
+    target: str = ""
+    """Flange position that the scene is built for, 'x y z' in m; drawn when empty."""
+    lockstep: bool = False
+    mismatch: bool = False
+    bag: str = ""
+    """Directory to record to; nothing is recorded when empty."""
+    parameters: str = ""
+    """Parameter file; the package's own when empty."""
+    driver: bool = True
+    """Whether to start the simulated driver; a real robot brings its own."""
+
+    @property
+    def parameter_file(self) -> Path:
+        """The parameter file in use."""
+        return Path(self.parameters) if self.parameters else config_file(DEFAULT_PARAMETERS)
+
+
+def processes(options: StackOptions) -> list[Process]:
+    """The processes in the order in which they are started; they are ended in the reverse order.
+
+    Raises
+    ------
+    SceneError, SettingsError
+        If the scene is unknown or its file is wrong.
+    """
+    ball = read_scene(options.scene).ball
+    time = {"use_sim_time": options.lockstep}
+    simulation = {
+        "scene": options.scene,
+        "seed": options.seed,
+        "target": options.target,
+        "lockstep": options.lockstep,
+        "mismatch.enabled": options.mismatch,
+    }
+    obstacles: dict[str, bool | int | float | str] = {"max_spheres": 0}
+    if ball is not None:
+        obstacles = {"max_spheres": 1, "sphere_stiffness": ball.stiffness, "sphere_damping": ball.damping}
+    table = []
+    if options.bag:
+        table.append(Process("recorder", {"bag": options.bag}, managed=False))
+    if options.driver:
+        table.append(Process("driver", simulation))
+    table.append(Process("observer", time))
+    table.append(Process("controller", time))
+    table.append(Process("planner", {**time, **obstacles}))
+    return table

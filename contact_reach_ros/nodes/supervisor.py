@@ -1,0 +1,208 @@
+"""Starts the processes of the stack, waits for them, watches them, and ends them so that the arm is left at rest."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from lifecycle_msgs.srv import GetState
+from rclpy.client import Client
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.processes import Process
+from contact_reach_ros.nodes.realtime import Inbox
+
+_ACTIVE = "active"
+_POLL_S = 0.1
+_REST_SPEED = 0.02
+_REST_TIMEOUT_S = 2.0
+_END_TIMEOUT_S = 8.0
+_WATCHDOG_S = 0.3
+"""Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+class StackError(ContactReachError):
+    """The stack did not come up, or one of its processes died."""
+
+
+class Supervisor:
+    """The running stack.
+
+    Parameters
+    ----------
+    node
+        For services and topics; its executor must not be spun by others.
+    table
+        From `processes`.
+    parameter_file
+        Given to every process.
+    log
+        File for the output of the processes; their own terminal when None.
+    """
+
+    def __init__(self, node: Node, table: Sequence[Process], parameter_file: Path, log: Path | None = None) -> None:
+        self._node = node
+        self._table = list(table)
+        self._parameter_file = parameter_file
+        self._log_path = log
+        self._log: IO[bytes] | None = None
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._speed = float("nan")
+        self.inbox = Inbox(node)
+        """Looked into while spinning; a slow look at fast topics costs nothing in between."""
+        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
+
+    def start(self) -> None:
+        """Start all processes."""
+        environment = dict(os.environ)
+        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        if self._log_path is not None:
+            self._log = self._log_path.open("wb")
+        for process in self._table:
+            self._running[process.name] = subprocess.Popen(
+                [sys.executable, "-m", process.module, *self._arguments(process)],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=self._log,
+                stderr=self._log,
+                # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
+            )
+
+    def wait_active(self, timeout: float, progress: Callable[[str], None]) -> None:
+        """Wait until every process is up and every lifecycle node active.
+
+        Raises
+        ------
+        StackError
+            If a process died, or the time is over; the missing ones are named with their last state.
+        """
+        clients = {
+            process.name: self._node.create_client(GetState, f"/{process.name}/get_state")
+            for process in self._table
+            if process.managed
+        }
+        missing = {process.name: "no such node yet" for process in self._table}
+        deadline = time.monotonic() + timeout
+        try:
+            while missing:
+                self.check()
+                if time.monotonic() > deadline:
+                    named = ", ".join(f"{name} ({state})" for name, state in missing.items())
+                    raise StackError(f"not active after {timeout:.0f} s: {named}{self._see_log()}")
+                progress("waiting for " + ", ".join(missing))
+                for name in list(missing):
+                    state = self._state_of(name, clients.get(name))
+                    if state == _ACTIVE:
+                        del missing[name]
+                    elif state:
+                        missing[name] = state
+                self.spin(_POLL_S)
+        finally:
+            for client in clients.values():
+                self._node.destroy_client(client)
+
+    def spin(self, seconds: float) -> None:
+        """Serve the node for a while, then look into the inbox."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+        self.inbox.wait(0)
+
+    def check(self) -> None:
+        """Raise `StackError` naming a process that died, and how."""
+        for name, process in self._running.items():
+            code = process.poll()
+            if code is not None:
+                how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+                raise StackError(f"{name} ended ({how}){self._see_log()}")
+
+    def shutdown(self) -> None:
+        """Bring the arm to rest and end all processes: planner first, recorder last."""
+        self._halt()
+        for process in reversed(self._table):
+            self._end(process.name)
+            if process.name == "controller":
+                self.spin(_WATCHDOG_S)
+        self._executor.shutdown()
+        if self._log is not None:
+            self._log.close()
+
+    def _arguments(self, process: Process) -> list[str]:
+        arguments = ["--ros-args", "--params-file", str(self._parameter_file)]
+        for key, value in process.parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            arguments += ["-p", f"{key}:={text}"]
+        return arguments
+
+    def _state_of(self, name: str, client: Client | None) -> str:
+        """Lifecycle state of a node, or 'active' for a plain one that is there; empty while unknown."""
+        if client is None:
+            return _ACTIVE if name in self._node.get_node_names() else ""
+        if not client.service_is_ready():
+            return ""
+        response = self._call(client, GetState.Request(), 1.0)
+        return response.current_state.label if response is not None else "not answering"
+
+    def _call(self, client: Client, request: object, timeout: float) -> object | None:
+        future = client.call_async(request)
+        self._executor.spin_until_future_complete(future, timeout_sec=timeout)
+        if future.done():
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _halt(self) -> None:
+        """Ask the controller for its compliant stop and wait until the arm is at rest."""
+        controller = self._running.get("controller")
+        if controller is None or controller.poll() is not None:
+            self.spin(_WATCHDOG_S)
+            return
+        client = self._node.create_client(Trigger, "/controller/stop")
+        if client.service_is_ready() or client.wait_for_service(timeout_sec=0.5):
+            self._call(client, Trigger.Request(), 0.5)
+        deadline = time.monotonic() + _REST_TIMEOUT_S
+        while time.monotonic() < deadline and self._speed > _REST_SPEED:
+            self.spin(0.02)
+        self._node.destroy_client(client)
+
+    def _end(self, name: str) -> None:
+        process = self._running.pop(name, None)
+        if process is None or process.poll() is not None:
+            return
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGINT: killed", file=sys.stderr)
+            process.kill()
+            process.wait()
+
+    def _see_log(self) -> str:
+        return f"; its output is in {self._log_path}" if self._log_path else ""
+
+    def _on_state(self, message: JointState) -> None:
+        self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")
+
+
+def _end_with_parent() -> None:
+    """In the child: be ended by the kernel when the supervisor is killed, so that no orphan moves an arm."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

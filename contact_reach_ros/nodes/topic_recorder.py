@@ -1,0 +1,201 @@
+"""Taking the messages of topics from the middleware and into a bag, without decoding them."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import time
+from collections.abc import Iterable, Sequence
+from operator import itemgetter
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.nodes.realtime import LoopGroup
+from contact_reach_ros.recording.bag_writer import BagWriter
+from contact_reach_ros.recording.loss import LossCounter
+from contact_reach_ros.recording.topics import OfferedQos, Topic, parse_topic
+
+HISTORY_DEPTH = 1000
+"""Messages per topic that wait in the middleware while the recorder is held up: 1 s at 1 kHz."""
+
+SETTLING_TIME = 0.05
+"""Time for messages that are on their way when the recording ends, s."""
+
+
+@dataclasses.dataclass
+class _Recorded:
+    topic: Topic
+    message_class: type
+    qos: QoSProfile
+    subscription: Subscription
+    loss: LossCounter
+
+
+class TopicRecorder:
+    """Moves the messages of topics into a bag.
+
+    Parameters
+    ----------
+    node :
+        Owner of the subscriptions.
+    writer :
+        The bag; it stays with the caller, who closes it after `stop`.
+    topics :
+        Names as `parse_topic` reads them; relative ones are resolved by the node.
+    """
+
+    def __init__(self, node: Node, writer: BagWriter, topics: Iterable[str]) -> None:
+        self._node = node
+        self._writer = writer
+        # Waking up for every message costs ten times more than taking what has gathered in 20 ms.
+        self._group = LoopGroup()
+        self._recorded: dict[str, _Recorded] = {}
+        self._publisher_counts: dict[str, int] = {}
+        self._wanted: dict[str, str | None] = {}
+        for name, type_name in map(parse_topic, topics):
+            self._wanted[node.resolve_topic_name(name)] = type_name
+
+    def discover(self) -> None:
+        """Subscribe to the wanted topics that have appeared since the last call.
+
+        Raises
+        ------
+        BagError
+            If the disk refuses.
+        """
+        for name in self._wanted:
+            # Counting is cheap; what publishers offer is asked for only when their number has changed.
+            count = self._node.count_publishers(name)
+            if count == self._publisher_counts.get(name, 0):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(name)
+            self._publisher_counts[name] = len(publishers)
+            if publishers:
+                self._meet(name, publishers)
+
+    def drain(self) -> None:
+        """Write what has arrived, in the order of arrival.
+
+        Raises
+        ------
+        BagError
+            If the disk refuses.
+        """
+        batch: list[tuple[int, _Recorded, bytes, Any]] = []
+        for recorded in self._recorded.values():
+            handle = recorded.subscription.handle
+            with handle:
+                for _ in range(HISTORY_DEPTH):
+                    taken = handle.take_message(recorded.message_class, True)
+                    if taken is None:
+                        break
+                    data, about = taken
+                    batch.append((about["received_timestamp"] or time.time_ns(), recorded, data, about))
+        batch.sort(key=itemgetter(0))
+        for received_ns, recorded, data, about in batch:
+            sequence = about["publication_sequence_number"]
+            recorded.loss.count(sequence, recorded.subscription.get_publisher_count)
+            sent_ns = about["source_timestamp"] or received_ns
+            self._writer.write(recorded.topic.name, data, received_ns, sent_ns, sequence or 0)
+
+    def stop(self) -> None:
+        """Write what is still on its way, and note in the bag how many messages were lost.
+
+        Raises
+        ------
+        BagError
+            If the disk refuses.
+        """
+        self.drain()
+        time.sleep(SETTLING_TIME)
+        self.drain()
+        known = all(recorded.loss.known for recorded in self._recorded.values())
+        self._writer.set_custom_data("messages_lost", str(self.lost) if known else "unknown")
+        for name, recorded in self._recorded.items():
+            if recorded.loss.lost:
+                self._writer.set_custom_data(f"messages_lost{name}", str(recorded.loss.lost))
+            self._node.destroy_subscription(recorded.subscription)
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent while their topic was recorded and did not arrive."""
+        return sum(recorded.loss.lost for recorded in self._recorded.values())
+
+    def _meet(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
+        recorded = self._recorded.get(name)
+        if recorded is None:
+            try:
+                self._begin(name, publishers)
+            except BagError as error:
+                self._node.get_logger().error(f"not recorded: {error}")
+        elif _asks_too_much(recorded.qos, publishers):
+            # A publisher that offers less has joined: with the old terms nothing would come from it.
+            self.drain()
+            self._node.destroy_subscription(recorded.subscription)
+            recorded.qos = _acceptable_qos(publishers)
+            recorded.subscription = self._subscribe(name, recorded.message_class, recorded.qos)
+
+    def _begin(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
+        types = sorted({publisher.topic_type for publisher in publishers})
+        expected = self._wanted[name] or types[0]
+        if types != [expected]:
+            raise BagError(f"topic '{name}' has the type {', '.join(types)}, expected {expected}")
+        message_class = _message_class(expected)
+        qos = _acceptable_qos(publishers)
+        offered = tuple(_offered(publisher.qos_profile) for publisher in publishers)
+        topic = Topic(name, expected, offered)
+        self._writer.add_topic(topic)
+        subscription = self._subscribe(name, message_class, qos)
+        self._recorded[name] = _Recorded(topic, message_class, qos, subscription, LossCounter())
+
+    def _subscribe(self, name: str, message_class: type, qos: QoSProfile) -> Subscription:
+        return self._node.create_subscription(
+            message_class, name, lambda _: None, qos, callback_group=self._group, raw=True
+        )
+
+
+def _message_class(type_name: str) -> type:
+    package, _, name = type_name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError) as error:
+        raise BagError(
+            f"message type '{type_name}' is not installed; source the workspace that has it"
+        ) from error
+
+
+def _acceptable_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """The strictest terms that every publisher meets, with a deep queue."""
+    offered = [publisher.qos_profile for publisher in publishers]
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+    return QoSProfile(
+        depth=HISTORY_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _asks_too_much(qos: QoSProfile, publishers: Sequence[TopicEndpointInfo]) -> bool:
+    acceptable = _acceptable_qos(publishers)
+    loses_reliability = acceptable.reliability != qos.reliability == ReliabilityPolicy.RELIABLE
+    return loses_reliability or acceptable.durability != qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def _offered(profile: QoSProfile) -> OfferedQos:
+    return OfferedQos(
+        history=profile.history.short_key,
+        depth=profile.depth,
+        reliability=profile.reliability.short_key,
+        durability=profile.durability.short_key,
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.short_key,
+        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )

@@ -1,0 +1,56 @@
+"""Every topic of the stack: name, type and quality of service, in one place."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from nav_msgs.msg import Path
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, Header, String
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+"""What publishers offer: reliable, so that recorders and lockstep lose nothing."""
+
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""The last message is given to whoever comes later."""
+
+LATCHED_EVENTS = QoSProfile(
+    depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""What real-time subscribers ask for: only the last message counts."""
+
+EVERY = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""What lockstep subscribers ask for."""
+
+
+class Topic(NamedTuple):
+    """One topic, with the quality of service that its publishers offer."""
+
+    name: str
+    type: Any
+    qos: QoSProfile = STREAM
+
+
+JOINT_STATES = Topic("joint_states", JointState)
+COMMANDS = Topic("effort_controller/commands", Float64MultiArray)
+GOAL_POSE = Topic("goal_pose", PoseStamped)
+REFERENCE_POSE = Topic("reference/pose", MultiDOFJointTrajectory)
+REFERENCE_POSTURE = Topic("reference/posture", JointTrajectory)
+OBSTACLES = Topic("obstacles", MarkerArray, LATCHED)
+EXTERNAL_TORQUE = Topic("external_torque", JointState)
+EXTERNAL_WRENCH = Topic("external_wrench", WrenchStamped)
+SAFETY_STATE = Topic("safety_state", DiagnosticStatus, LATCHED_EVENTS)
+DIAGNOSTICS = Topic("diagnostics", DiagnosticArray)
+PLAN_PATH = Topic("plan/path", Path)
+SIM_CONTACTS = Topic("sim/contacts", JointState)
+ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
+CLOCK = Topic("clock", Clock)
+LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header)

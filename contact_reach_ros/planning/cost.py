@@ -1,0 +1,168 @@
+"""The cost (5): the transfer model rolled out under the actions of a plan, and what is thought of the outcome.
+
+The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − ε) and not
+the literal λ3 (contact − ε), which would reward every newton below ε as much as it punishes one above. A small weight
+on any contact keeps permitted forces low. Joint limits, absent from (5), are soft costs; so are a goal's orientation
+and the null-space motion, which nothing else would restrain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.lanes import dot, sum_over
+from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, State, System
+
+
+class Weights(NamedTuple):
+    """The numbers of the cost; inputs of the compiled program, so that a change does not compile it again."""
+
+    goal: float
+    progress: float
+    contact_limit: float
+    permitted_force: float
+    contact: float
+    orientation: float
+    joint_limit: float
+    joint_limit_margin: float
+    null_motion: float
+
+    @classmethod
+    def of(cls, settings: PlanningSettings, permitted_force: float) -> Weights:
+        """The weights of the settings and ε in N."""
+        return cls(
+            goal=settings.goal_weight,
+            progress=settings.progress_weight,
+            contact_limit=settings.contact_limit_weight,
+            permitted_force=permitted_force,
+            contact=settings.contact_weight,
+            orientation=settings.orientation_weight,
+            joint_limit=settings.joint_limit_weight,
+            joint_limit_margin=settings.joint_limit_margin,
+            null_motion=settings.null_motion_weight,
+        )
+
+
+class Problem(NamedTuple):
+    """One planning problem: all inputs of the compiled program."""
+
+    q: jax.Array
+    """(7, 1) joint angles when the plan takes effect, rad."""
+    v: jax.Array
+    """(7, 1), rad/s."""
+    obstacles: Obstacles | None
+    """With one lane, or None for a program without contact."""
+    goal_position: jax.Array
+    """(3, 1), m."""
+    goal_rotation: jax.Array
+    """(3, 3, 1); any rotation if the orientation is free, and then weights.orientation is zero."""
+    weights: Weights
+
+
+class Rollout(NamedTuple):
+    """What the transfer model expects of the actions."""
+
+    q: jax.Array
+    """(H + 1, 7, B) joint angles at the knot boundaries, rad."""
+    pose: Pose
+    """(H + 1, ...) flange at the knot boundaries."""
+    reference: Reference
+    """(H, ...) what the actions stand for."""
+    link_force: jax.Array
+    """(H, 6, B) largest force within each knot on each capsule, N."""
+    contact: jax.Array
+    """(H, B) contact(·) of (4d): largest value within each knot, N."""
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """Cost (5) over H knots of a system in closed loop."""
+
+    system: System
+    """Its time step is the knot duration divided by `substeps`."""
+    horizon: int
+    substeps: int
+    contact_measure: str
+
+    def cost(self, problem: Problem, actions: jax.Array) -> jax.Array:
+        """Cost (B,) of the actions (H, 13, B)."""
+        return sum(self.terms(problem, actions, self.roll_out(problem, actions)).values(), start=jnp.zeros(()))
+
+    def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
+        """Run the transfer model under the actions (H, 13, B), knot by knot."""
+        lanes = actions.shape[-1]
+        start = pipeline.init(
+            self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), _obstacles(problem.obstacles, lanes)
+        )
+        pose = pipeline.flange_pose(self.system, start)
+
+        def knot(carry: tuple[State, Pose], action: jax.Array) -> tuple[tuple[State, Pose], tuple]:
+            state, pose = carry
+            reference = pipeline.latch(state, pose, action)
+
+            def substep(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array]]:
+                state = pipeline.step(self.system, state, reference)
+                return state, (state.link_force, self._measure(state.link_force))
+
+            state, (link_force, contact) = jax.lax.scan(substep, state, None, length=self.substeps)
+            pose = pipeline.flange_pose(self.system, state)
+            return (state, pose), (state.q, pose, reference, link_force.max(axis=0), contact.max(axis=0))
+
+        _, (q, poses, reference, link_force, contact) = jax.lax.scan(knot, (start, pose), actions)
+        return Rollout(
+            q=jnp.concatenate([start.q[None], q]),
+            pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
+            reference=reference,
+            link_force=link_force,
+            contact=contact,
+        )
+
+    def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
+        """The parts (B,) that add up to the cost, each summed over the horizon."""
+        weights = problem.weights
+        q = jnp.moveaxis(rollout.q[1:], 1, 0)
+        position = jnp.moveaxis(rollout.pose.position, 1, 0)
+        to_goal = _length(position[:, 1:] - problem.goal_position[:, None])
+        from_start = _length(position[:, 1:] - position[:, :1])
+        misalignment = jnp.moveaxis(rollout.pose.rotation[1:] - problem.goal_rotation, (1, 2), (0, 1))
+        # ‖R − R_g‖ / √2 is 2 sin(angle / 2): the angle while it is small, and still growing at 180°.
+        chord = jnp.sqrt(0.5 * (misalignment**2).sum(axis=(0, 1)) + 1e-8)
+        limit = self.system.arm.position_limit[:, None, None]
+        intrusion = jnp.maximum(jnp.abs(q) - limit + weights.joint_limit_margin, 0.0)
+        excess = jnp.maximum(rollout.contact - weights.permitted_force, 0.0)
+        null_motion = jnp.moveaxis(actions[:, 6:], 1, 0)
+        parts = {
+            "goal": weights.goal * to_goal,
+            "progress": -weights.progress * from_start,
+            "contact_limit": weights.contact_limit * excess,
+            "contact": weights.contact * rollout.contact,
+            "orientation": weights.orientation * chord,
+            "joint_limit": weights.joint_limit * sum_over(intrusion * intrusion, 0),
+            "null_motion": weights.null_motion * sum_over(null_motion * null_motion, 0),
+        }
+        return {name: sum_over(part, 0) for name, part in parts.items()}
+
+    def _measure(self, link_force: jax.Array) -> jax.Array:
+        """contact(·) (B,) of the forces (6, B) on the links."""
+        return link_force.max(axis=0) if self.contact_measure == "largest" else sum_over(link_force, 0)
+
+
+def _length(vectors: jax.Array) -> jax.Array:
+    """Euclidean norm along the first axis, smooth at zero."""
+    return jnp.sqrt(dot(vectors, vectors) + 1e-8)
+
+
+def _spread(array: jax.Array, lanes: int) -> jax.Array:
+    return jnp.broadcast_to(array, (*array.shape[:-1], lanes))
+
+
+def _obstacles(obstacles: Obstacles | None, lanes: int) -> Obstacles | None:
+    """The same obstacles in every lane; only the centres, which move, need an array per lane."""
+    return None if obstacles is None else obstacles._replace(center=_spread(obstacles.center, lanes))

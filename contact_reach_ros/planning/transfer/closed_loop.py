@@ -1,0 +1,175 @@
+"""Joint accelerations of the arm under law (3), for all lanes at once.
+
+With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the null-space torque before projection, law (3)
+makes the arm move as
+
+    M q̈ = Jᵀ f + τ₀ + τ_contact,    f = Λ (a − J M⁻¹ τ₀),    Λ = (J M⁻¹ Jᵀ)⁻¹,
+
+where a is the task acceleration that law (1) asks for; C + g cancel, because the controller knows them. M, J and the
+torques go through one Cholesky factorisation each of M and of J M⁻¹ Jᵀ.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.transfer.contact import Contact
+from contact_reach_ros.planning.transfer.dynamics import Dynamics
+from contact_reach_ros.planning.transfer.kinematics import Frames
+from contact_reach_ros.planning.transfer.lanes import Keep, cross, dot
+from contact_reach_ros.planning.transfer.model import N_LINKS
+
+N_TASK = 6
+
+TASK_DAMPING_FLOOR = 1e-4
+"""Added to the diagonal of J M⁻¹ Jᵀ, 1/kg, so that the factorisation survives a singularity.
+
+The controller bounds Λ by lifting small eigenvalues instead; that needs an eigenvalue decomposition of every candidate
+and differs only next to singularities.
+"""
+
+
+class Reference(NamedTuple):
+    """References of laws (1) and (2) while one knot is in force."""
+
+    position: jax.Array
+    """(3, B) translation of x_d, m."""
+    rotation: jax.Array
+    """(3, 3, B) rotation of x_d, indexed [row, column]."""
+    posture: jax.Array
+    """(7, B) q_d, rad."""
+
+
+def joint_acceleration(
+    gains: ImpedanceSettings,
+    frames: Frames,
+    dynamics: Dynamics,
+    drift: jax.Array,
+    q: jax.Array,
+    v: jax.Array,
+    reference: Reference,
+    contact: Contact | None,
+    timestep: float | jax.Array,
+    keep: Keep,
+) -> jax.Array:
+    """Mean joint acceleration (7, B) over a step of `timestep` seconds from midpoint positions and initial speeds.
+
+    Parameters
+    ----------
+    gains
+        Gains of laws (1) and (2).
+    frames, dynamics, drift
+        The arm at the midpoint, J̇q̇ included.
+    q, v
+        (7, B) joint angles at the midpoint and speeds at the start of the step.
+    reference
+        References in force.
+    contact
+        Forces on the arm, or None in free space.
+    """
+    jacobian = dynamics.jacobian
+    # The implicit midpoint rule for the gains: (1 + dt Kd / 2 + dt² Kp / 4) a = −Kp Δx − Kd ẋ + (contact) in task
+    # space, and the same with Kqd and Kqp in joint space. It is what lets 25 ms steps carry Kd = 100 and the wrist's
+    # small inertia. The contact has its share in `a`: without it contact would be twice too soft.
+    implicit = 1.0 + 0.5 * timestep * gains.task_damping + 0.25 * timestep**2 * gains.task_stiffness
+    stiffening = 0.5 * timestep * gains.null_damping + 0.25 * timestep**2 * gains.null_stiffness
+    mass_matrix = dynamics.mass_matrix + stiffening * np.eye(N_LINKS)[:, :, None]
+    twist = jacobian[:, 0] * v[0]
+    for joint in range(1, N_LINKS):
+        twist = twist + jacobian[:, joint] * v[joint]
+    error = pose_error(frames, reference)
+    desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift) / implicit
+    null_torque = -gains.null_stiffness * (q - reference.posture) - gains.null_damping * v
+    torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
+
+    factor, solved, pivots = _factorise_mass(mass_matrix, jnp.concatenate([jacobian, jnp.stack(torques)]))
+    wrench = _task_wrench(solved, desired, implicit, keep)
+    # q̈ = L⁻ᵀ (L⁻¹ Jᵀ f + L⁻¹ τ₀ + L⁻¹ τ_contact), from the last joint to the first.
+    acceleration: list[jax.Array] = [wrench[0]] * N_LINKS
+    for joint in reversed(range(N_LINKS)):
+        row = solved[joint]
+        total = row[N_TASK]
+        for extra in range(N_TASK + 1, N_TASK + len(torques)):
+            total = total + row[extra]
+        for axis in range(N_TASK):
+            total = total + row[axis] * wrench[axis]
+        for later in range(joint + 1, N_LINKS):
+            total = total - factor[joint][later - joint] * acceleration[later]
+        acceleration[joint] = total / pivots[joint]
+    return jnp.stack(acceleration)
+
+
+def pose_error(frames: Frames, reference: Reference) -> jax.Array:
+    """Δx = x ⊖ x_d, (6, B): translation in m, then the rotation vector of R R_dᵀ in rad, both in base axes.
+
+    The rotation vector comes from the sine of its angle by a series, good to 0.1 mrad up to 0.5 rad.
+    """
+    desired = reference.rotation
+    sine = 0.5 * (
+        cross(desired[:, 0], frames.x[:, -1])
+        + cross(desired[:, 1], frames.y[:, -1])
+        + cross(desired[:, 2], frames.z[:, -1])
+    )
+    square = dot(sine, sine)
+    rotation = sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0 + square * (15.0 / 336.0))))
+    return jnp.concatenate([frames.flange - reference.position, rotation])
+
+
+def _factorise_mass(
+    mass_matrix: jax.Array, rows: jax.Array
+) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
+    """Left-looking Cholesky factorisation of M with further rows (R, 7, B) appended.
+
+    Returns for each joint j the column of the factor L from the diagonal down (7 - j, B), the appended entries (R, B),
+    which are the j-th components of L⁻¹ applied to the rows, and the pivot (B,).
+    """
+    columns: list[jax.Array] = []
+    pivots = []
+    for joint in range(N_LINKS):
+        column = jnp.concatenate([mass_matrix[joint, joint:], rows[:, joint]])
+        for earlier in range(joint):
+            passed = columns[earlier][joint - earlier :]
+            column = column - passed * passed[0][None]
+        pivot = jnp.sqrt(column[0])
+        pivots.append(pivot)
+        columns.append(column / pivot[None])
+    below = [column[: N_LINKS - joint] for joint, column in enumerate(columns)]
+    appended = [column[N_LINKS - joint :] for joint, column in enumerate(columns)]
+    return below, appended, pivots
+
+
+def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array, keep: Keep) -> list[jax.Array]:
+    """f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as six rows (B,), by the same recursion.
+
+    `solved` holds for each joint the entries of L⁻¹ [Jᵀ τ₀ τ_contact], the last only if there is contact.
+    """
+    n_rows = solved[0].shape[0]
+    columns: list[jax.Array] = []
+    pivots = []
+    for axis in range(N_TASK):
+        column = solved[0][axis:] * solved[0][axis][None]
+        for joint in range(1, N_LINKS):
+            column = column + solved[joint][axis:] * solved[joint][axis][None]
+        matrix_part, torque_part = column[: N_TASK - axis], column[N_TASK - axis :]
+        right = desired[axis] - torque_part[0]
+        if n_rows > N_TASK + 1:
+            right = right + (1.0 / implicit - 1.0) * torque_part[1]
+        column = jnp.concatenate([matrix_part, right[None]])
+        for earlier in range(axis):
+            passed = columns[earlier][axis - earlier :]
+            column = column - passed * passed[0][None]
+        pivot = jnp.sqrt(column[0] + TASK_DAMPING_FLOOR)
+        pivots.append(pivot)
+        columns.append(keep(column / pivot[None]))
+    wrench: list[jax.Array] = [desired[0]] * N_TASK
+    for axis in reversed(range(N_TASK)):
+        total = columns[axis][N_TASK - axis]
+        for later in range(axis + 1, N_TASK):
+            total = total - columns[axis][later - axis] * wrench[later]
+        wrench[axis] = total / pivots[axis]
+    return wrench

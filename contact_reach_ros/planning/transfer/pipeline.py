@@ -1,0 +1,103 @@
+"""A Brax pipeline: the arm in closed loop under law (3), with soft contact.
+
+It stands beside Brax's own pipelines (generalized, positional, spring): `init` makes a state of a system, `step`
+advances it under an action. Here the action is the reference of the control law instead of joint torques, and one call
+advances all candidates. Brax's generalized pipeline computes the same motion 40 to 160 times slower on a CPU.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
+from contact_reach_ros.planning.transfer.contact import Obstacles, contact_forces, pushed
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
+from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
+from contact_reach_ros.planning.transfer.lanes import make_keep, rotate
+from contact_reach_ros.planning.transfer.model import N_CAPSULES, ArmModel
+
+N_ACTION = 13
+"""Size of one knot's action: Δx (translation, rotation) and Δq."""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The constants of the closed loop."""
+
+    arm: ArmModel
+    gains: ImpedanceSettings
+    contact_stiffness: float
+    """N/m."""
+    timestep: float | jax.Array
+    """s."""
+
+
+class State(NamedTuple):
+    """Where everything is, and the contact of the last step."""
+
+    q: jax.Array
+    """(7, B), rad."""
+    qd: jax.Array
+    """(7, B), rad/s."""
+    obstacles: Obstacles | None
+    """None in free space, where no contact is computed."""
+    link_force: jax.Array
+    """(6, B) contact force on each capsule of the arm in the last step, N."""
+
+
+def init(sys: System, q: jax.Array, qd: jax.Array, obstacles: Obstacles | None = None) -> State:
+    """State of the arm at joint angles `q` (7, B), rad, and speeds `qd` (7, B), rad/s."""
+    return State(q, qd, obstacles, jnp.zeros((N_CAPSULES, q.shape[1]), q.dtype))
+
+
+class Pose(NamedTuple):
+    """Flange pose in the base frame."""
+
+    position: jax.Array
+    """(3, B), m."""
+    rotation: jax.Array
+    """(3, 3, B), indexed [row, column]."""
+
+
+def flange_pose(sys: System, state: State) -> Pose:
+    """Where the flange is in this state."""
+    frames = link_frames(sys.arm, state.q, make_keep(state.q))
+    return Pose(frames.flange, frames.flange_rotation)
+
+
+def latch(state: State, pose: Pose, action: jax.Array) -> Reference:
+    """The reference that an action {Δx, Δq} (13, B) stands for when it takes effect in this state: x_d = x ⊕ Δx.
+
+    `pose` is the state's flange pose. Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad.
+    """
+    return Reference(
+        position=pose.position + action[:3],
+        rotation=rotate(action[3:6], pose.rotation),
+        posture=state.q + action[6:],
+    )
+
+
+def step(sys: System, state: State, act: Reference) -> State:
+    """Advance by one time step under the reference `act`: half a drift, a kick, half a drift."""
+    timestep = sys.timestep
+    keep = make_keep(state.q)
+    q = state.q + (0.5 * timestep) * state.qd
+    frames = link_frames(sys.arm, q, keep)
+    dynamics = arm_dynamics(sys.arm, frames, keep)
+    drift = flange_drift(frames, state.qd, keep)
+    contact = None
+    obstacles, link_force = state.obstacles, state.link_force
+    if obstacles is not None:
+        contact = contact_forces(sys.arm, frames, obstacles, sys.contact_stiffness, keep)
+        obstacles = obstacles._replace(center=pushed(obstacles, contact, sys.contact_stiffness, timestep))
+        link_force = contact.link_force
+    acceleration = joint_acceleration(
+        sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep, keep
+    )
+    qd = state.qd + timestep * acceleration
+    return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)

@@ -1,0 +1,43 @@
+"""Counting how long things take, cheaply enough for a 1 kHz loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+_BUCKET_US = 5
+_BUCKETS = 20000
+
+PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
+"""Names of percentiles in diagnostics and reports."""
+
+
+class Histogram:
+    """Durations in buckets of 5 µs up to 100 ms; longer ones share the last bucket, the longest is kept exactly."""
+
+    def __init__(self) -> None:
+        self._counts = [0] * (_BUCKETS + 1)
+        self.count = 0
+        self.maximum_ns = 0
+
+    def add(self, duration_ns: int) -> None:
+        """Count one duration in ns."""
+        bucket = duration_ns // (1000 * _BUCKET_US)
+        self._counts[bucket if bucket < _BUCKETS else _BUCKETS] += 1
+        self.count += 1
+        if duration_ns > self.maximum_ns:
+            self.maximum_ns = duration_ns
+
+    def percentile_us(self, percent: float) -> float:
+        """Upper edge of the bucket that holds the percentile, µs; NaN without durations."""
+        if self.count == 0:
+            return float("nan")
+        wanted, seen = percent / 100.0 * self.count, 0
+        for bucket, count in enumerate(self._counts[:-1]):
+            seen += count
+            if seen >= wanted:
+                return min(float(_BUCKET_US * (bucket + 1)), self.maximum_ns / 1000)
+        return self.maximum_ns / 1000
+
+    def summary(self) -> Mapping[str, float]:
+        """Percentiles in µs, by the names that reports use."""
+        return {name: self.percentile_us(percent) for name, percent in PERCENTILES.items()}
