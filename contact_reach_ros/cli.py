@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--mismatch", action="store_true", help="simulate an arm that differs from its model")
     demo.add_argument("--timeout", type=float, default=30.0, help="time to reach the goal, s (default: 30)")
     demo.add_argument("--output", type=Path, default=Path("bags"), help="where bag, plot and log go (default: bags)")
+    demo.add_argument("--parameters", default="", help="parameter file for the nodes (default: the package's)")
     demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     demo.set_defaults(run=_demo)
 
@@ -64,6 +65,7 @@ def _demo(options: argparse.Namespace) -> int:
             lockstep=options.lockstep,
             mismatch=options.mismatch,
             timeout=options.timeout,
+            parameters=options.parameters,
             output=options.output,
             json=options.json,
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -74,7 +74,8 @@ class Setting:
         if kind is not bool and isinstance(value, bool):
             fits = False
         if fits and kind in (int, float):
-            fits = math.isfinite(value)
+            # An integer too large for a float is refused like infinity.
+            fits = abs(value) <= sys.float_info.max
             fits = fits and (self.minimum is None or value >= self.minimum)
             fits = fits and (self.maximum is None or value <= self.maximum)
         if fits and self.choices:

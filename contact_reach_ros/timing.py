@@ -20,8 +20,8 @@ class Histogram:
         self.maximum_ns = 0
 
     def add(self, duration_ns: int) -> None:
-        """Count one duration in ns."""
-        bucket = duration_ns // (1000 * _BUCKET_US)
+        """Count one duration in ns; one below zero, from a clock that was set back, counts as zero."""
+        bucket = max(duration_ns, 0) // (1000 * _BUCKET_US)
         self._counts[bucket if bucket < _BUCKETS else _BUCKETS] += 1
         self.count += 1
         if duration_ns > self.maximum_ns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -40,6 +41,10 @@ class Mode(Enum):
     """Latched compliant stop: no stiffness, damping and gravity only."""
 
 
+_NOWHERE = Reference(np.zeros(3), np.eye(3), np.zeros(iiwa14.N_JOINTS))
+"""Stands where there is no reference yet."""
+
+
 class Controller:
     """Turns joint states and plans into torques.
 
@@ -58,35 +63,34 @@ class Controller:
         self.stop_reason = ""
         self.error = np.zeros(6)
         """Δx of the last tick, (6,), m and rad."""
-        self._hold: Reference | None = None
-        self._blend_from: Reference | None = None
-        self._last_reference: Reference | None = None
+        self._started = False
+        self._hold = self._blend_from = self._last_reference = _NOWHERE
         self._hold_since_ns = 0
         self._started_ns = 0
         self._last_ns = 0
         self._had_plan = False
         self._observer_ns: int | None = None
         self._observer_stopped = ""
+        limits = np.array(iiwa14.TORQUE_LIMITS)
+        # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
+        self._stop_damping = settings.supervision.stop_damping * limits / limits.max()
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin to hold the arm at the state at hand; the first command is the torque that holds it.
+
+        A stop stays in force.
 
         Raises
         ------
         InputError
             If the state is not finite or lies outside the joint limits.
         """
-        _check_state(q, v)
-        beyond = np.abs(q) > np.array(iiwa14.POSITION_LIMITS)
-        if beyond.any():
-            names = [name for name, is_beyond in zip(iiwa14.JOINT_NAMES, beyond, strict=True) if is_beyond]
-            raise InputError(f"joint_states: {', '.join(names)} beyond the position limit; move the arm back by hand")
+        _check_start(q, v)
         self.model.update(q, v)
         self.limiter.start(self._hold_torque())
-        self._started_ns = self._last_ns = now_ns
-        self._begin_hold(q, now_ns)
-        self._blend_from = self._hold
-        self._had_plan = False
+        self._last_ns = now_ns
+        self._restart(q, now_ns)
+        self._started = True
 
     def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
         """The torque to send for one joint state, (7,), N m.
@@ -103,14 +107,17 @@ class Controller:
         Raises
         ------
         InputError
-            If the state is not finite; nothing may be sent for it.
+            If the state is not finite, or so far from any real one that the torque is not; nothing may be sent for it.
+            Also before `start`.
         """
+        if not self._started:
+            raise InputError("the controller was not started: call start with the first joint state")
         _check_state(q, v)
         self.model.update(q, v)
         self._watch_observer(clock_ns)
         supervision = self.settings.supervision
         if self.mode is Mode.STOPPED:
-            torque = self.model.bias - self.model.gravity - supervision.stop_damping * v
+            torque = self.model.bias - self.model.gravity - self._stop_damping * v
         else:
             reference = self._reference(q, now_ns)
             self.error = pose_error(self.model.position, self.model.rotation, reference)
@@ -119,10 +126,12 @@ class Controller:
             repulsion = self.repulsion.torque(q, v)
             if repulsion is not None:
                 torque += repulsion
-            since_start = (now_ns - self._started_ns) / NANOSECONDS
+            since_start = max(now_ns - self._started_ns, 0) / NANOSECONDS
             if since_start < supervision.start_ramp:
                 torque *= since_start / supervision.start_ramp
         torque += self._hold_torque()
+        if not math.isfinite(sum(torque.tolist())):
+            raise InputError(f"joint_states: no finite torque for velocity = {v.tolist()}; expected a possible state")
         # A late tick may not make up for the change that the ticks before it missed.
         period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), 0.001) or 0.001
         self._last_ns = now_ns
@@ -147,8 +156,10 @@ class Controller:
         Raises
         ------
         InputError
-            If the arm still moves, or the observer is silent or itself stopped; the stop stays.
+            If the arm still moves or lies outside the joint limits, or the observer is silent or itself stopped; the
+            stop stays.
         """
+        _check_start(q, v)
         speed = float(np.abs(v).max())
         limit = self.settings.supervision.reset_velocity
         if not speed <= limit:
@@ -160,7 +171,18 @@ class Controller:
         self.references.clear(now_ns)
         self.mode = Mode.HOLDING
         self.stop_reason = ""
-        self.start(q, v, now_ns)
+        self.model.update(q, v)
+        # Not `start`: the limiter goes on from the last torque, so that the release brings no step.
+        self._restart(q, now_ns)
+
+    def _restart(self, q: Array, now_ns: int) -> None:
+        """Hold the pose at hand, with authority ramping in; a stop stays in force."""
+        if self.mode is not Mode.STOPPED:
+            self.mode = Mode.HOLDING
+        self._started_ns = now_ns
+        self._begin_hold(q, now_ns)
+        self._blend_from = self._hold
+        self._had_plan = False
 
     def _hold_torque(self) -> Array:
         if self.settings.supervision.gravity_compensation:
@@ -175,21 +197,19 @@ class Controller:
             self._last_reference = reference
             return reference
         if self.mode is Mode.TRACKING:
+            self.mode = Mode.HOLDING
             self._blend_from = self._last_reference
             self._begin_hold(q, now_ns)
         return self._held(now_ns)
 
     def _begin_hold(self, q: Array, now_ns: int) -> None:
-        self.mode = Mode.HOLDING
         self._hold = Reference(self.model.position.copy(), self.model.rotation.copy(), q.copy())
         self._hold_since_ns = now_ns
 
     def _held(self, now_ns: int) -> Reference:
         """The pose to hold; after a plan the reference decays to it, and after a further limit the arm stops."""
-        if self._hold is None or self._blend_from is None:
-            raise InputError("the controller was not started: call start with the first joint state")
         supervision = self.settings.supervision
-        held_for = (now_ns - self._hold_since_ns) / NANOSECONDS
+        held_for = max(now_ns - self._hold_since_ns, 0) / NANOSECONDS
         if self._had_plan and held_for > supervision.hold_limit:
             self.stop(f"no valid plan for {supervision.hold_limit:g} s")
         if held_for < supervision.hold_blend:
@@ -209,11 +229,20 @@ class Controller:
             self.stop(f"observer silent for {1000 * silence:.0f} ms")
 
 
+def _check_start(q: Array, v: Array) -> None:
+    """Raise `InputError` unless the arm can be held in this state."""
+    _check_state(q, v)
+    beyond = np.abs(q) > np.array(iiwa14.POSITION_LIMITS)
+    if beyond.any():
+        names = [name for name, is_beyond in zip(iiwa14.JOINT_NAMES, beyond, strict=True) if is_beyond]
+        raise InputError(f"joint_states: {', '.join(names)} beyond the position limit; move the arm back by hand")
+
+
 def _check_state(q: Array, v: Array) -> None:
     """Raise `InputError` unless positions and velocities are seven finite numbers each."""
     for name, values in (("position", q), ("velocity", v)):
         if values.shape != (iiwa14.N_JOINTS,):
             raise InputError(f"joint_states: {name} has shape {values.shape}; expected ({iiwa14.N_JOINTS},)")
         # A sum is finite exactly when no summand is NaN or infinite (opposite infinities make NaN).
-        if not np.isfinite(values.sum()):
+        if not math.isfinite(sum(values.tolist())):
             raise InputError(f"joint_states: {name} = {values.tolist()}; expected finite values")

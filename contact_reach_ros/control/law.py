@@ -1,4 +1,7 @@
-"""The control laws (1)-(3) and (6): operational-space impedance with null-space compliance."""
+"""The control laws (1)-(3) and (6): operational-space impedance with null-space compliance.
+
+On the 1 kHz path products are written `a.dot(b)`: for matrices this small it takes half the time of `a @ b`.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ def pose_error(position: Array, rotation: Array, reference: Reference) -> Array:
     """Δx = x ⊖ x_d, (6,): translation in m, then the rotation vector of R R_dᵀ in rad, both in base axes."""
     error = np.empty(6)
     error[:3] = position - reference.position
-    error[3:] = pin.log3(rotation @ reference.rotation.T)
+    error[3:] = pin.log3(rotation.dot(reference.rotation.T))
     return error
 
 
@@ -55,7 +58,7 @@ def bounded_inverse(matrix: Array, floor: float) -> Array:
     if values[0] < floor:
         lifted = np.maximum(values, 0.0) / floor
         values = np.where(values < floor, 0.5 * floor * (1.0 + lifted * lifted), values)
-    return (vectors / values) @ vectors.T
+    return (vectors / values).dot(vectors.T)
 
 
 class ImpedanceLaw:
@@ -93,12 +96,12 @@ class ImpedanceLaw:
         if info != 0:
             raise FloatingPointError("the mass matrix is not positive definite: the state is not finite")
         self._inverse_mass_jacobian = solution
-        self.task_inertia = bounded_inverse(jacobian @ solution, gains.singularity_floor)
+        self.task_inertia = bounded_inverse(jacobian.dot(solution), gains.singularity_floor)
         posture_torque = -gains.null_stiffness * posture_error - gains.null_damping * v
         task_acceleration = -gains.task_stiffness * error - gains.task_damping * model.twist - model.drift
         # (1) + (2) with one product: Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
-        wrench = self.task_inertia @ (task_acceleration - posture_torque @ solution)
-        return wrench @ jacobian + posture_torque
+        wrench = self.task_inertia.dot(task_acceleration - posture_torque.dot(solution))
+        return wrench.dot(jacobian) + posture_torque
 
     def null_space_torque(self, model: RobotModel, joint_torque: Array) -> Array:
         """Nᵀ τ₀ for the state of the last call of `torque`, (7,), N m."""

@@ -21,8 +21,9 @@ class JointLimitRepulsion:
     def __init__(self, settings: LimitSettings) -> None:
         self._margin = settings.joint_limit_margin
         self._threshold = np.array(iiwa14.POSITION_LIMITS) - self._margin
-        self._strength = settings.joint_limit_torque_share * np.array(iiwa14.TORQUE_LIMITS)
-        self._damping = settings.joint_limit_damping
+        limits = np.array(iiwa14.TORQUE_LIMITS)
+        self._strength = settings.joint_limit_torque_share * limits
+        self._damping = settings.joint_limit_damping * limits / limits.max()
 
     def torque(self, q: Array, v: Array) -> Array | None:
         """Torque (7,) in N m for positions (7,) rad and velocities (7,) rad/s; None when no joint is near a limit."""

@@ -98,12 +98,15 @@ class ReferenceQueue:
 
     def offer_poses(self, knots: PoseKnots, now_ns: int) -> None:
         """Take the x_d half of a plan; raises `InputError` naming the field if it is refused."""
-        _check_times("reference/pose", knots.ends_ns, len(knots.positions))
+        count = len(knots.positions)
+        _check_times("reference/pose", knots.ends_ns, count)
+        if knots.positions.shape[1:] != (3,) or knots.rotations.shape != (count, 3, 3):
+            raise InputError("reference/pose: transforms must be one position and one rotation in each point")
         if not (np.isfinite(knots.positions).all() and np.isfinite(knots.rotations).all()):
             raise InputError("reference/pose: transforms hold non-finite values; expected finite positions and rotations")
         self._check_stamp("reference/pose", knots.stamp_ns, knots.ends_ns, now_ns)
         self._keep(self._poses, knots.stamp_ns, knots)
-        self._pair(knots.stamp_ns)
+        self._pair(knots.stamp_ns, now_ns)
 
     def offer_postures(self, knots: PostureKnots, now_ns: int) -> None:
         """Take the q_d half of a plan; raises `InputError` naming the field if it is refused."""
@@ -112,12 +115,11 @@ class ReferenceQueue:
             raise InputError("reference/posture: positions must be 7 finite angles in each point")
         self._check_stamp("reference/posture", knots.stamp_ns, knots.ends_ns, now_ns)
         self._keep(self._postures, knots.stamp_ns, knots)
-        self._pair(knots.stamp_ns)
+        self._pair(knots.stamp_ns, now_ns)
 
     def select(self, now_ns: int) -> Reference | None:
         """The reference in force, or None when there is no valid plan."""
-        while self._waiting and self._waiting[0].stamp_ns <= now_ns:
-            self.active = self._waiting.pop(0)
+        self._advance(now_ns)
         if self.active is None or now_ns >= self.active.expiry_ns:
             return None
         return self.active.at(now_ns)
@@ -153,7 +155,17 @@ class ReferenceQueue:
             halves.popitem(last=False)
             self.unpaired += 1
 
-    def _pair(self, stamp_ns: int) -> None:
+    def _advance(self, now_ns: int) -> None:
+        """Put the plan in force that took effect last."""
+        if self.active is not None and self.active.stamp_ns > now_ns:
+            # The clock was set back: a plan may not live longer for that.
+            self.active = None
+        while self._waiting and self._waiting[0].stamp_ns <= now_ns:
+            plan = self._waiting.pop(0)
+            if self.active is None or plan.stamp_ns >= self.active.stamp_ns:
+                self.active = plan
+
+    def _pair(self, stamp_ns: int, now_ns: int) -> None:
         if stamp_ns not in self._poses or stamp_ns not in self._postures:
             return
         poses, postures = self._poses.pop(stamp_ns), self._postures.pop(stamp_ns)
@@ -163,6 +175,8 @@ class ReferenceQueue:
         self._waiting.append(TimedReferences(stamp_ns, poses.ends_ns, references))
         self._waiting.sort(key=lambda plan: plan.stamp_ns)
         self.accepted += 1
+        # Here too, or plans would pile up while nobody selects, as in a stop.
+        self._advance(now_ns)
 
 
 def blend(start: Reference, end: Reference, share: float) -> Reference:

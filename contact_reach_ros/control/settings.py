@@ -33,7 +33,11 @@ class LimitSettings(Settings):
         0.3, "repulsion at the position limit, as a share of the joint's torque limit", minimum=0.0, maximum=1.0
     )
     joint_limit_damping: float = setting(
-        10.0, "damping of motion towards a limit, at the limit", unit="Nm s/rad", minimum=0.0, maximum=50.0
+        10.0,
+        "damping at the limit of A1's motion towards it; that of the others is in proportion to their torque limits",
+        unit="Nm s/rad",
+        minimum=0.0,
+        maximum=50.0,
     )
 
 
@@ -56,7 +60,11 @@ class SupervisionSettings(Settings):
         1.0, "a plan that takes effect later than this is refused", unit="s", minimum=0.0, maximum=10.0
     )
     stop_damping: float = setting(
-        20.0, "damping of every joint in the compliant stop", unit="Nm s/rad", minimum=0.0, maximum=100.0
+        20.0,
+        "damping of A1 in the compliant stop; that of the others is in proportion to their torque limits",
+        unit="Nm s/rad",
+        minimum=0.0,
+        maximum=50.0,
     )
     reset_velocity: float = setting(
         0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0

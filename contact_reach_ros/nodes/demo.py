@@ -57,6 +57,8 @@ class DemoOptions:
     """Time of the robot's clock in which the goal must be reached, s."""
     settle: float = 1.2
     """Time of the robot's clock that is recorded after the goal was reached, s."""
+    parameters: str = ""
+    """Parameter file for the nodes; the package's own when empty."""
     output: Path = Path("bags")
     json: Path | None = None
 
@@ -126,6 +128,7 @@ def run_demo(options: DemoOptions) -> int:
         lockstep=options.lockstep,
         mismatch=options.mismatch,
         bag=str(bag),
+        parameters=options.parameters,
     )
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -63,9 +63,7 @@ class RecorderNode(Node):
         choices = ", ".join(COMPRESSIONS)
         compression = self._text("storage.compression", "zstd", f"Compression of the file: one of {choices}.")
         entries = self._texts("custom_data", "Text to keep in the bag, as key=value.")
-        self._writer = BagWriter(
-            directory, compression=compression, custom_data=dict(map(_key_and_value, entries))
-        )
+        self._writer = BagWriter(directory, compression=compression, custom_data=dict(map(_key_and_value, entries)))
         self._recorder = TopicRecorder(self, self._writer, wanted or [topic.name for topic in RECORDED])
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
@@ -118,9 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    rclpy.init(
-        args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
-    )
+    rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = RecorderNode()
         executor = SingleThreadedExecutor()
@@ -131,11 +127,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             while not stop.wait(DRAIN_PERIOD):
                 node.turn()
-            node.finish()
         finally:
-            executor.shutdown()
-            spinning.join()
-            node.destroy_node()
+            try:
+                node.finish()
+            finally:
+                executor.shutdown()
+                spinning.join()
+                node.destroy_node()
     except (BagError, InvalidParameterTypeException) as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 1

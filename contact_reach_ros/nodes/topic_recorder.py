@@ -164,9 +164,7 @@ def _message_class(type_name: str) -> type:
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as error:
-        raise BagError(
-            f"message type '{type_name}' is not installed; source the workspace that has it"
-        ) from error
+        raise BagError(f"message type '{type_name}' is not installed; source the workspace that has it") from error
 
 
 def _acceptable_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +75,7 @@ class MomentumObserver:
         """
         model = self._model
         model.update(q, v)
-        momentum = model.mass_matrix @ v
+        momentum = model.mass_matrix.dot(v)
         elapsed_ns = stamp_ns - self._stamp_ns
         previous, self._momentum, self._stamp_ns = self._momentum, momentum, stamp_ns
         if torque is None or previous is None or elapsed_ns <= 0:
@@ -83,8 +84,8 @@ class MomentumObserver:
             self.gaps += 1
             return self.residual
         elapsed = elapsed_ns / NANOSECONDS
-        input_torque = torque + v @ model.coriolis_matrix(q, v) - model.gravity - self._friction * v
-        keep = np.exp(-self.settings.gain * elapsed)
+        input_torque = torque + v.dot(model.coriolis_matrix(q, v)) - model.gravity - self._friction * v
+        keep = math.exp(-self.settings.gain * elapsed)
         self.residual = keep * self.residual + (1.0 - keep) * ((momentum - previous) / elapsed - input_torque)
         return self.residual
 

@@ -86,7 +86,8 @@ class SafetyMonitor:
                 f"{self.settings.reset_velocity:g} rad/s: wait for it"
             )
         limits = self.settings.reset_share * self._thresholds
-        pushed = np.abs(self._last_residual) > limits
+        # Not `>`: a residual that is not a number is no reason to let go.
+        pushed = ~(np.abs(self._last_residual) <= limits)
         if pushed.any():
             joint = int(np.argmax(np.abs(self._last_residual) / limits))
             raise InputError(

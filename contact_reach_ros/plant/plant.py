@@ -68,6 +68,8 @@ class Plant:
         bodies = [_ball_body(index, ball) for index, ball in enumerate(scene.balls)]
         self.model = mujoco.MjModel.from_xml_string(build_mjcf(inertia_set, bodies, payload))
         self.model.opt.timestep = TICK
+        # With a pyramidal friction cone the contact's stiffness would depend on the friction, 20-fold at the default.
+        self.model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         self.data = mujoco.MjData(self.model)
         self.actuation = Actuation.BRAKED
         self.steps = 0
@@ -161,6 +163,10 @@ class Plant:
         # MuJoCo integrates joint damping implicitly, so the brakes are stable whatever the inertia.
         self.model.dof_damping[self._arm] = damping
         self.model.dof_frictionloss[self._arm] = friction
+        # Dry friction creeps the slower the nearer to 1 its impedance is; with MuJoCo's 0.9 a push of 10 N would move
+        # the braked arm by 2 cm/s.
+        impedance = _BRAKE_IMPEDANCE if self.actuation is Actuation.BRAKED else _IMPEDANCE
+        self.model.dof_solimp[self._arm, :2] = impedance
 
     def _contact_body_indices(self) -> list[int]:
         """For each geometry, its place in `CONTACT_BODIES`, or -1."""
@@ -172,6 +178,7 @@ class Plant:
 
 
 _IMPEDANCE = 0.9
+_BRAKE_IMPEDANCE = 0.9999
 _CONTACT_DAMPING = 10.0
 """N s/m."""
 
@@ -183,8 +190,9 @@ def _ball_body(index: int, ball: Ball) -> Element:
     for axis in ("1 0 0", "0 1 0", "0 0 1"):
         attributes = {"type": "slide", "axis": axis, "stiffness": repr(settings.stiffness), "damping": repr(settings.damping)}
         SubElement(body, "joint", attributes)
-    # MuJoCo scales a contact's stiffness by the effective mass and d / (1 - d); the ball's mass dominates the former.
-    scale = (1.0 - _IMPEDANCE) / (_IMPEDANCE * settings.mass)
+    # MuJoCo multiplies a contact's stiffness by its effective mass and divides it by 1 - d; the ball's mass dominates
+    # the former.
+    scale = (1.0 - _IMPEDANCE) / settings.mass
     SubElement(
         body,
         "geom",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import struct
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -141,12 +142,19 @@ class BagReader:
             if raw.type not in self._registered:
                 self._register(raw.type)
             try:
-                decoded = self._store.deserialize_cdr(raw.data, raw.type)
-            except SerdeError as error:
+                decoded = self._decode(raw.data, raw.type)
+            except (SerdeError, struct.error, IndexError, ValueError) as error:
                 raise BagError(
-                    f"bag '{self._path}', topic '{raw.topic}', received at {raw.log_time_ns} ns: {error}"
+                    f"bag '{self._path}', topic '{raw.topic}', received at {raw.log_time_ns} ns: no {raw.type}: {error}"
                 ) from error
             yield BagMessage(raw.topic, raw.log_time_ns, raw.publish_time_ns, decoded)
+
+    def _decode(self, data: bytes, type_name: str) -> Any:
+        # Not by `deserialize_cdr`, which refuses bytes after the end: rclpy's `serialize_message` leaves up to eight.
+        definition = self._store.get_msgdef(type_name)
+        little_endian = data[1] & 1
+        decode = definition.deserialize_cdr_le if little_endian else definition.deserialize_cdr_be
+        return decode(data[4:], 0, definition.cls, self._store)[0]
 
     def _find_files(self, information: Mapping[str, Any] | None) -> list[Path]:
         if not self._path.is_dir():
@@ -227,7 +235,9 @@ class BagReader:
             )
         try:
             self._store.register(get_types_from_msg(schema.data.decode(), type_name))
-        except (TypesysError, UnicodeDecodeError) as error:
+            # Compiles the decoder, which shows whether a dependency is missing.
+            self._store.get_msgdef(type_name)
+        except (TypesysError, UnicodeDecodeError, KeyError) as error:
             raise BagError(f"bag '{self._path}': type '{type_name}' has no clear definition: {error}") from error
         self._registered.add(type_name)
 

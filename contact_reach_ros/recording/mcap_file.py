@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import struct
+import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -19,6 +21,10 @@ from mcap.summary import Summary
 from contact_reach_ros.errors import BagError
 
 MAGIC = b"\x89MCAP0\r\n"
+
+# Opcode, length, positions of summary and summary offsets, checksum.
+_FOOTER = struct.Struct("<BQQQI")
+_CHECKSUM_BYTES = 4
 
 # What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text.
 _DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError)
@@ -99,7 +105,7 @@ class McapFile:
         with self.path.open("rb") as stream:
             reader = SeekingReader(stream)
             try:
-                summary = reader.get_summary()
+                summary = reader.get_summary() if _summary_is_sound(stream) else None
                 if summary is None or not _complete(summary) or summary.statistics is None:
                     return None
                 metadata = {record.name: record.metadata for record in reader.iter_metadata()}
@@ -164,6 +170,18 @@ class _Records:
                 position = self._stream.tell()
         except _DAMAGE:
             self.cut_at = position
+
+
+def _summary_is_sound(stream: BinaryIO) -> bool:
+    """Whether the summary has the checksum that the footer gives; one that has none is believed."""
+    stream.seek(-_FOOTER.size - len(MAGIC), os.SEEK_END)
+    footer = stream.read(_FOOTER.size)
+    _, _, summary_start, _, checksum = _FOOTER.unpack(footer)
+    if not checksum or not summary_start:
+        return True
+    stream.seek(summary_start)
+    content = stream.read()[: -len(MAGIC) - _CHECKSUM_BYTES]
+    return zlib.crc32(content) == checksum
 
 
 def _complete(summary: Summary) -> bool:

@@ -27,6 +27,7 @@ _MARKER_STYLES: dict[str, dict[str, Any]] = {
     "safety": {"color": _VERMILION, "linestyle": ":"},
 }
 _MAXIMUM_ROWS = 6
+_SHORTEST = 1e-3
 _ROW_HEIGHT = 0.09
 """Of the labels, in heights of a panel."""
 
@@ -79,18 +80,10 @@ def episode_plot(
 
     Parameters
     ----------
-    curves :
-        The episode.
+    curves, title, permitted_force, torque_thresholds, success_distance :
+        See `episode_figure`.
     path :
         The file to write.
-    title :
-        One line: scene, seed, result.
-    permitted_force :
-        The paper's epsilon, N.
-    torque_thresholds :
-        External torque per joint, Nm, above which the robot stops; none are drawn if empty.
-    success_distance :
-        The paper's delta, m.
 
     Returns
     -------
@@ -102,31 +95,64 @@ def episode_plot(
     BagError
         If there is nothing to draw, or the file cannot be written.
     """
-    times = [time for time in (curves.distance_time, curves.contact_time, curves.torque_time) if len(time)]
-    if not times:
-        raise BagError("nothing to plot: there is neither a distance, nor a contact force, nor an external torque")
-    sent = [marker.time for marker in curves.markers if marker.kind == "goal"]
-    zero = min(sent) if sent else float(min(map(np.min, times)))
-    figure = Figure(figsize=(9.0, 7.6), dpi=130)
-    panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (1.0, 1.0, 1.25)})
-    _draw_distance(panels[0], curves.distance_time - zero, curves.distance, success_distance)
-    _draw_contact(panels[1], curves, zero, permitted_force)
-    _draw_torque(panels[2], curves.torque_time - zero, curves.external_torque, torque_thresholds)
-    for panel, time in zip(panels, (curves.distance_time, curves.contact_time, curves.torque_time), strict=True):
-        _finish(panel, bool(len(time)))
-    panels[0].set_xlim(min(map(np.min, times)) - zero, max(map(np.max, times)) - zero)
-    panels[2].set_xlabel("time since the goal was sent [s]" if sent else "time [s]")
-    figure.subplots_adjust(left=0.09, right=0.8, top=0.9, bottom=0.075, hspace=0.12)
-    rows = _draw_markers(figure, panels, curves.markers, zero)
-    figure.subplots_adjust(top=0.93 - 0.024 * rows)
-    figure.suptitle(title, x=0.09, y=0.98, ha="left", fontsize=12, fontweight="bold")
-    figure.align_ylabels(panels)
+    figure = episode_figure(curves, title, permitted_force, torque_thresholds, success_distance)
     path = Path(path)
     try:
         figure.savefig(path, format="png")
     except OSError as error:
         raise BagError(f"plot '{path}' cannot be written: {error.strerror}") from error
     return path
+
+
+def episode_figure(
+    curves: EpisodeCurves,
+    title: str,
+    permitted_force: float,
+    torque_thresholds: Sequence[float] = (),
+    success_distance: float = SUCCESS_DISTANCE,
+) -> Figure:
+    """Draw an episode in three panels: distance to the goal, contact force, external torque.
+
+    Parameters
+    ----------
+    curves :
+        The episode.
+    title :
+        One line: scene, seed, result.
+    permitted_force :
+        The paper's epsilon, N.
+    torque_thresholds :
+        External torque per joint, Nm, above which the robot stops; none are drawn if empty.
+    success_distance :
+        The paper's delta, m.
+
+    Raises
+    ------
+    BagError
+        If there is nothing to draw.
+    """
+    times = (curves.distance_time, curves.contact_time, curves.torque_time)
+    recorded = [time for time in times if len(time)]
+    if not recorded:
+        raise BagError("nothing to plot: there is neither a distance, nor a contact force, nor an external torque")
+    first, last = min(float(time.min()) for time in recorded), max(float(time.max()) for time in recorded)
+    sent = [marker.time for marker in curves.markers if marker.kind == "goal"]
+    zero = min(sent, default=first)
+    figure = Figure(figsize=(9.0, 7.6), dpi=130)
+    panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (1.0, 1.0, 1.25)})
+    _draw_distance(panels[0], curves.distance_time - zero, curves.distance, success_distance)
+    _draw_contact(panels[1], curves, zero, permitted_force)
+    _draw_torque(panels[2], curves.torque_time - zero, curves.external_torque, torque_thresholds)
+    for panel, time in zip(panels, times, strict=True):
+        _finish(panel, bool(len(time)))
+    panels[0].set_xlim(first - zero, max(last, first + _SHORTEST) - zero)
+    panels[2].set_xlabel("time since the goal was sent [s]" if sent else "time [s]")
+    figure.subplots_adjust(left=0.09, right=0.8, top=0.9, bottom=0.075, hspace=0.12)
+    rows = _draw_markers(figure, panels, curves.markers, zero)
+    figure.subplots_adjust(top=0.93 - 0.024 * rows)
+    figure.suptitle(title, x=0.09, y=0.98, ha="left", fontsize=12, fontweight="bold")
+    figure.align_ylabels(panels)
+    return figure
 
 
 def _draw_distance(panel: Axes, time: np.ndarray, distance: np.ndarray, success: float) -> None:

@@ -74,7 +74,7 @@ class RobotModel:
         self.position = pose.translation
         self.rotation = pose.rotation
         self.drift = pin.getFrameClassicalAcceleration(model, data, flange, _WORLD_ALIGNED).vector
-        self.twist = self.jacobian @ v
+        self.twist = self.jacobian.dot(v)
 
     def coriolis_matrix(self, q: Array, v: Array) -> Array:
         """C(q, q̇), (7, 7), with Ṁ = C + Cᵀ."""

@@ -63,7 +63,8 @@ def make_scene(file: SceneFile, seed: int, target: Array | None = None) -> Scene
                 "orientation held: it is out of reach, near a singularity or a joint limit; choose another target"
             )
     what = "target" if file.ball is None else "target with a ball on the arm's path"
-    raise SceneError(f"scene '{file.name}', seed {seed}: no {what} found in {_TARGET_TRIES} tries; widen the target's box")
+    remedy = "widen the target's box" if target is None else "choose another target"
+    raise SceneError(f"scene '{file.name}', seed {seed}: no {what} found in {_TARGET_TRIES} tries; {remedy}")
 
 
 def capsule_segments(q: Array) -> tuple[Array, Array]:

@@ -112,7 +112,7 @@ def read_scene(name: str) -> SceneFile:
     SceneError
         If there is no such scene; the message lists those there are.
     SettingsError
-        If the file has an unknown section or key, or a value out of range.
+        If the file has an unknown section or key, a value out of range, or a lower bound above its upper one.
     """
     file = Path(name) if name.endswith((".yaml", ".yml")) else share_directory() / "config" / "scenes" / f"{name}.yaml"
     if not file.is_file():
@@ -125,6 +125,15 @@ def read_scene(name: str) -> SceneFile:
             raise SettingsError(f"{file}: {key} = {section!r}; expected a mapping of keys to values")
     target = TargetSettings.from_mapping(content.get("target", {}), f"{file}: target")
     ball = BallSettings.from_mapping(content["ball"], f"{file}: ball") if "ball" in content else None
+    if any(low > high for low, high in zip(target.minimum, target.maximum, strict=True)):
+        raise SettingsError(f"{file}: target: minimum = {target.minimum}: expected at most maximum = {target.maximum}")
+    for name, angle, limit in zip(iiwa14.JOINT_NAMES, target.start, iiwa14.POSITION_LIMITS, strict=True):
+        if abs(angle) > limit:
+            raise SettingsError(f"{file}: target: start = {target.start}: expected {name} in [{-limit:.3f}, {limit:.3f}] rad")
+    if ball is not None and ball.min_overlap > ball.max_overlap:
+        raise SettingsError(
+            f"{file}: ball: min_overlap = {ball.min_overlap:g}: expected at most max_overlap = {ball.max_overlap:g} m"
+        )
     return SceneFile(file.stem, target, ball)
 
 

@@ -21,7 +21,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact
 from contact_reach_ros.planning.transfer.dynamics import Dynamics
 from contact_reach_ros.planning.transfer.kinematics import Frames
-from contact_reach_ros.planning.transfer.lanes import Keep, cross, dot
+from contact_reach_ros.planning.transfer.lanes import Keep, cross, dot, ratio, root
 from contact_reach_ros.planning.transfer.model import N_LINKS
 
 N_TASK = 6
@@ -100,7 +100,7 @@ def joint_acceleration(
             total = total + row[axis] * wrench[axis]
         for later in range(joint + 1, N_LINKS):
             total = total - factor[joint][later - joint] * acceleration[later]
-        acceleration[joint] = total / pivots[joint]
+        acceleration[joint] = ratio(total, pivots[joint])
     return jnp.stack(acceleration)
 
 
@@ -135,9 +135,9 @@ def _factorise_mass(
         for earlier in range(joint):
             passed = columns[earlier][joint - earlier :]
             column = column - passed * passed[0][None]
-        pivot = jnp.sqrt(column[0])
+        pivot = root(column[0])
         pivots.append(pivot)
-        columns.append(column / pivot[None])
+        columns.append(ratio(column, pivot[None]))
     below = [column[: N_LINKS - joint] for joint, column in enumerate(columns)]
     appended = [column[N_LINKS - joint :] for joint, column in enumerate(columns)]
     return below, appended, pivots
@@ -163,13 +163,13 @@ def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | 
         for earlier in range(axis):
             passed = columns[earlier][axis - earlier :]
             column = column - passed * passed[0][None]
-        pivot = jnp.sqrt(column[0] + TASK_DAMPING_FLOOR)
+        pivot = root(column[0] + TASK_DAMPING_FLOOR)
         pivots.append(pivot)
-        columns.append(keep(column / pivot[None]))
+        columns.append(ratio(column, pivot[None]))
     wrench: list[jax.Array] = [desired[0]] * N_TASK
     for axis in reversed(range(N_TASK)):
         total = columns[axis][N_TASK - axis]
         for later in range(axis + 1, N_TASK):
             total = total - columns[axis][later - axis] * wrench[later]
-        wrench[axis] = total / pivots[axis]
+        wrench[axis] = ratio(total, pivots[axis])
     return wrench

@@ -23,6 +23,31 @@ def make_keep(value: jax.Array) -> Keep:
     return lambda array: array / one
 
 
+@jax.custom_jvp
+def ratio(a: jax.Array, b: jax.Array) -> jax.Array:
+    """The quotient a / b whose derivative, too, ends in a division and so is computed once."""
+    return a / b
+
+
+@ratio.defjvp
+def _ratio_derivative(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    (a, b), (a_tangent, b_tangent) = primals, tangents
+    quotient = a / b
+    return quotient, (a_tangent - quotient * b_tangent) / b
+
+
+@jax.custom_jvp
+def root(a: jax.Array) -> jax.Array:
+    """The square root whose derivative ends in a division and so is computed once."""
+    return jnp.sqrt(a)
+
+
+@root.defjvp
+def _root_derivative(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    value = jnp.sqrt(primals[0])
+    return value, (0.5 * tangents[0]) / value
+
+
 def cross(a: Sequence[jax.Array] | jax.Array, b: Sequence[jax.Array] | jax.Array) -> jax.Array:
     """Cross product of (3, ...) arrays along the first axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,0 +1,82 @@
+"""Running the stack in tests: real processes on a ROS domain of their own."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import yaml
+
+SMALL_PLANNER = {"planning": {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}}
+"""Makes plans in a fraction of the time, for tests that are not about the planner."""
+
+_domains = itertools.count(101 + os.getpid() % 60)
+
+
+def environment() -> dict[str, str]:
+    """Environment of a domain that no other test uses."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(next(_domains) % 130 + 101),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "RCUTILS_COLORIZED_OUTPUT": "0",
+    }
+
+
+def parameter_file(path: Path, **nodes: dict) -> Path:
+    """Write a parameter file with the given parameters by node."""
+    path.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
+    return path
+
+
+def module(name: str) -> list[str]:
+    """Command that runs a module of the package."""
+    return [sys.executable, "-m", f"contact_reach_ros.{name}"]
+
+
+@contextmanager
+def running(command: list[str], env: dict[str, str], output: Path) -> Iterator[subprocess.Popen]:
+    """A process whose output goes to a file; interrupted, and if need be killed, at the end."""
+    with output.open("wb") as file:
+        process = subprocess.Popen(command, env=env, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(30)
+                except subprocess.TimeoutExpired:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+
+
+def wait_for(condition: Callable[[], object], timeout: float, what: str) -> None:
+    """Poll until the condition holds; fails naming what did not happen."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {timeout:.0f} s: {what}"
+        time.sleep(0.05)
+
+
+def processes_of_domain(domain: str) -> dict[str, int]:
+    """Ids of all processes of a ROS domain, by the name of the node module they run."""
+    found = {}
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit():
+            continue
+        try:
+            env = (folder / "environ").read_bytes().split(b"\0")
+            arguments = (folder / "cmdline").read_bytes().decode().split("\0")
+        except OSError:
+            continue
+        if f"ROS_DOMAIN_ID={domain}".encode() in env and "-m" in arguments:
+            found[arguments[arguments.index("-m") + 1].rpartition(".")[2]] = int(folder.name)
+    return found

@@ -1,0 +1,60 @@
+"""A node with wrong parameters does not start, and says which file and key."""
+
+import subprocess
+
+import pytest
+from stack_helpers import environment, module, parameter_file
+
+NODES = ("driver", "controller", "observer", "planner", "recorder")
+
+
+def start(node, *arguments):
+    return subprocess.run(
+        [*module(f"nodes.{node}"), "--ros-args", *arguments], env=environment(), capture_output=True, text=True, timeout=60
+    )
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_an_unknown_key_is_named_with_its_file(node, tmp_path):
+    file = parameter_file(tmp_path / "wrong.yaml", **{node: {"no_such_thing": 1}})
+    result = start(node, "--params-file", str(file))
+    assert result.returncode == 2
+    assert str(file) in result.stderr and "no_such_thing" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("node", "content", "key"),
+    [
+        ("controller", {"impedance": {"task_stiffness": -1.0}}, "impedance.task_stiffness"),
+        ("controller", {"impedance": {"task_stiffnes": 880.0}}, "did you mean 'impedance.task_stiffness'"),
+        ("observer", {"momentum": {"gain": "high"}}, "momentum.gain"),
+        ("planner", {"period": 0.0}, "period"),
+        ("driver", {"seed": 1.5}, "seed"),
+    ],
+)
+def test_a_value_out_of_range_is_named_with_what_is_accepted(node, content, key, tmp_path):
+    file = parameter_file(tmp_path / "wrong.yaml", **{node: content})
+    result = start(node, "--params-file", str(file))
+    assert result.returncode == 2
+    assert str(file) in result.stderr and key in result.stderr
+    assert "expected" in result.stderr or "did you mean" in result.stderr
+
+
+def test_an_unknown_key_on_the_command_line_is_named():
+    result = start("controller", "-p", "impedance.stiffness:=5.0")
+    assert result.returncode == 2
+    assert "impedance.stiffness" in result.stderr
+
+
+def test_a_missing_parameter_file_is_named(tmp_path):
+    result = start("controller", "--params-file", str(tmp_path / "none.yaml"))
+    assert result.returncode == 2
+    assert "none.yaml" in result.stderr
+
+
+def test_an_unknown_scene_lists_the_scenes():
+    result = start("driver", "-p", "scene:=moon")
+    assert result.returncode != 0
+    assert "moon" in result.stderr and "ball" in result.stderr and "free" in result.stderr
+    assert "Traceback" not in result.stderr

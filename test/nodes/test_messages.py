@@ -1,0 +1,46 @@
+"""Joints are mapped by name, whatever their order."""
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState
+
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, set_time, to_quaternion, to_time
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import rotation_about
+
+
+def state(names):
+    return JointState(name=list(names), position=[float(name[-1]) for name in names])
+
+
+def test_joints_are_picked_by_name_from_any_order_and_among_others():
+    order = JointOrder(iiwa14.JOINT_NAMES)
+    expected = np.arange(1.0, 8.0)
+    for names in (iiwa14.JOINT_NAMES, iiwa14.JOINT_NAMES[::-1], ("gripper_9", *iiwa14.JOINT_NAMES[3:], *iiwa14.JOINT_NAMES[:3])):
+        assert np.array_equal(order.pick(state(names), "position", "joint_states"), expected)
+
+
+def test_missing_joints_are_named():
+    order = JointOrder(iiwa14.JOINT_NAMES)
+    with pytest.raises(InputError, match=r"joint_states: field name lacks lbr_A3, lbr_A7; expected all of lbr_A1"):
+        order.pick(state([name for name in iiwa14.JOINT_NAMES if name[-1] not in "37"]), "position", "joint_states")
+
+
+def test_a_field_of_the_wrong_length_is_named():
+    order = JointOrder(iiwa14.JOINT_NAMES)
+    with pytest.raises(InputError, match="velocity has 0 values"):
+        order.pick(state(iiwa14.JOINT_NAMES), "velocity", "joint_states")
+
+
+def test_times_survive_the_way_to_a_message_and_back():
+    for time_ns in (0, 1, 999_999_999, 1_000_000_000, 1_795_233_693_122_143_135):
+        assert nanoseconds(to_time(time_ns)) == time_ns
+        stamp = to_time(0)
+        set_time(stamp, time_ns)
+        assert nanoseconds(stamp) == time_ns
+
+
+def test_a_quarter_turn_about_z_is_the_known_quaternion():
+    quaternion = to_quaternion(rotation_about((0, 0, 1), np.pi / 2))
+    assert quaternion.z == pytest.approx(np.sqrt(0.5)) and quaternion.w == pytest.approx(np.sqrt(0.5))

@@ -1,0 +1,45 @@
+"""The pages in msg_docs say what the code does: each parameter with its default, each topic, each service."""
+
+import pytest
+
+from contact_reach_ros.nodes import bringup, topics
+from contact_reach_ros.nodes.controller import ControllerNode
+from contact_reach_ros.nodes.driver import DriverNode
+from contact_reach_ros.nodes.observer import ObserverNode
+from contact_reach_ros.nodes.parameters import full_name
+from contact_reach_ros.nodes.planner import PlannerNode
+from contact_reach_ros.nodes.recorder import RecorderNode
+from contact_reach_ros.resources import share_directory
+
+SECTIONS = {
+    "driver": DriverNode.SECTIONS,
+    "controller": ControllerNode.SECTIONS,
+    "observer": ObserverNode.SECTIONS,
+    "planner": PlannerNode.SECTIONS,
+    "recorder": RecorderNode.SECTIONS,
+    "bringup": bringup.SECTIONS,
+}
+
+
+def shown(value):
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f"{item:g}" for item in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value) or "(empty)"
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_every_parameter_is_listed_with_its_default_and_range(node):
+    page = (share_directory() / "msg_docs" / f"{node}.md").read_text()
+    for prefix, settings in SECTIONS[node].items():
+        for entry in settings.declared():
+            row = f"| `{full_name(prefix, entry.name)}` | {shown(entry.default)} | {entry.accepts} | {entry.description} |"
+            assert row in page, f"msg_docs/{node}.md lacks the row {row}"
+
+
+def test_every_topic_is_described_on_some_page():
+    pages = "".join(file.read_text() for file in (share_directory() / "msg_docs").glob("*.md"))
+    for topic in vars(topics).values():
+        if isinstance(topic, topics.Topic):
+            assert f"| `{topic.name}` | " in pages, f"no page describes {topic.name}"
