@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.parameters import check_arguments, declare
 from contact_reach_ros.nodes.processes import StackOptions, processes
-from contact_reach_ros.nodes.supervisor import Supervisor
+from contact_reach_ros.nodes.supervisor import StackError, Supervisor
 from contact_reach_ros.settings import Settings, setting
 
 NAME = "bringup"
@@ -47,31 +47,31 @@ def main() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    try:
-        check_arguments(arguments, NAME, SECTIONS)
-    except ContactReachError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 2
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    node = Node(NAME)
+    node: Node | None = None
     supervisor: Supervisor | None = None
     try:
+        check_arguments(arguments, NAME, SECTIONS)
+        initialise(arguments)
+        node = Node(NAME)
         options = StackOptions(**vars(declare(node, SECTIONS)[""]))
         supervisor = Supervisor(node, processes(options), options.parameter_file)
-        supervisor.start()
         _supervise(node, supervisor, ended)
         return 0
+    except StackError as error:
+        print(f"{NAME}: {error}; ending the stack", file=sys.stderr)
+        return 1
     except ContactReachError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
+        return 2
     finally:
         if supervisor is not None:
             supervisor.shutdown()
-        node.destroy_node()
+        if node is not None:
+            node.destroy_node()
         rclpy.try_shutdown()
 
 
@@ -87,7 +87,7 @@ def _supervise(node: Node, supervisor: Supervisor, ended: threading.Event) -> No
             said = line
 
     try:
-        supervisor.wait_active(STARTUP_TIMEOUT_S, progress)
+        supervisor.bring_up(STARTUP_TIMEOUT_S, progress)
     except KeyboardInterrupt:
         return
     node.get_logger().info("all nodes are active; send a goal to goal_pose")

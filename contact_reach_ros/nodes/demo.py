@@ -16,7 +16,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
@@ -24,6 +23,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, to_point
 from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.nodes.supervisor import Supervisor
@@ -133,14 +133,13 @@ def run_demo(options: DemoOptions) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    initialise(["demo"])
     node = Node("demo")
     supervisor = Supervisor(node, processes(stack), stack.parameter_file, bag.with_suffix(".log"))
     model = RobotModel()
     interrupted, failure = False, ""
     end_ns: int | None = None
     try:
-        supervisor.start()
         end_ns = _drive_to_goal(node, supervisor, _Watcher(supervisor, model, scene.target), scene.target, options)
     except KeyboardInterrupt:
         interrupted = True
@@ -168,7 +167,7 @@ def _drive_to_goal(
     """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
     publisher = node.create_publisher(topics.GOAL_POSE.type, topics.GOAL_POSE.name, topics.GOAL_POSE.qos)
     began = time.monotonic()
-    supervisor.wait_active(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+    supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     # Planner and recorder have to know this publisher before it says something.
     deadline = time.monotonic() + _RECORDER_S
     while publisher.get_subscription_count() < 2 and time.monotonic() < deadline:
@@ -188,7 +187,7 @@ def _drive_to_goal(
         supervisor.check()
         now = time.monotonic()
         if sys.stdout.isatty() or now - said_at >= _LINE_S:
-            _say(watcher.line(sent_ns))
+            _say(watcher.line(sent_ns), done=not sys.stdout.isatty())
             said_at = now
         if reached_ns is None and watcher.distance <= SUCCESS_DISTANCE:
             reached_ns = watcher.stamp_ns
@@ -201,7 +200,7 @@ def _drive_to_goal(
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
     """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
     impedance, planning = ImpedanceSettings(), PlanningSettings()
-    speed_limit = planning.max_translation * impedance.task_stiffness / impedance.task_damping
+    speed_limit = planning.translation_bound * impedance.task_stiffness / impedance.task_damping
     try:
         episode = Episode(bag, lambda q: model.flange_pose(q)[0], speed_limit, end_ns)
     except BagError as error:
@@ -241,10 +240,10 @@ def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path, plot: Path)
 
 
 def _say(line: str, done: bool = False) -> None:
-    """Show progress on one line of a terminal, or on lines of their own elsewhere."""
+    """Show progress on one line of a terminal; elsewhere only what is done stays worth a line."""
     if sys.stdout.isatty():
         print(f"\r\033[K{line}", end="\n" if done else "", flush=True)
-    else:
+    elif done:
         print(line, flush=True)
 
 

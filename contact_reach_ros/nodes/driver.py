@@ -145,9 +145,10 @@ class DriverNode(ManagedNode):
 
     def _realtime_tick(self) -> None:
         now_ns = time.monotonic_ns()
-        while now_ns < self._next_ns:
-            self.inbox.wait(self._next_ns - now_ns)
+        if now_ns < self._next_ns:
+            time.sleep((self._next_ns - now_ns) / NANOSECONDS)
             now_ns = time.monotonic_ns()
+        self.inbox.poll()
         late_ns = now_ns - self._next_ns
         self._wake_up_late.add(late_ns)
         missed = late_ns // _TICK_NS
@@ -195,7 +196,7 @@ class DriverNode(ManagedNode):
         message.velocity = reading.velocity.tolist()
         message.effort = reading.torque.tolist()
         self._answered = False
-        self._published_ns = time.monotonic_ns()
+        self._published_ns = time.time_ns()
         self._joint_states.publish(message)
         if steps % _CONTACTS_EVERY == 0:
             self._publish_contacts(now_ns)
@@ -247,12 +248,12 @@ class DriverNode(ManagedNode):
         return marker
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        now_ns = time.monotonic_ns()
         if not self._answered:
-            self._round_trip.add(now_ns - self._published_ns)
+            self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
         self._answered = True
         try:
-            self._drive.command(np.array(message.data), self._now_ns if self._lockstep else now_ns)
+            clock_ns = self._now_ns if self._lockstep else time.monotonic_ns()
+            self._drive.command(np.array(message.data), clock_ns)
         except InputError as error:
             self.refuse("commands", error)
 

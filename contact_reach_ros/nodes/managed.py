@@ -11,10 +11,11 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
 from contact_reach_ros.nodes.realtime import Inbox, request_realtime
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
@@ -132,9 +133,9 @@ def run(make: Callable[[], ManagedNode], node_class: type[ManagedNode], priority
     # Threads inherit the priority, so it comes before rclpy starts any.
     warning = request_realtime(priority) if priority is not None else ""
     sys.setswitchinterval(2e-4)
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     node: ManagedNode | None = None
     try:
+        initialise(arguments)
         node = make()
         return _serve(node, warning)
     except ContactReachError as error:
@@ -144,6 +145,20 @@ def run(make: Callable[[], ManagedNode], node_class: type[ManagedNode], priority
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def initialise(arguments: Sequence[str]) -> None:
+    """Start rclpy; signals are left to the caller.
+
+    Raises
+    ------
+    SettingsError
+        If ROS does not understand the arguments.
+    """
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except rclpy_implementation.RCLError as error:
+        raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
 
 def _serve(node: ManagedNode, warning: str) -> int:
@@ -158,12 +173,13 @@ def _serve(node: ManagedNode, warning: str) -> int:
             failures.append(error)
         stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     if warning:
         node.get_logger().warning(warning)
+    # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
+    _on_signals(signal.SIG_DFL)
     if node.autostart and not _start(node):
         return 1
+    _on_signals(lambda *_: stop.set())
     thread = threading.Thread(target=work, name="loop")
     thread.start()
     executor = SingleThreadedExecutor()
@@ -181,6 +197,11 @@ def _serve(node: ManagedNode, warning: str) -> int:
         node.get_logger().fatal(f"the loop ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
     return 0
+
+
+def _on_signals(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
 
 
 def _start(node: ManagedNode) -> bool:

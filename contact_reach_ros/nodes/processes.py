@@ -24,11 +24,14 @@ class Process:
         Given on its command line, after the parameter file.
     managed
         Whether it is a lifecycle node.
+    first
+        Whether it is up before the others are started: it needs the whole machine to get ready.
     """
 
     name: str
     parameters: dict[str, bool | int | float | str]
     managed: bool = True
+    first: bool = False
 
     @property
     def module(self) -> str:
@@ -60,7 +63,7 @@ class StackOptions:
 
 
 def processes(options: StackOptions) -> list[Process]:
-    """The processes in the order in which they are started; they are ended in the reverse order.
+    """The processes from recorder to planner; they are ended in the reverse order.
 
     Raises
     ------
@@ -86,5 +89,5 @@ def processes(options: StackOptions) -> list[Process]:
         table.append(Process("driver", simulation))
     table.append(Process("observer", time))
     table.append(Process("controller", time))
-    table.append(Process("planner", {**time, **obstacles}))
+    table.append(Process("planner", {**time, **obstacles}, first=True))
     return table

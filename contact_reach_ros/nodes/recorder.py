@@ -21,6 +21,7 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.topic_recorder import TopicRecorder
 from contact_reach_ros.recording.bag_writer import COMPRESSIONS, BagWriter
+from contact_reach_ros.recording.topics import parse_topic
 
 RECORDED = (
     topics.JOINT_STATES,
@@ -59,12 +60,14 @@ class RecorderNode(Node):
         super().__init__("recorder")
         started = datetime.datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
         directory = self._text("bag", f"contact_reach_{started}", "Directory to create for the bag.")
-        wanted = self._texts("topics", "Topics, as name or name:package/msg/Type; all of the stack if empty.")
+        listed = self._texts("topics", "Topics, as name or name:package/msg/Type; all of the stack if empty.")
         choices = ", ".join(COMPRESSIONS)
         compression = self._text("storage.compression", "zstd", f"Compression of the file: one of {choices}.")
         entries = self._texts("custom_data", "Text to keep in the bag, as key=value.")
-        self._writer = BagWriter(directory, compression=compression, custom_data=dict(map(_key_and_value, entries)))
-        self._recorder = TopicRecorder(self, self._writer, wanted or [topic.name for topic in RECORDED])
+        wanted = [parse_topic(text) for text in listed or [topic.name for topic in RECORDED]]
+        custom_data = dict(map(_key_and_value, entries))
+        self._writer = BagWriter(directory, compression=compression, custom_data=custom_data)
+        self._recorder = TopicRecorder(self, self._writer, wanted)
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import signal
 import subprocess
@@ -69,39 +70,53 @@ class Supervisor:
         """Looked into while spinning; a slow look at fast topics costs nothing in between."""
         self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
-    def start(self) -> None:
-        """Start all processes."""
-        environment = dict(os.environ)
-        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        if self._log_path is not None:
-            self._log = self._log_path.open("wb")
-        for process in self._table:
-            self._running[process.name] = subprocess.Popen(
-                [sys.executable, "-m", process.module, *self._arguments(process)],
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=self._log,
-                # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
-                start_new_session=True,
-                preexec_fn=_end_with_parent,
-            )
+    def bring_up(self, timeout: float, progress: Callable[[str], None]) -> None:
+        """Start all processes and wait until each is up and each lifecycle node active.
 
-    def wait_active(self, timeout: float, progress: Callable[[str], None]) -> None:
-        """Wait until every process is up and every lifecycle node active.
+        Parameters
+        ----------
+        timeout
+            For the whole, s.
+        progress
+            Called over and over with a line that says what is waited for; may raise to give up.
 
         Raises
         ------
         StackError
             If a process died, or the time is over; the missing ones are named with their last state.
         """
+        if self._log_path is not None:
+            self._log = self._log_path.open("wb")
+        deadline = time.monotonic() + timeout
+        for first in (True, False):
+            processes = [process for process in self._table if process.first is first]
+            for process in processes:
+                self._start(process)
+            self._wait_active(processes, deadline, timeout, progress)
+
+    def _start(self, process: Process) -> None:
+        environment = dict(os.environ)
+        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        self._running[process.name] = subprocess.Popen(
+            [sys.executable, "-m", process.module, *self._arguments(process)],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=self._log,
+            # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
+            start_new_session=True,
+            preexec_fn=_end_with_parent,
+        )
+
+    def _wait_active(
+        self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
+    ) -> None:
         clients = {
             process.name: self._node.create_client(GetState, f"/{process.name}/get_state")
-            for process in self._table
+            for process in processes
             if process.managed
         }
-        missing = {process.name: "no such node yet" for process in self._table}
-        deadline = time.monotonic() + timeout
+        missing = {process.name: "no such node yet" for process in processes}
         try:
             while missing:
                 self.check()
@@ -149,8 +164,8 @@ class Supervisor:
     def _arguments(self, process: Process) -> list[str]:
         arguments = ["--ros-args", "--params-file", str(self._parameter_file)]
         for key, value in process.parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            arguments += ["-p", f"{key}:={text}"]
+            # JSON is YAML: quoted, an empty or blank-separated string stays a string.
+            arguments += ["-p", f"{key}:={json.dumps(value)}"]
         return arguments
 
     def _state_of(self, name: str, client: Client | None) -> str:
@@ -188,11 +203,12 @@ class Supervisor:
         process = self._running.pop(name, None)
         if process is None or process.poll() is not None:
             return
-        process.send_signal(signal.SIGINT)
+        # Not SIGINT, which Python turns into a traceback while it is still importing.
+        process.terminate()
         try:
             process.wait(_END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGINT: killed", file=sys.stderr)
+            print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGTERM: killed", file=sys.stderr)
             process.kill()
             process.wait()
 

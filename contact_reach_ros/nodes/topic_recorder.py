@@ -18,7 +18,7 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes.realtime import LoopGroup
 from contact_reach_ros.recording.bag_writer import BagWriter
 from contact_reach_ros.recording.loss import LossCounter
-from contact_reach_ros.recording.topics import OfferedQos, Topic, parse_topic
+from contact_reach_ros.recording.topics import OfferedQos, Topic
 
 HISTORY_DEPTH = 1000
 """Messages per topic that wait in the middleware while the recorder is held up: 1 s at 1 kHz."""
@@ -46,19 +46,17 @@ class TopicRecorder:
     writer :
         The bag; it stays with the caller, who closes it after `stop`.
     topics :
-        Names as `parse_topic` reads them; relative ones are resolved by the node.
+        Names, relative ones to be resolved by the node, each with the type it must have or None.
     """
 
-    def __init__(self, node: Node, writer: BagWriter, topics: Iterable[str]) -> None:
+    def __init__(self, node: Node, writer: BagWriter, topics: Iterable[tuple[str, str | None]]) -> None:
         self._node = node
         self._writer = writer
         # Waking up for every message costs ten times more than taking what has gathered in 20 ms.
         self._group = LoopGroup()
         self._recorded: dict[str, _Recorded] = {}
         self._publisher_counts: dict[str, int] = {}
-        self._wanted: dict[str, str | None] = {}
-        for name, type_name in map(parse_topic, topics):
-            self._wanted[node.resolve_topic_name(name)] = type_name
+        self._wanted = {node.resolve_topic_name(name): type_name for name, type_name in topics}
 
     def discover(self) -> None:
         """Subscribe to the wanted topics that have appeared since the last call.

@@ -112,13 +112,18 @@ class Plan:
     steps: int
     """Solver steps taken."""
     stop_reason: str
-    """"stagnated", "max_steps" or "deadline"; "previous" where the new plan was worse than the shifted one."""
+    """"stagnated", "max_steps" or "deadline"."""
     solve_s: float
     """Wall-clock time of the whole call, s."""
     rejected: int
     """Candidates whose cost was not finite."""
     left_out: int
     """Obstacle spheres beyond the planner's capacity, which it did not look at."""
+
+    @property
+    def knot_duration_ns(self) -> int:
+        """dt, ns."""
+        return round(self.knot_duration_s * 1e9)
 
 
 def _checked(name: str, values: object, shape: tuple[int, ...]) -> Array:

@@ -2,13 +2,46 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import time
+from collections import deque
 from collections.abc import Callable
+from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.problem import Goal, Plan, Spheres
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
+from contact_reach_ros.planning.obstacles import fit_to_capacity
+from contact_reach_ros.planning.prediction import MAX_PIECES, HeldReference, Predictor, pieces_between
+from contact_reach_ros.planning.problem import Array, Goal, Plan, Spheres
+from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver.cma_es import Distribution, fresh
+from contact_reach_ros.planning.solver.hybrid import HybridSolver, Solution
+from contact_reach_ros.planning.transfer.model import default_arm
+from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
+from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
+from contact_reach_ros.resources import cache_directory
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import link_frames
+
+_JUMP_SLACK = 0.05
+"""A joint that is further from its last angle than its speed limit allows, plus this, has jumped; rad."""
+
+
+class _Memory(NamedTuple):
+    """What the next plan starts from."""
+
+    plan: Plan
+    goal: Goal
+    best: np.ndarray
+    distribution: Distribution
 
 
 class RecedingHorizonPlanner:
@@ -33,15 +66,45 @@ class RecedingHorizonPlanner:
         permitted_force: float,
         capacity: int,
     ) -> None:
-        raise NotImplementedError
+        configure_jax(cache_directory() / "jax")
+        self._settings = settings
+        self._capacity = capacity
+        timestep = settings.knot_duration / settings.substeps
+        system = System(default_arm(), gains, settings.contact_stiffness, timestep)
+        self._objective = Objective(system, settings.horizon, settings.substeps, settings.contact_measure)
+        self._weights = jax.tree.map(jnp.float32, Weights.of(settings, permitted_force))
+        knot = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
+        self._bounds = np.tile(knot, settings.horizon)
+        self._spread = settings.sigma / self._bounds
+        self._predictor = Predictor(system)
+        self._solver: HybridSolver[Problem] = HybridSolver(self._cost, len(self._bounds), settings)
+        self._evaluate = jax.jit(self._roll_out)
+        self._plans: deque[Plan] = deque(maxlen=16)
+        self._memory: _Memory | None = None
+        self._last_state: tuple[int, Array] | None = None
+        self._number = 0
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage."""
-        raise NotImplementedError
+        begin = time.perf_counter()
+        q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
+        goal = Goal(np.array([0.5, 0.0, 0.4]))
+        obstacles, _ = fit_to_capacity(q, Spheres.none(), self._capacity)
+        pieces = pieces_between((), _hold(q), 0, 10_000_000, self._settings.knot_duration)
+        progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
+        self._predictor.predict(q, v, obstacles, pieces)
+        progress("planner: preparing the evaluation of plans")
+        problem = self._problem(jnp.asarray(q[:, None], jnp.float32), jnp.zeros((7, 1)), obstacles, goal)
+        jax.block_until_ready(self._evaluate(problem, self._points(np.zeros_like(self._bounds))))
+        progress("planner: preparing the solver, the longest part (up to a minute the first time)")
+        self._solver.warm_up(problem, self._fresh(np.zeros_like(self._bounds)))
+        progress(f"planner: ready after {time.perf_counter() - begin:.1f} s")
 
     def reset(self) -> None:
         """Forget the plans made so far: the goal was withdrawn, or the arm moved in a way no plan asked for."""
-        raise NotImplementedError
+        self._plans.clear()
+        self._memory = None
+        self._last_state = None
 
     def plan(
         self,
@@ -53,6 +116,9 @@ class RecedingHorizonPlanner:
         spheres: Spheres,
     ) -> Plan:
         """Make the plan that takes effect at `effect_ns`.
+
+        The state is predicted from the measured one under the references in force until then: those of the plans made
+        before, or a hold at the measured pose where there are none.
 
         Parameters
         ----------
@@ -70,6 +136,147 @@ class RecedingHorizonPlanner:
         Raises
         ------
         InputError
-            If the state is not finite or of the wrong size, or the times are out of order.
+            If the state is not finite or of the wrong size, the times are out of order or too far apart, or no motion
+            from this state has a finite cost.
         """
-        raise NotImplementedError
+        begin = time.perf_counter()
+        q, v = _joints("q", q), _joints("v", v)
+        self._check_times(state_ns, effect_ns)
+        self._reset_if_jumped(q, state_ns)
+        obstacles, left_out = fit_to_capacity(q, spheres, self._capacity)
+        timestep = self._settings.knot_duration / self._settings.substeps
+        pieces = pieces_between(self._plans, _hold(q), state_ns, effect_ns, timestep)
+        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal)
+
+        distribution, start_cost = self._start(problem, goal, effect_ns)
+        until = begin + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
+        self._number += 1
+        solution = self._solver.solve(problem, distribution, start_cost, self._number, until)
+        if not math.isfinite(solution.cost):
+            raise InputError(
+                f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
+                "can be in and obstacles that do not swallow it; the plan in force runs out into a hold"
+            )
+        rollout, terms = self._evaluate(problem, self._points(solution.best))
+        plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin)
+        self._plans.append(plan)
+        self._memory = _Memory(plan, goal, solution.best, solution.distribution)
+        self._last_state = (state_ns, q)
+        return plan
+
+    def _check_times(self, state_ns: int, effect_ns: int) -> None:
+        longest_ns = round(MAX_PIECES / 4 * self._settings.knot_duration / self._settings.substeps * 1e9)
+        if not 0 <= effect_ns - state_ns <= longest_ns:
+            raise InputError(
+                f"effect_ns - state_ns = {effect_ns - state_ns}: expected 0 to {longest_ns}; "
+                "plan from a newer state, or for an earlier effect"
+            )
+
+    def _reset_if_jumped(self, q: Array, state_ns: int) -> None:
+        if self._last_state is None:
+            return
+        last_ns, last_q = self._last_state
+        elapsed = (state_ns - last_ns) * 1e-9
+        reachable = np.array(iiwa14.VELOCITY_LIMITS) * elapsed + _JUMP_SLACK
+        if elapsed < 0.0 or (np.abs(q - last_q) > reachable).any():
+            self.reset()
+
+    def _problem(self, q: jax.Array, v: jax.Array, obstacles: object, goal: Goal) -> Problem:
+        rotation = np.eye(3) if goal.rotation is None else goal.rotation
+        weights = self._weights
+        if goal.rotation is None:
+            weights = weights._replace(orientation=jnp.float32(0.0))
+        return Problem(
+            q=q,
+            v=v,
+            obstacles=obstacles,
+            goal_position=jnp.asarray(goal.position[:, None], jnp.float32),
+            goal_rotation=jnp.asarray(rotation[:, :, None], jnp.float32),
+            weights=weights,
+        )
+
+    def _start(self, problem: Problem, goal: Goal, effect_ns: int) -> tuple[Distribution, float]:
+        """Where the solver starts: at the rest of the last plan, or at standing still if that costs less."""
+        still = np.zeros_like(self._bounds)
+        points = self._points(still)
+        carried = None
+        memory = self._memory
+        if memory is not None:
+            elapsed = (effect_ns - memory.plan.effect_ns) / memory.plan.knot_duration_ns
+            if 0.0 <= elapsed < self._settings.horizon:
+                shifted = shift_solution(memory.best, self._settings.horizon, elapsed)
+                points = self._points(shifted, still)
+                # A distribution that has settled on another goal would search in the wrong directions.
+                if goal.same_as(memory.goal):
+                    carried = shift_distribution(
+                        memory.distribution, shifted, self._spread, self._settings.horizon, elapsed
+                    )
+        _, terms = self._evaluate(problem, points)
+        costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        index = int(np.argmin(costs))
+        best = points[:, index]
+        distribution = self._fresh(best) if carried is None else carried._replace(mean=jnp.asarray(best))
+        return distribution, float(costs[index])
+
+    def _fresh(self, mean: np.ndarray) -> Distribution:
+        return fresh(jnp.asarray(mean, jnp.float32), jnp.asarray(self._spread, jnp.float32))
+
+    def _points(self, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
+        """Two points (n, 2) for the evaluation, the first one twice if there is no second."""
+        return np.stack([first, first if second is None else second], axis=1).astype(np.float32)
+
+    def _actions(self, points: jax.Array) -> jax.Array:
+        """Actions (H, 13, B) of points (n, B) in units of the bounds."""
+        return (points * self._bounds[:, None]).reshape(self._settings.horizon, N_ACTION, -1)
+
+    def _cost(self, problem: Problem, points: jax.Array) -> jax.Array:
+        return self._objective.cost(problem, self._actions(points))
+
+    def _roll_out(self, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
+        actions = self._actions(points)
+        rollout = self._objective.roll_out(problem, actions)
+        return rollout, self._objective.terms(problem, actions, rollout)
+
+    def _plan_of(
+        self,
+        solution: Solution,
+        rollout: Rollout,
+        terms: dict[str, jax.Array],
+        effect_ns: int,
+        left_out: int,
+        begin: float,
+    ) -> Plan:
+        first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
+        cost_terms = {name: float(values[0]) for name, values in terms.items()}
+        return Plan(
+            number=self._number,
+            effect_ns=effect_ns,
+            knot_duration_s=self._settings.knot_duration,
+            positions=first.reference.position,
+            rotations=first.reference.rotation,
+            postures=first.reference.posture,
+            predicted_q=first.q,
+            predicted_positions=first.pose.position,
+            predicted_contact_forces=first.link_force,
+            cost=sum(cost_terms.values()),
+            cost_terms=cost_terms,
+            steps=solution.steps,
+            stop_reason=solution.stop_reason,
+            solve_s=time.perf_counter() - begin,
+            rejected=solution.rejected,
+            left_out=left_out,
+        )
+
+
+def _joints(name: str, values: ArrayLike) -> Array:
+    array = np.array(values, dtype=float)
+    if array.shape != (iiwa14.N_JOINTS,) or not np.isfinite(array).all():
+        raise InputError(f"{name} = {array.tolist()}: expected {iiwa14.N_JOINTS} finite numbers")
+    return array
+
+
+def _hold(q: Array) -> HeldReference:
+    """The reference that holds the arm where it is."""
+    rotations, origins = link_frames(q)
+    return HeldReference(origins[-1], rotations[-1], q)

@@ -141,6 +141,8 @@ class Plant:
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `CONTACT_BODIES`, (6,), N: the vector sum over its contacts."""
         total = np.zeros((len(CONTACT_BODIES), 3))
+        if self.data.ncon == 0:
+            return total[:, 0]
         for index in range(self.data.ncon):
             contact = self.data.contact[index]
             body = max(self._body_of_geom[contact.geom1], self._body_of_geom[contact.geom2])

@@ -26,8 +26,9 @@ MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQI")
 _CHECKSUM_BYTES = 4
 
-# What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text.
-_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError)
+# What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text,
+# or a length that nothing can have.
+_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError)
 
 
 @dataclasses.dataclass(frozen=True)

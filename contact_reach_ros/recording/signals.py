@@ -170,7 +170,8 @@ def goal_distance(
     if not signals.goals or not len(time):
         return np.empty(0), np.empty(0)
     wanted = np.arange(time[0], time[-1] + period / 2, period)
-    rows = np.unique(np.clip(np.searchsorted(time, wanted), 0, len(time) - 1))
+    # A thousandth earlier, so that rounding does not skip a joint state that comes at the very time.
+    rows = np.unique(np.clip(np.searchsorted(time, wanted - 1e-3 * period), 0, len(time) - 1))
     rows = rows[np.all(np.isfinite(positions[rows]), axis=1)]
     sent = np.array([goal.time for goal in signals.goals])
     in_force = np.maximum(np.searchsorted(sent, time[rows], side="right") - 1, 0)

@@ -68,7 +68,9 @@ def test_pinocchio_agrees_with_brax():
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Brax says on loading that it is no longer developed.
         system = mjcf.loads(build_mjcf())
-        results = [np.asarray(result) for result in jax.jit(jax.vmap(evaluate))(positions, velocities)]
+        # It runs once: compiling takes longer than running.
+        compiled = jax.jit(jax.vmap(evaluate), compiler_options={"xla_backend_optimization_level": 0})
+        results = [np.asarray(result) for result in compiled(positions, velocities)]
     model = RobotModel()
     for index, (q, v) in enumerate(zip(positions, velocities, strict=True)):
         model.update(q, v)

@@ -48,7 +48,7 @@ class Solution:
     """"stagnated", "max_steps" or "deadline"."""
     rejected: int
     costs: tuple[float, ...]
-    """Best cost before the first step and after each."""
+    """Best cost at the start and after each step."""
 
 
 class HybridSolver(Generic[ProblemT]):
@@ -65,35 +65,34 @@ class HybridSolver(Generic[ProblemT]):
         self._settings = settings
         self._rates = Rates.of(n, settings.elite)
         self._gradient_steps = {"hybrid": 1, "cma": 0, "gradient": settings.gradient_steps}[settings.solver]
-        self._begin = jax.jit(self._best_start)
         self._step = jax.jit(self._advance)
 
     def solve(
         self,
         problem: ProblemT,
         distribution: Distribution,
-        starts: jax.Array | np.ndarray,
+        start_cost: float,
         number: int,
         until: float = math.inf,
     ) -> Solution:
-        """Run Algorithm 1.
+        """Run Algorithm 1; the solution is never worse than the mean that it starts from.
 
         Parameters
         ----------
         problem
             Passed on to the cost function.
         distribution
-            Where to sample; its mean is replaced by the best of the starts.
-        starts
-            (n, S) points to compare; the solution is never worse than any of them.
+            Where to start.
+        start_cost
+            Cost of the distribution's mean; infinity if it is not finite.
         number
             Selects the random numbers, together with the seed of the settings.
         until
             Instant of `time.perf_counter` by which to return, looked at between steps.
         """
         settings = self._settings
-        search = self._begin(problem, distribution, starts)
-        costs = [float(search.best_cost)]
+        search = Search(distribution, distribution.mean, jnp.float32(start_cost), jnp.int32(0))
+        costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
         while len(costs) <= settings.max_steps:
@@ -103,7 +102,7 @@ class HybridSolver(Generic[ProblemT]):
             search = self._step(problem, search, (settings.seed, number, len(costs)))
             costs.append(float(search.best_cost))
             longest_step, now = max(longest_step, time.perf_counter() - now), time.perf_counter()
-            # Not `<`, which would call a step away from an infinite cost stagnant.
+            # From an infinite cost to an infinite cost the decrease is not a number, which counts as stagnant too.
             stagnant = 0 if costs[-2] - costs[-1] >= settings.stagnation_tolerance else stagnant + 1
             if stagnant == settings.stagnation_steps:
                 reason = "stagnated"
@@ -111,18 +110,17 @@ class HybridSolver(Generic[ProblemT]):
         return Solution(
             best=np.asarray(search.best),
             cost=costs[-1],
-            distribution=search.distribution,
+            distribution=jax.tree.map(np.asarray, search.distribution),
             steps=len(costs) - 1,
             stop_reason=reason,
             rejected=int(search.rejected),
             costs=tuple(costs),
         )
 
-    def _best_start(self, problem: ProblemT, distribution: Distribution, starts: jax.Array) -> Search:
-        costs, rejected = _ranked(self._cost(problem, starts))
-        index = jnp.argmin(costs)
-        best = starts[:, index]
-        return Search(distribution._replace(mean=best), best, costs[index], rejected)
+    def warm_up(self, problem: ProblemT, distribution: Distribution) -> None:
+        """Compile what `solve` needs for problems of this shape."""
+        search = Search(distribution, distribution.mean, jnp.float32(0.0), jnp.int32(0))
+        jax.block_until_ready(self._step(problem, search, (self._settings.seed, 0, 0)))
 
     def _advance(self, problem: ProblemT, search: Search, draw: tuple[jax.Array, jax.Array, jax.Array]) -> Search:
         """One step of Algorithm 1, lines 5 to 18; `draw` is (seed, plan number, step)."""

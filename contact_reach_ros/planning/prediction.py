@@ -1,0 +1,112 @@
+"""Where the arm will be when a plan takes effect: the references in force until then, run through the transfer model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.planning.problem import Array, Plan
+from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.pipeline import Reference, State, System
+
+MAX_PIECES = 64
+"""Steps that one prediction may take."""
+
+
+class HeldReference(NamedTuple):
+    """x_d and q_d that do not change with time."""
+
+    position: Array
+    """(3,), m."""
+    rotation: Array
+    """(3, 3)."""
+    posture: Array
+    """(7,), rad."""
+
+
+class Piece(NamedTuple):
+    """A stretch of time with one reference."""
+
+    duration: float
+    """s."""
+    reference: HeldReference
+
+
+def reference_at(plans: Sequence[Plan], time_ns: int) -> HeldReference | None:
+    """The reference in force at a time: that of the latest plan which has taken effect, None if it has run out."""
+    for plan in reversed(plans):
+        if plan.effect_ns < time_ns:
+            # Knot i holds in (effect + i dt, effect + (i + 1) dt].
+            knot = (time_ns - plan.effect_ns - 1) // plan.knot_duration_ns
+            if knot >= len(plan.positions):
+                return None
+            return HeldReference(plan.positions[knot], plan.rotations[knot], plan.postures[knot])
+    return None
+
+
+def pieces_between(
+    plans: Sequence[Plan], hold: HeldReference, start_ns: int, end_ns: int, longest: float
+) -> list[Piece]:
+    """Cut (start, end] where the reference changes and into pieces of at most `longest` seconds.
+
+    `hold` is in force where no plan is.
+    """
+    changes = {
+        plan.effect_ns + knot * plan.knot_duration_ns for plan in plans for knot in range(len(plan.positions) + 1)
+    }
+    instants = [start_ns, *sorted(instant for instant in changes if start_ns < instant < end_ns), end_ns]
+    pieces = []
+    for begin, end in zip(instants[:-1], instants[1:], strict=True):
+        reference = reference_at(plans, end) or hold
+        duration = (end - begin) * 1e-9
+        count = max(1, int(np.ceil(duration / longest - 1e-9)))
+        pieces += [Piece(duration / count, reference)] * count
+    return pieces
+
+
+class Predictor:
+    """Runs the transfer model, one lane wide, over pieces of time.
+
+    Parameters
+    ----------
+    system
+        The closed loop; its time step is the longest that a piece may take.
+    """
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._run = jax.jit(self._advance)
+
+    def predict(
+        self, q: Array, v: Array, obstacles: Obstacles | None, pieces: Sequence[Piece]
+    ) -> tuple[jax.Array, jax.Array, Obstacles | None]:
+        """Joint angles (7, 1), speeds (7, 1) and obstacles after the pieces, at most `MAX_PIECES` of them."""
+        count = len(pieces)
+        durations = np.zeros(MAX_PIECES, np.float32)
+        durations[:count] = [piece.duration for piece in pieces]
+
+        def padded(name: str, shape: tuple[int, ...]) -> np.ndarray:
+            rows = np.zeros((MAX_PIECES, *shape, 1), np.float32)
+            for index, piece in enumerate(pieces):
+                rows[index, ..., 0] = getattr(piece.reference, name)
+            return rows
+
+        references = Reference(padded("position", (3,)), padded("rotation", (3, 3)), padded("posture", (7,)))
+        start = pipeline.init(
+            self._system, jnp.asarray(q[:, None], jnp.float32), jnp.asarray(v[:, None], jnp.float32), obstacles
+        )
+        state = self._run(start, references, durations, count)
+        return state.q, state.qd, state.obstacles
+
+    def _advance(self, state: State, references: Reference, durations: jax.Array, count: jax.Array) -> State:
+        def piece(index: jax.Array, state: State) -> State:
+            system = dataclasses.replace(self._system, timestep=durations[index])
+            return pipeline.step(system, state, jax.tree.map(lambda rows: rows[index], references))
+
+        return jax.lax.fori_loop(0, count, piece, state)

@@ -1,0 +1,379 @@
+"""What the controller does about plans, states, observer and stops, without a simulated arm."""
+
+import math
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, POSITION_LIMITS, REST, SECOND_NS, TICK_NS, offer_plan
+
+from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.robot.model import RobotModel
+
+SETTINGS = ControllerSettings()
+PLAN_NS = SECOND_NS // 10
+STEP = SETTINGS.limits.torque_rate * TICK_NS / SECOND_NS
+
+
+class Bench:
+    """A controller that is shown states at 1 kHz."""
+
+    def __init__(self, settings: ControllerSettings = SETTINGS) -> None:
+        self.controller = Controller(settings, RobotModel())
+        self.now_ns = 0
+        self.torque = REST
+
+    def start(self, q: np.ndarray = HOME, v: np.ndarray = REST) -> "Bench":
+        self.controller.start(q, v, self.now_ns)
+        return self
+
+    def tick(self, q: np.ndarray = HOME, v: np.ndarray = REST, count: int = 1) -> np.ndarray:
+        for _ in range(count):
+            self.torque = self.controller.tick(q, v, self.now_ns, self.now_ns)
+            self.now_ns += TICK_NS
+        return self.torque
+
+    def reference(self, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Reference:
+        position, rotation = self.controller.model.flange_pose(HOME)
+        return Reference(position + offset, rotation, HOME)
+
+    def plan(self, *offsets: tuple[float, float, float], stamp_ns: int | None = None) -> None:
+        """Offer a plan of 0.1 s for each offset from the home pose."""
+        ends = tuple(PLAN_NS * (index + 1) for index in range(len(offsets)))
+        stamp = self.now_ns if stamp_ns is None else stamp_ns
+        offer_plan(self.controller, [self.reference(offset) for offset in offsets], stamp, ends, self.now_ns)
+
+    def reset(self, q: np.ndarray = HOME, v: np.ndarray = REST) -> None:
+        self.controller.reset(q, v, self.now_ns, self.now_ns)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench().start()
+
+
+def gravity(q: np.ndarray = HOME) -> np.ndarray:
+    return RobotModel().gravity_at(q)
+
+
+class TestStart:
+    def test_first_command_holds_the_arm(self, bench):
+        np.testing.assert_allclose(bench.tick(), gravity(), rtol=0, atol=1e-9)
+
+    def test_first_command_of_an_arm_that_compensates_gravity_itself_is_zero(self):
+        settings = ControllerSettings(supervision=SupervisionSettings(gravity_compensation=False))
+        np.testing.assert_array_equal(Bench(settings).start().tick(), 0)
+
+    def test_first_command_does_not_depend_on_a_waiting_plan(self, bench):
+        bench.plan((0.01, 0.01, 0.01))
+        np.testing.assert_allclose(bench.tick(), gravity(), rtol=0, atol=1e-9)
+
+    def test_authority_ramps_in(self, bench):
+        bench.plan((0.002, 0.0, 0.0), (0.002, 0.0, 0.0), (0.002, 0.0, 0.0), (0.002, 0.0, 0.0))
+        pulls = [np.linalg.norm(bench.tick() - gravity()) for _ in range(400)]
+        ramp = SETTINGS.supervision.start_ramp
+        np.testing.assert_allclose(pulls, np.arange(400) * 1e-3 / ramp * pulls[-1] / (0.399 / ramp), atol=1e-9)
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    def test_state_that_is_not_finite_is_refused(self, value):
+        bad = HOME.copy()
+        bad[3] = value
+        with pytest.raises(InputError, match="joint_states: position .*finite"):
+            Bench().start(q=bad)
+        with pytest.raises(InputError, match="joint_states: velocity .*finite"):
+            Bench().start(v=bad)
+
+    def test_state_of_wrong_size_is_refused(self):
+        with pytest.raises(InputError, match=r"joint_states: position has shape \(6,\); expected \(7,\)"):
+            Bench().start(q=np.zeros(6))
+
+    def test_arm_beyond_its_limits_is_refused_and_the_joint_named(self):
+        beyond = HOME.copy()
+        beyond[[1, 5]] = -POSITION_LIMITS[[1, 5]] - 1e-3
+        with pytest.raises(InputError, match="lbr_A2, lbr_A6 beyond the position limit"):
+            Bench().start(q=beyond)
+
+    def test_no_torque_before_the_start(self):
+        bench = Bench()
+        bench.plan((0.0, 0.0, 0.0))
+        with pytest.raises(InputError, match="not started"):
+            bench.tick()
+
+    def test_another_start_does_not_release_a_stop(self, bench):
+        bench.controller.stop("pushed")
+        bench.start()
+        bench.tick()
+        assert bench.controller.mode is Mode.STOPPED
+        assert bench.controller.stop_reason == "pushed"
+
+    def test_stop_before_the_start_stays(self):
+        bench = Bench()
+        bench.controller.observer_report("pushed", 0)
+        bench.start().tick()
+        assert bench.controller.mode is Mode.STOPPED
+
+    def test_another_start_forgets_the_reference_of_the_last_plan(self, bench):
+        bench.plan((0.1, 0.0, 0.0))
+        bench.tick(count=50)
+        bench.now_ns += SECOND_NS
+        bench.start()
+        bench.tick()
+        assert bench.controller.mode is Mode.HOLDING
+        np.testing.assert_allclose(bench.controller.error, 0, atol=1e-9)
+
+
+class TestPlans:
+    def test_without_a_plan_the_pose_at_hand_is_held(self, bench):
+        bench.tick(count=2000)
+        assert bench.controller.mode is Mode.HOLDING
+        np.testing.assert_allclose(bench.torque, gravity(), rtol=0, atol=1e-6)
+
+    def test_plan_is_tracked_from_its_stamp_to_its_last_knot(self, bench):
+        bench.plan((0.01, 0.0, 0.0), (0.02, 0.0, 0.0), stamp_ns=PLAN_NS)
+        seen = []
+        for _ in range(400):
+            bench.tick()
+            seen.append((bench.controller.mode, -bench.controller.error[0]))
+        modes = [mode for mode, _ in seen]
+        assert set(modes[:100]) == {Mode.HOLDING}
+        assert set(modes[100:300]) == {Mode.TRACKING}
+        assert set(modes[300:]) == {Mode.HOLDING}
+        np.testing.assert_allclose([error for _, error in seen[100:200]], 0.01, atol=1e-9)
+        np.testing.assert_allclose([error for _, error in seen[200:300]], 0.02, atol=1e-9)
+
+    def test_later_knots_bridge_a_planner_that_is_late(self, bench):
+        bench.plan((0.01, 0.0, 0.0), (0.02, 0.0, 0.0), (0.03, 0.0, 0.0))
+        bench.tick(count=250)
+        assert bench.controller.mode is Mode.TRACKING
+        assert bench.controller.error[0] == pytest.approx(-0.03)
+        bench.plan((0.005, 0.0, 0.0))
+        bench.tick()
+        assert bench.controller.mode is Mode.TRACKING
+        assert bench.controller.error[0] == pytest.approx(-0.005)
+
+    def test_reference_decays_to_the_pose_at_hand_after_the_last_knot(self, bench):
+        bench.plan((0.03, 0.0, 0.0))
+        bench.tick(count=100)
+        errors = []
+        for _ in range(400):
+            bench.tick()
+            errors.append(-bench.controller.error[0])
+        blend = SETTINGS.supervision.hold_blend
+        expected = np.maximum(0.03 * (1 - np.arange(400) * 1e-3 / blend), 0)
+        np.testing.assert_allclose(errors, expected, atol=1e-9)
+
+    def test_no_plan_for_too_long_after_one_stops_the_arm(self):
+        bench = Bench(ControllerSettings(supervision=SupervisionSettings(hold_limit=0.5))).start()
+        bench.plan((0.0, 0.0, 0.0))
+        bench.tick(count=100 + 500)
+        assert bench.controller.mode is Mode.HOLDING
+        bench.tick(count=2)
+        assert bench.controller.mode is Mode.STOPPED
+        assert bench.controller.stop_reason == "no valid plan for 0.5 s"
+
+    def test_arm_that_never_had_a_plan_is_held_without_limit(self):
+        bench = Bench(ControllerSettings(supervision=SupervisionSettings(hold_limit=0.1))).start()
+        bench.tick(count=1000)
+        assert bench.controller.mode is Mode.HOLDING
+
+    def test_new_plan_during_the_hold_is_tracked(self, bench):
+        bench.plan((0.01, 0.0, 0.0))
+        bench.tick(count=300)
+        assert bench.controller.mode is Mode.HOLDING
+        bench.plan((0.01, 0.0, 0.0))
+        bench.tick()
+        assert bench.controller.mode is Mode.TRACKING
+
+
+class TestStop:
+    def test_stop_is_damping_and_gravity_only(self, bench):
+        bench.plan(*[(0.01, 0.0, 0.0)] * 30)
+        bench.tick(count=100)
+        bench.controller.stop("test")
+        v = np.full(7, 0.1)
+        bench.tick(v=v, count=100)
+        model = RobotModel()
+        model.update(HOME, v)
+        damping = model.bias - bench.torque
+        assert (damping > 0).all()
+        twice = bench.tick(v=2 * v, count=100)
+        model.update(HOME, 2 * v)
+        np.testing.assert_allclose(model.bias - twice, 2 * damping, rtol=1e-9)
+        np.testing.assert_allclose(bench.tick(count=100), gravity(), rtol=0, atol=1e-9)
+
+    def test_first_reason_is_kept(self, bench):
+        bench.controller.stop("first")
+        bench.controller.stop("second")
+        bench.controller.observer_report("third", bench.now_ns)
+        assert bench.controller.stop_reason == "first"
+
+    def test_plans_do_not_release_it(self, bench):
+        bench.controller.stop("test")
+        bench.plan((0.01, 0.0, 0.0))
+        bench.tick(count=50)
+        assert bench.controller.mode is Mode.STOPPED
+        np.testing.assert_allclose(bench.torque, gravity(), rtol=0, atol=1e-9)
+
+
+class TestObserver:
+    def test_observer_never_heard_of_is_not_waited_for(self, bench):
+        bench.tick(count=500)
+        assert bench.controller.mode is Mode.HOLDING
+
+    def test_silent_observer_stops_the_arm(self, bench):
+        bench.controller.observer_report("", bench.now_ns)
+        bench.tick(count=51)
+        assert bench.controller.mode is Mode.HOLDING
+        bench.tick()
+        assert bench.controller.mode is Mode.STOPPED
+        assert bench.controller.stop_reason == "observer silent for 51 ms"
+
+    def test_observer_that_reports_keeps_the_arm_going(self, bench):
+        for _ in range(20):
+            bench.controller.observer_report("", bench.now_ns)
+            bench.tick(count=40)
+        assert bench.controller.mode is Mode.HOLDING
+
+    def test_stop_of_the_observer_stops_the_arm_with_its_reason(self, bench):
+        bench.controller.observer_report("external torque on lbr_A3", bench.now_ns)
+        assert bench.controller.mode is Mode.STOPPED
+        assert bench.controller.stop_reason == "external torque on lbr_A3"
+
+    def test_silence_counts_on_the_watchdogs_clock(self, bench):
+        bench.controller.observer_report("", 0)
+        bench.controller.tick(HOME, REST, 10 * SECOND_NS, TICK_NS)
+        assert bench.controller.mode is Mode.HOLDING
+
+
+class TestReset:
+    def test_reset_holds_the_arm_where_it_is(self, bench):
+        bench.controller.stop("test")
+        elsewhere = HOME + 0.2
+        bench.tick(elsewhere, count=200)
+        bench.reset(elsewhere)
+        assert bench.controller.mode is Mode.HOLDING
+        assert bench.controller.stop_reason == ""
+        bench.tick(elsewhere, count=1000)
+        np.testing.assert_allclose(bench.torque, gravity(elsewhere), rtol=0, atol=1e-6)
+
+    @pytest.mark.parametrize("speed", [0.06, -0.06, math.nan])
+    def test_reset_of_a_moving_arm_is_refused(self, bench, speed):
+        bench.controller.stop("test")
+        v = REST.copy()
+        v[4] = speed
+        with pytest.raises(InputError):
+            bench.reset(v=v)
+        assert bench.controller.mode is Mode.STOPPED
+
+    def test_refusal_says_how_fast_the_arm_moves(self, bench):
+        with pytest.raises(InputError, match=r"0\.300 rad/s; reset needs at most 0\.05 rad/s"):
+            bench.reset(v=np.full(7, -0.3))
+
+    def test_reset_while_the_observer_is_stopped_is_refused(self, bench):
+        bench.controller.observer_report("pushed", bench.now_ns)
+        bench.tick(count=10)
+        with pytest.raises(InputError, match=r"observer is stopped \(pushed\): reset the observer first"):
+            bench.reset()
+        assert bench.controller.mode is Mode.STOPPED
+        bench.controller.observer_report("", bench.now_ns)
+        bench.reset()
+        assert bench.controller.mode is Mode.HOLDING
+
+    def test_reset_while_the_observer_is_silent_is_refused(self, bench):
+        bench.controller.observer_report("", bench.now_ns)
+        bench.tick(count=100)
+        with pytest.raises(InputError, match="observer is silent"):
+            bench.reset()
+        assert bench.controller.mode is Mode.STOPPED
+
+    def test_reset_of_an_arm_beyond_its_limits_is_refused(self, bench):
+        bench.controller.stop("test")
+        beyond = HOME.copy()
+        beyond[0] = POSITION_LIMITS[0] + 0.01
+        with pytest.raises(InputError, match="lbr_A1 beyond the position limit"):
+            bench.reset(beyond)
+        assert bench.controller.mode is Mode.STOPPED
+        assert bench.controller.stop_reason == "test"
+
+    def test_plans_from_before_the_reset_are_refused(self, bench):
+        bench.plan(*[(0.01, 0.0, 0.0)] * 20)
+        bench.tick(count=10)
+        before_ns = bench.now_ns
+        bench.controller.stop("test")
+        bench.tick(count=10)
+        bench.reset()
+        bench.tick()
+        assert bench.controller.mode is Mode.HOLDING
+        with pytest.raises(InputError, match="before the last stop"):
+            bench.plan((0.01, 0.0, 0.0), stamp_ns=before_ns)
+        bench.plan((0.01, 0.0, 0.0))
+        bench.tick()
+        assert bench.controller.mode is Mode.TRACKING
+
+
+class TestTorques:
+    def test_rate_holds_across_every_transition(self):
+        settings = ControllerSettings(supervision=SupervisionSettings(hold_limit=0.2))
+        bench = Bench(settings).start()
+        random = np.random.default_rng(0)
+        torques = [bench.tick()]
+
+        def ticks(count: int) -> None:
+            for _ in range(count):
+                # What a collision would do to the state, so that the laws ask for jumps.
+                torques.append(bench.tick(HOME + 0.3 * random.standard_normal(7), random.standard_normal(7)))
+
+        for _ in range(3):
+            bench.plan((0.1, -0.1, 0.1))
+            ticks(50)
+            bench.plan((-0.1, 0.1, -0.1))
+            ticks(150)
+            ticks(250)
+            assert bench.controller.mode is Mode.STOPPED
+            bench.reset()
+            ticks(30)
+            bench.controller.stop("test")
+            ticks(5)
+            bench.reset()
+        changes = np.abs(np.diff(torques, axis=0))
+        assert changes.max() <= STEP * (1 + 1e-9)
+        assert changes.max() > 0.99 * STEP
+
+    def test_late_tick_does_not_make_up_for_missed_ones(self, bench):
+        before = bench.tick()
+        bench.now_ns += 50 * TICK_NS
+        after = bench.tick(v=np.full(7, 1.0))
+        assert np.abs(after - before).max() <= STEP * (1 + 1e-9)
+
+    def test_cap_is_the_declared_share(self):
+        settings = ControllerSettings(limits=LimitSettings(torque_share=0.3))
+        bench = Bench(settings).start()
+        bench.plan(*[(1.0, 1.0, 1.0)] * 20)
+        torque = bench.tick(count=1500)
+        cap = 0.3 * np.array([320, 320, 176, 176, 110, 40, 40])
+        assert (np.abs(torque) <= cap).all()
+        assert (np.abs(torque) == cap).any()
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    def test_state_that_is_not_finite_gives_no_torque_and_leaves_no_trace(self, bench, value):
+        bench.tick(count=10)
+        bad = HOME.copy()
+        bad[2] = value
+        with pytest.raises(InputError, match="joint_states: position .*finite"):
+            bench.tick(q=bad)
+        with pytest.raises(InputError, match="joint_states: velocity .*finite"):
+            bench.tick(v=bad)
+        np.testing.assert_allclose(bench.tick(), gravity(), rtol=0, atol=1e-6)
+
+    def test_finite_state_that_no_arm_can_have_gives_no_torque(self, bench):
+        with pytest.raises(InputError, match="no finite torque"):
+            bench.tick(v=np.full(7, 1e200))
+        np.testing.assert_allclose(bench.tick(), gravity(), rtol=0, atol=1e-6)
+
+    def test_clock_that_is_set_back_does_not_turn_the_laws_round(self, bench):
+        bench.tick(count=1000)
+        for earlier_ns in (SECOND_NS // 2, 0, -3600 * SECOND_NS):
+            torque = bench.controller.tick(HOME, np.full(7, 0.01), earlier_ns, bench.now_ns)
+            assert np.abs(torque - gravity()).max() < 5.0

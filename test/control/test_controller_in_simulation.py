@@ -1,0 +1,142 @@
+"""Controller and simulated arm together: hold, expiry, stop."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, REST, VELOCITY_LIMITS, ClosedLoop, ideal_plant, offer_plan, random_states
+
+from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.plant.plant import Actuation
+from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.robot.model import RobotModel
+
+MS = 1_000_000
+REAL = {"sensors": SensorSettings(), "joints": JointSettings()}
+
+
+def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:
+    """A plan that moves the flange at about 0.09 m/s, one knot per 100 ms."""
+    now = loop.reference()
+    count = milliseconds // 100
+    knots = [Reference(now.position + (-0.01 * k, 0.008 * k, 0.01 * k), now.rotation, now.posture) for k in range(count)]
+    ends = tuple(100 * MS * (index + 1) for index in range(count))
+    offer_plan(loop.controller, knots, loop.now_ns, ends, loop.now_ns)
+
+
+def test_gravity_torque_alone_holds_the_arm_still():
+    model = RobotModel()
+    for q in random_states(5)[0]:
+        plant = ideal_plant(0.9 * q)
+        plant.set_actuation(Actuation.COMMANDED)
+        for _ in range(500):
+            plant.step(model.gravity_at(plant.data.qpos))
+        assert np.abs(plant.data.qvel).max() < 1e-9
+        np.testing.assert_allclose(plant.data.qpos, 0.9 * q, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("arm", [{}, REAL], ids=["ideal", "friction and noise"])
+def test_arm_is_held_where_it_starts(arm):
+    loop = ClosedLoop(ideal_plant(**arm))
+    loop.finish(1.0)
+    assert loop.controller.mode is Mode.HOLDING
+    assert np.abs(loop.q - HOME).max() < 2e-3
+    assert np.abs(loop.v).max() < 0.01
+
+
+def test_arm_follows_a_plan():
+    loop = ClosedLoop(ideal_plant())
+    loop.finish(0.5)
+    target = loop.reference()
+    target = Reference(target.position + (0.01, -0.01, 0.01), target.rotation, target.posture)
+    offer_plan(loop.controller, [target], loop.now_ns, (1500 * MS,), loop.now_ns)
+    loop.finish(1.0)
+    assert loop.controller.mode is Mode.TRACKING
+    np.testing.assert_allclose(loop.reference().position, target.position, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("arm", [{}, REAL], ids=["ideal", "friction and noise"])
+def test_arm_comes_softly_to_rest_when_plans_stop_coming(arm):
+    loop = ClosedLoop(ideal_plant(**arm))
+    loop.finish(0.5)
+    moving_plan(loop, 600)
+    loop.finish(0.6)
+    at_expiry = loop.reference().position
+    assert np.abs(loop.v).max() > 0.05
+    forces = [np.linalg.norm(loop.torques[-1])]
+    for _ in loop.run(1.0):
+        forces.append(np.linalg.norm(loop.torques[-1]))
+    assert loop.controller.mode is Mode.HOLDING
+    assert np.abs(loop.v).max() < 0.01
+    assert np.linalg.norm(loop.reference().position - at_expiry) < 0.01
+    assert np.abs(np.diff(forces)).max() < 1.0
+
+
+def test_compliant_stop_after_the_hold_limit_leaves_the_arm_still():
+    settings = ControllerSettings(supervision=SupervisionSettings(hold_limit=0.5))
+    loop = ClosedLoop(ideal_plant(**REAL), settings)
+    moving_plan(loop, 300)
+    loop.finish(0.3 + 0.6)
+    assert loop.controller.mode is Mode.STOPPED
+    stopped_at = loop.q
+    loop.finish(1.0)
+    assert np.abs(loop.v).max() < 0.005
+    assert np.abs(loop.q - stopped_at).max() < 0.01
+
+
+@pytest.mark.parametrize("late", [0, 1, 2], ids="{} ticks late".format)
+@pytest.mark.parametrize("arm", [{}, {**REAL, "mismatch": MismatchSettings(enabled=True)}], ids=["ideal", "mismatch"])
+def test_compliant_stop_brakes_a_fast_arm_even_when_commands_come_late(arm, late):
+    plant = ideal_plant(**arm)
+    plant.data.qvel[:] = 0.7 * VELOCITY_LIMITS * np.array([1, -1, 1, -1, 1, -1, 1])
+    loop = ClosedLoop(plant, late=late)
+    loop.controller.stop("test")
+    energy = [loop.v @ loop.v]
+    for _ in loop.run(1.0):
+        energy.append(loop.v @ loop.v)
+    # No joint swings up; what is left with the wrong model is the slow sinking under its wrong gravity.
+    assert max(energy) < 1.1 * energy[0]
+    assert np.abs(loop.v).max() < (0.6 if arm else 0.05)
+
+
+@pytest.mark.parametrize("late", [0, 1, 2], ids="{} ticks late".format)
+def test_hold_stays_stable_when_commands_come_late(late):
+    loop = ClosedLoop(ideal_plant(sensors=SensorSettings()), late=late)
+    loop.finish(1.5)
+    assert np.abs(loop.v).max() < 0.02
+
+
+def test_stopped_arm_gives_way_when_pushed():
+    loop = ClosedLoop(ideal_plant())
+    loop.controller.stop("test")
+    start = loop.reference().position
+    loop.plant.data.xfrc_applied[loop.plant.model.body("lbr_link_7").id, :3] = (0.0, 10.0, 0.0)
+    loop.finish(1.0)
+    assert loop.reference().position[1] - start[1] > 0.05
+
+
+def test_reference_posture_law_pulls_the_null_space_to_zero():
+    # Law (6): with q_d = 0 the elbow turns, the flange stays.
+    start = HOME + np.array([0.5, 0.0, -0.5, 0.0, 0.4, 0.0, 0.3])
+    settings = ControllerSettings(ImpedanceSettings(null_damping=5.0))
+    loop = ClosedLoop(ideal_plant(start), settings)
+    held = loop.reference()
+    offer_plan(loop.controller, [Reference(held.position, held.rotation, REST)], 0, (10_000 * MS,), 0)
+    loop.finish(4.0)
+    np.testing.assert_allclose(loop.reference().position, held.position, rtol=0, atol=1e-4)
+    assert np.linalg.norm(loop.q) < np.linalg.norm(start) - 0.1
+    law = loop.controller.law
+    pull = law.null_space_torque(loop.controller.model, -30.0 * loop.q)
+    assert np.abs(pull).max() < 0.1
+
+
+def test_controller_never_touches_the_state_it_is_shown():
+    controller = Controller(ControllerSettings(), RobotModel())
+    q, v = HOME.copy(), np.full(7, 0.1)
+    controller.start(q, v, 0)
+    torque = controller.tick(q, v, 0, 0)
+    kept = torque.copy()
+    controller.tick(q + 0.01, -v, MS, MS)
+    np.testing.assert_array_equal(q, HOME)
+    np.testing.assert_array_equal(v, 0.1)
+    np.testing.assert_array_equal(torque, kept)

@@ -1,0 +1,143 @@
+"""The laws (1)-(3) and (6): what the torques do to the arm."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import HOME, REST, mobility, random_states
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.robot.mjcf import build_mjcf
+from contact_reach_ros.robot.model import RobotModel
+
+SETTINGS = ImpedanceSettings()
+
+
+def reference_at(model: RobotModel, q: np.ndarray) -> Reference:
+    return Reference(*model.flange_pose(q), q)
+
+
+def law_torque(law: ImpedanceLaw, model: RobotModel, q: np.ndarray, v: np.ndarray, reference: Reference) -> np.ndarray:
+    """τ of law (3) without C + g; the model is updated."""
+    model.update(q, v)
+    return law.torque(model, v, q - reference.posture, pose_error(model.position, model.rotation, reference))
+
+
+def regular_states(model: RobotModel, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Random states where Λ is the true inverse."""
+    found = []
+    for q, v in zip(*random_states(20 * count), strict=True):
+        model.update(q, v)
+        if np.linalg.eigvalsh(mobility(model))[0] > SETTINGS.singularity_floor:
+            found.append((q, v))
+    assert len(found) >= count
+    return found[:count]
+
+
+def test_null_space_torque_causes_no_task_acceleration():
+    model, law, random = RobotModel(), ImpedanceLaw(SETTINGS), np.random.default_rng(0)
+    for q, v in regular_states(model, 100):
+        law_torque(law, model, q, v, reference_at(model, HOME))
+        projected = law.null_space_torque(model, random.uniform(-50, 50, 7))
+        acceleration = model.jacobian @ np.linalg.solve(model.mass_matrix, projected)
+        np.testing.assert_allclose(acceleration, 0, atol=1e-9)
+
+
+def test_task_acceleration_is_what_law_one_asks_for():
+    model, law = RobotModel(), ImpedanceLaw(SETTINGS)
+    reference = reference_at(model, HOME)
+    for q, v in regular_states(model, 100):
+        torque = law_torque(law, model, q, v, reference)
+        error = pose_error(model.position, model.rotation, reference)
+        joint_acceleration = pin.aba(model.pinocchio, model.pinocchio.createData(), q, v, torque + model.bias)
+        acceleration = model.jacobian @ joint_acceleration + model.drift
+        wanted = -SETTINGS.task_stiffness * error - SETTINGS.task_damping * model.twist
+        np.testing.assert_allclose(acceleration, wanted, rtol=0, atol=1e-8)
+
+
+def test_law_is_the_sum_of_the_papers_terms():
+    model, law = RobotModel(), ImpedanceLaw(SETTINGS)
+    reference = reference_at(model, HOME)
+    for q, v in regular_states(model, 20):
+        torque = law_torque(law, model, q, v, reference)
+        inverse_mass = np.linalg.inv(model.mass_matrix)
+        jacobian = model.jacobian
+        inertia = np.linalg.inv(jacobian @ inverse_mass @ jacobian.T)
+        error = pose_error(model.position, model.rotation, reference)
+        command = -SETTINGS.task_stiffness * error - SETTINGS.task_damping * model.twist - model.drift
+        projector = np.eye(7) - inverse_mass @ jacobian.T @ inertia @ jacobian
+        posture = -SETTINGS.null_stiffness * (q - reference.posture) - SETTINGS.null_damping * v
+        expected = jacobian.T @ inertia @ command + projector.T @ posture
+        np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def simulate(start: tuple[np.ndarray, np.ndarray], reference: Reference, step: float, seconds: float) -> np.ndarray:
+    """Task errors (N, 6) of MuJoCo's arm under the law at the end of each millisecond."""
+    simulated = mujoco.MjModel.from_xml_string(build_mjcf())
+    simulated.opt.timestep = step
+    data = mujoco.MjData(simulated)
+    data.qpos[:], data.qvel[:] = start
+    model, law, errors = RobotModel(), ImpedanceLaw(SETTINGS), []
+    per_millisecond = round(1e-3 / step)
+    for tick in range(round(seconds / step)):
+        data.ctrl[:] = law_torque(law, model, data.qpos.copy(), data.qvel.copy(), reference) + model.bias
+        mujoco.mj_step(simulated, data)
+        if (tick + 1) % per_millisecond == 0:
+            errors.append(pose_error(*model.flange_pose(data.qpos), reference))
+    return np.array(errors)
+
+
+def second_order_law(error: np.ndarray, rate: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Solution (N, 6) of ë + Kd ė + Kp e = 0."""
+    slow, fast = np.roots([1.0, SETTINGS.task_damping, SETTINGS.task_stiffness])[::-1]
+    growth_slow, growth_fast = np.exp(slow * times)[:, None], np.exp(fast * times)[:, None]
+    return ((rate - fast * error) * growth_slow - (rate - slow * error) * growth_fast) / (slow - fast)
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["from rest", "moving"])
+def test_task_error_follows_the_second_order_law(moving):
+    model, seconds = RobotModel(), 0.15
+    position, rotation = model.flange_pose(HOME)
+    # The null space is kept busy too; the task must not notice.
+    posture = HOME + np.array([0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.3])
+    reference = Reference(position - (0.03, -0.04, 0.05), pin.exp3(np.array([-0.2, 0.1, 0.15])) @ rotation, posture)
+    v = np.array([0.6, -0.5, 0.4, 0.7, -0.6, 0.5, 0.8]) if moving else REST
+    model.update(HOME, v)
+    times = 1e-3 * np.arange(1, round(1000 * seconds) + 1)
+    expected = second_order_law(pose_error(position, rotation, reference), model.twist, times)
+    # The law is exact for translation, and for rotation about a fixed axis, which a start from rest gives.
+    part = slice(0, 3) if moving else slice(0, 6)
+    coarse, fine = (simulate((HOME, v), reference, step, seconds)[:, part] for step in (1e-3, 5e-4))
+    deviation_coarse = np.abs(coarse - expected[:, part]).max()
+    deviation_fine = np.abs(fine - expected[:, part]).max()
+    # What deviates is the integration: it halves with the step, and is gone when extrapolated to step zero.
+    assert deviation_fine == pytest.approx(0.5 * deviation_coarse, rel=0.15)
+    np.testing.assert_allclose(2 * fine - coarse, expected[:, part], rtol=0, atol=2e-5)
+    assert np.abs(expected).max() > 0.05
+
+
+def test_reference_posture_law_is_posture_zero():
+    # Law (6): q_d = 0 in law (2), the rest is the same.
+    model, law = RobotModel(), ImpedanceLaw(SETTINGS)
+    position, rotation = model.flange_pose(HOME)
+    for q, v in regular_states(model, 10):
+        with_zero = law_torque(law, model, q, v, Reference(position, rotation, np.zeros(7)))
+        task_only = law_torque(law, model, q, v, Reference(position, rotation, q + SETTINGS.null_damping * v / 30.0))
+        pull = law.null_space_torque(model, -SETTINGS.null_stiffness * q - SETTINGS.null_damping * v)
+        np.testing.assert_allclose(with_zero - task_only, pull, rtol=0, atol=1e-7)
+
+
+small = st.floats(-1.5, 1.5)
+vectors = st.tuples(small, small, small).map(np.array)
+
+
+@given(vectors, vectors, vectors)
+def test_pose_error_leads_back_to_the_pose(translation, turn, base_turn):
+    reference = Reference(np.array([0.4, 0.1, 0.3]), pin.exp3(base_turn), np.zeros(7))
+    rotation = pin.exp3(turn) @ reference.rotation
+    error = pose_error(reference.position + translation, rotation, reference)
+    np.testing.assert_allclose(error[:3], translation, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pin.exp3(error[3:]) @ reference.rotation, rotation, rtol=0, atol=1e-9)

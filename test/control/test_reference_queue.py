@@ -1,0 +1,230 @@
+"""Plans arrive in two halves, in any order, and live until their last knot."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.reference import PoseKnots, PostureKnots, ReferenceQueue, blend
+from contact_reach_ros.errors import InputError
+
+MS = 1_000_000
+LEAD = 1.0
+
+
+@pytest.fixture
+def queue() -> ReferenceQueue:
+    return ReferenceQueue(LEAD)
+
+
+def poses(stamp_ms: float, ends_ms: tuple[float, ...] = (100, 200, 300), value: float = 0.0) -> PoseKnots:
+    """Knot i lies at x = value + i."""
+    count = len(ends_ms)
+    positions = np.array([[value + index, 0.0, 0.0] for index in range(count)]).reshape(-1, 3)
+    ends = tuple(int(end * MS) for end in ends_ms)
+    return PoseKnots(int(stamp_ms * MS), ends, positions, np.tile(np.eye(3), (count, 1, 1)))
+
+
+def postures(stamp_ms: float, ends_ms: tuple[float, ...] = (100, 200, 300), value: float = 0.0) -> PostureKnots:
+    values = np.array([np.full(7, value + index) for index in range(len(ends_ms))]).reshape(-1, 7)
+    return PostureKnots(int(stamp_ms * MS), tuple(int(end * MS) for end in ends_ms), values)
+
+
+def offer(queue: ReferenceQueue, stamp_ms: float, now_ms: float, value: float = 0.0) -> None:
+    queue.offer_poses(poses(stamp_ms, value=value), int(now_ms * MS))
+    queue.offer_postures(postures(stamp_ms, value=value), int(now_ms * MS))
+
+
+def selected(queue: ReferenceQueue, now_ms: float) -> float | None:
+    """The x of the reference in force; its posture must be that of the same knot."""
+    reference = queue.select(int(now_ms * MS))
+    if reference is None:
+        return None
+    assert (reference.posture == reference.position[0]).all()
+    return float(reference.position[0])
+
+
+def test_no_plan_no_reference(queue):
+    assert queue.select(0) is None
+    assert math.isnan(queue.age(0))
+
+
+@given(st.permutations([(kind, stamp) for kind in ("pose", "posture") for stamp in (10, 20, 30)]))
+def test_halves_pair_in_any_order(order):
+    queue = ReferenceQueue(LEAD)
+    for kind, stamp in order:
+        if kind == "pose":
+            queue.offer_poses(poses(stamp, value=stamp), 0)
+        else:
+            queue.offer_postures(postures(stamp, value=stamp), 0)
+    assert queue.accepted == 3
+    assert queue.unpaired == 0
+    assert [selected(queue, now) for now in (5, 10, 20, 30)] == [None, 10, 20, 30]
+
+
+def test_half_a_plan_is_no_plan(queue):
+    queue.offer_poses(poses(0), 0)
+    queue.offer_postures(postures(1), 0)
+    assert queue.select(50 * MS) is None
+    assert queue.accepted == 0
+
+
+def test_halves_that_stay_alone_are_dropped_and_counted(queue):
+    for stamp in range(30):
+        queue.offer_poses(poses(stamp), stamp * MS)
+        queue.offer_postures(postures(stamp + 0.5), stamp * MS)
+    assert queue.accepted == 0
+    assert 40 <= queue.unpaired <= 60
+    # The first half is gone: its other one comes too late.
+    queue.offer_postures(postures(0), 30 * MS)
+    assert queue.accepted == 0
+    # Ordinary plans still pass.
+    offer(queue, 40, 40, value=7.0)
+    assert selected(queue, 40) == 7.0
+
+
+@given(st.integers(0, 400))
+def test_knots_are_looked_up_by_time(now):
+    queue = ReferenceQueue(LEAD)
+    offer(queue, 50, 0)
+    expected = None if not 50 <= now < 350 else float((now - 50) // 100)
+    assert selected(queue, now) == expected
+
+
+def test_later_plan_replaces_the_earlier_one_at_its_stamp(queue):
+    offer(queue, 0, 0, value=10.0)
+    offer(queue, 150, 100, value=20.0)
+    assert selected(queue, 100) == 11.0
+    assert selected(queue, 149) == 11.0
+    assert selected(queue, 150) == 20.0
+    assert selected(queue, 250) == 21.0
+
+
+def test_earlier_plan_that_comes_late_does_not_replace_a_later_one(queue):
+    offer(queue, 100, 90, value=20.0)
+    assert selected(queue, 110) == 20.0
+    offer(queue, 50, 110, value=10.0)
+    assert selected(queue, 115) == 20.0
+
+
+def test_age_counts_from_the_stamp_of_the_plan_in_force(queue):
+    offer(queue, 100, 90)
+    queue.select(100 * MS)
+    assert queue.age(130 * MS) == pytest.approx(0.03)
+    queue.select(500 * MS)
+    assert queue.age(500 * MS) == pytest.approx(0.4)
+
+
+def test_plans_do_not_pile_up_while_nobody_selects(queue):
+    for stamp in range(0, 10_000, 40):
+        offer(queue, stamp + 40, stamp, value=float(stamp))
+    assert len(queue._waiting) <= LEAD * 1000 / 40
+    assert selected(queue, 10_000) == 9960.0
+
+
+def test_clock_that_is_set_back_does_not_prolong_a_plan(queue):
+    offer(queue, 1000, 1000, value=1.0)
+    assert selected(queue, 1100) == 2.0
+    assert selected(queue, 500) is None
+    offer(queue, 510, 510, value=5.0)
+    assert selected(queue, 520) == 5.0
+
+
+def test_cleared_queue_refuses_what_was_planned_before(queue):
+    offer(queue, 0, 0)
+    offer(queue, 100, 0)
+    queue.clear(50 * MS)
+    assert queue.select(60 * MS) is None
+    assert queue.select(150 * MS) is None
+    with pytest.raises(InputError, match=r"reference/pose: header\.stamp.*before the last stop"):
+        queue.offer_poses(poses(49), 60 * MS)
+    offer(queue, 50, 60, value=3.0)
+    assert selected(queue, 60) == 3.0
+
+
+HALVES = {"reference/pose": (poses, "offer_poses"), "reference/posture": (postures, "offer_postures")}
+
+
+@pytest.mark.parametrize("field", HALVES)
+class TestRefusals:
+    """Each half is checked alike, and refused before it changes anything."""
+
+    def refuse(self, queue: ReferenceQueue, field: str, knots: PoseKnots | PostureKnots, now_ms: float, match: str):
+        offer(queue, 0, 0, value=1.0)
+        with pytest.raises(InputError, match=f"^{field}: .*{match}"):
+            getattr(queue, HALVES[field][1])(knots, int(now_ms * MS))
+        assert queue.accepted == 1
+        assert selected(queue, 0) == 1.0
+
+    def test_stamp_in_the_future(self, queue, field):
+        self.refuse(queue, field, HALVES[field][0](1500), 0, r"header\.stamp.*1\.500 s in the future.*at most 1 s")
+
+    def test_largest_lead_passes(self, queue, field):
+        getattr(queue, HALVES[field][1])(HALVES[field][0](1000), 0)
+
+    def test_expired(self, queue, field):
+        self.refuse(queue, field, HALVES[field][0](10), 310, r"last knot ended 0\.000 s ago")
+
+    @pytest.mark.parametrize("ends", [(100, 100, 200), (100, 50, 200), (0, 100, 200), (-50, 100, 200)])
+    def test_times_that_do_not_increase(self, queue, field, ends):
+        self.refuse(queue, field, HALVES[field][0](0, ends), 0, "time_from_start.*strictly increasing")
+
+    def test_no_points(self, queue, field):
+        self.refuse(queue, field, HALVES[field][0](0, ()), 0, "0 points with 0 times")
+
+
+def test_points_without_a_time_each_are_refused(queue):
+    knots = poses(0)
+    with pytest.raises(InputError, match="reference/pose: 3 points with 2 times"):
+        queue.offer_poses(PoseKnots(0, (1, 2), knots.positions, knots.rotations), 0)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_values_that_are_not_finite_are_refused(queue, value):
+    bad = poses(0)
+    bad.positions[1, 2] = value
+    with pytest.raises(InputError, match="reference/pose: .*non-finite"):
+        queue.offer_poses(bad, 0)
+    bad = poses(0)
+    bad.rotations[2, 0, 1] = value
+    with pytest.raises(InputError, match="reference/pose: .*non-finite"):
+        queue.offer_poses(bad, 0)
+    bad = postures(0)
+    bad.postures[0, 6] = value
+    with pytest.raises(InputError, match="reference/posture: .*7 finite angles"):
+        queue.offer_postures(bad, 0)
+
+
+def test_wrong_sizes_are_refused(queue):
+    good = poses(0)
+    with pytest.raises(InputError, match="reference/pose: .*one position and one rotation"):
+        queue.offer_poses(PoseKnots(0, good.ends_ns, good.positions[:, :2], good.rotations), 0)
+    with pytest.raises(InputError, match="reference/pose: .*one position and one rotation"):
+        queue.offer_poses(PoseKnots(0, good.ends_ns, good.positions, good.rotations[:2]), 0)
+    with pytest.raises(InputError, match="reference/posture: .*7 finite angles"):
+        queue.offer_postures(PostureKnots(0, good.ends_ns, np.zeros((3, 6))), 0)
+
+
+def test_halves_with_different_times_are_refused(queue):
+    queue.offer_poses(poses(0), 0)
+    with pytest.raises(InputError, match="different time_from_start"):
+        queue.offer_postures(postures(0, (100, 200, 400)), 0)
+    assert queue.select(50 * MS) is None
+
+
+shares = st.floats(0.0, 1.0)
+
+
+@given(shares)
+def test_blend_goes_straight_from_one_reference_to_the_other(share):
+    turn = np.array([0.3, -0.8, 1.2])
+    start = Reference(np.array([0.1, 0.2, 0.3]), pin.exp3(np.array([1.0, 0.5, -2.0])), np.arange(7.0))
+    end = Reference(np.array([0.5, -0.2, 0.6]), pin.exp3(turn) @ start.rotation, -np.arange(7.0))
+    between = blend(start, end, share)
+    np.testing.assert_allclose(between.position, (1 - share) * start.position + share * end.position, atol=1e-12)
+    np.testing.assert_allclose(between.posture, (1 - share) * start.posture + share * end.posture, atol=1e-12)
+    np.testing.assert_allclose(between.rotation, pin.exp3(share * turn) @ start.rotation, atol=1e-12)

@@ -1,0 +1,164 @@
+"""Near singularities Λ stays bounded and torques stay continuous."""
+
+import mujoco
+import numpy as np
+import pytest
+from arm_simulation import HOME, REST, mobility
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_reach_ros.control.law import ImpedanceLaw, Reference, bounded_inverse, pose_error
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.robot.mjcf import build_mjcf
+from contact_reach_ros.robot.model import RobotModel
+
+FLOOR = ImpedanceSettings().singularity_floor
+
+SINGULAR = {
+    "stretched upwards": np.zeros(7),
+    "stretched forwards": np.array([0.0, np.pi / 4, 0.0, 0.0, 0.0, np.pi / 4, 0.0]),
+    "shoulder": np.array([0.3, 0.0, np.pi / 2, -1.2, 0.4, 0.8, 0.1]),
+    "wrist": np.array([0.3, 0.6, 0.2, -1.2, np.pi / 2, 0.0, 0.1]),
+    "shoulder and wrist": np.array([0.3, 0.0, 0.2, -1.2, 0.4, 0.0, 0.1]),
+}
+
+
+def orthogonal(seed: int) -> np.ndarray:
+    return np.linalg.qr(np.random.default_rng(seed).standard_normal((6, 6)))[0]
+
+
+eigenvalues = st.lists(st.floats(0.0, 5.0), min_size=6, max_size=6).map(np.array)
+seeds = st.integers(0, 1000)
+
+
+@given(eigenvalues, seeds)
+def test_bounded_inverse_is_bounded(values, seed):
+    vectors = orthogonal(seed)
+    inverse = bounded_inverse((vectors * values) @ vectors.T, FLOOR)
+    np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=1e-9)
+    assert np.linalg.norm(inverse, 2) <= 2.0 / FLOOR * (1 + 1e-9)
+
+
+@given(eigenvalues, seeds)
+def test_bounded_inverse_is_the_inverse_above_the_floor(values, seed):
+    vectors = orthogonal(seed)
+    matrix = (vectors * (values + FLOOR)) @ vectors.T
+    np.testing.assert_allclose(bounded_inverse(matrix, FLOOR) @ matrix, np.eye(6), rtol=0, atol=1e-10)
+
+
+@given(eigenvalues, seeds)
+def test_bounded_inverse_never_asks_for_more_than_the_inverse(values, seed):
+    # Λ_bounded (J M⁻¹ Jᵀ) has eigenvalues in [0, 1]: an acceleration may fall short, never overshoot.
+    vectors = orthogonal(seed)
+    matrix = (vectors * values) @ vectors.T
+    share = np.linalg.eigvals(bounded_inverse(matrix, FLOOR) @ matrix)
+    np.testing.assert_allclose(share.imag, 0, atol=1e-9)
+    assert share.real.min() >= -1e-9
+    assert share.real.max() <= 1 + 1e-9
+
+
+@pytest.mark.parametrize("smallest", [0.0, FLOOR], ids=["at zero", "at the floor"])
+def test_bounded_inverse_is_continuously_differentiable(smallest):
+    step, random = 1e-7, np.random.default_rng(0)
+    vectors = orthogonal(0)
+    matrix = (vectors * np.array([smallest, 0.5, 1.0, 2.0, 3.0, 4.0])) @ vectors.T
+    change = random.standard_normal((6, 6))
+    change += change.T
+    middle = bounded_inverse(matrix, FLOOR)
+    ahead = (bounded_inverse(matrix + step * change, FLOOR) - middle) / step
+    behind = (middle - bounded_inverse(matrix - step * change, FLOOR)) / step
+    assert np.abs(ahead - behind).max() < 1e-3 * max(np.abs(ahead).max(), 1.0 / FLOOR)
+
+
+def smallest_mobility(model: RobotModel, q: np.ndarray) -> float:
+    model.update(q, REST)
+    return float(np.linalg.eigvalsh(mobility(model))[0])
+
+
+def torque_at(model: RobotModel, law: ImpedanceLaw, q: np.ndarray, v: np.ndarray, reference: Reference) -> np.ndarray:
+    model.update(q, v)
+    return law.torque(model, v, q - reference.posture, pose_error(model.position, model.rotation, reference))
+
+
+@pytest.fixture(params=SINGULAR)
+def singular(request) -> np.ndarray:
+    return SINGULAR[request.param]
+
+
+def pulled_reference(model: RobotModel, q: np.ndarray) -> Reference:
+    """1 cm and some posture away from the pose at `q`."""
+    position, rotation = model.flange_pose(q)
+    return Reference(position + (0.006, 0.005, -0.006), rotation, q + 0.2)
+
+
+def largest_torque(model: RobotModel, law: ImpedanceLaw, q: np.ndarray, v: np.ndarray, reference: Reference) -> float:
+    """Bound on the torque that ‖Λ‖ ≤ 2 / floor gives."""
+    torque_at(model, law, q, v, reference)
+    gains = law.settings
+    posture = gains.null_stiffness * (q - reference.posture) + gains.null_damping * v
+    error = pose_error(model.position, model.rotation, reference)
+    command = gains.task_stiffness * error + gains.task_damping * model.twist + model.drift
+    wrench = np.linalg.norm(command) + np.linalg.norm(model.jacobian @ np.linalg.solve(model.mass_matrix, posture))
+    return np.linalg.norm(model.jacobian, 2) * 2.0 / FLOOR * wrench + float(np.linalg.norm(posture))
+
+
+def test_torques_are_bounded_at_and_beside_a_singularity(singular):
+    model, law, random = RobotModel(), ImpedanceLaw(ImpedanceSettings()), np.random.default_rng(0)
+    reference = pulled_reference(model, singular)
+    v = 0.1 * random.standard_normal(7)
+    at = torque_at(model, law, singular, v, reference)
+    bound = largest_torque(model, law, singular, v, reference)
+    assert np.linalg.norm(at) <= bound
+    for _ in range(50):
+        direction = random.standard_normal(7)
+        beside = singular + 1e-3 * direction / np.linalg.norm(direction)
+        torque = torque_at(model, law, beside, v, reference)
+        assert np.linalg.norm(torque) <= 1.1 * bound
+        assert np.linalg.norm(torque - at) <= 0.1 * np.linalg.norm(at)
+
+
+def test_torques_change_smoothly_along_a_path_through_a_singularity(singular):
+    model, law, random = RobotModel(), ImpedanceLaw(ImpedanceSettings()), np.random.default_rng(1)
+    direction, v = random.standard_normal(7), 0.1 * random.standard_normal(7)
+    direction /= np.linalg.norm(direction)
+    reference = pulled_reference(model, singular)
+
+    def largest_change(count: int) -> float:
+        path = [singular + share * direction for share in np.linspace(-0.05, 0.05, count + 1)]
+        torques = np.array([torque_at(model, law, q, v, reference) for q in path])
+        return float(np.abs(np.diff(torques, axis=0)).max())
+
+    # A jump would stay as large; what is continuous changes half as much over half the distance.
+    coarse, fine = largest_change(200), largest_change(400)
+    assert fine == pytest.approx(0.5 * coarse, rel=0.1)
+
+
+def test_chosen_poses_are_singular(singular):
+    assert smallest_mobility(RobotModel(), singular) < 1e-12
+
+
+def final_error(start: np.ndarray, reference: Reference, floor: float) -> tuple[float, float]:
+    """Distance to the reference, m, and joint speed, rad/s, after 2 s in MuJoCo."""
+    simulated = mujoco.MjModel.from_xml_string(build_mjcf())
+    data = mujoco.MjData(simulated)
+    data.qpos[:] = start
+    model, law = RobotModel(), ImpedanceLaw(ImpedanceSettings(singularity_floor=floor))
+    for _ in range(2000):
+        data.ctrl[:] = torque_at(model, law, data.qpos.copy(), data.qvel.copy(), reference) + model.bias
+        mujoco.mj_step(simulated, data)
+    return float(np.linalg.norm(model.flange_pose(data.qpos)[0] - reference.position)), float(np.abs(data.qvel).max())
+
+
+@pytest.mark.parametrize(("elbow", "cost"), [(-0.6, 1e-5), (-0.4, 1e-3), (-0.3, 4e-3), (0.0, 11e-3)])
+def test_bounding_costs_little_task_error(elbow, cost):
+    # The arm is asked to reach 1 cm further out with a posture that it does not have; from -0.2 on that is out of reach.
+    model = RobotModel()
+    start = HOME.copy()
+    start[3] = elbow
+    position, rotation = model.flange_pose(start)
+    outwards = position - (0.0, 0.0, 0.36)
+    outwards *= 0.01 / np.linalg.norm(outwards)
+    posture = start + np.array([0.2, 0.2, 0.2, -0.2, 0.2, 0.2, 0.2])
+    error, speed = final_error(start, Reference(position + outwards, rotation, posture), FLOOR)
+    assert error < cost
+    assert speed < 1e-3
