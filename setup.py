@@ -68,7 +68,7 @@ setup(
     entry_points={
         "console_scripts": [
             "contact-reach = contact_reach_ros.cli:main",
-            *(f"{node} = contact_reach_ros.nodes.{node}:main" for node in NODES),
+            *(f"{node} = contact_reach_ros.executables:{node}" for node in NODES),
         ],
     },
 )

@@ -36,8 +36,13 @@ class Setting:
     @property
     def kind(self) -> type:
         """Type of the value, or of the elements of a tuple."""
-        value = self.default[0] if isinstance(self.default, tuple) else self.default
-        return type(value)
+        value = self.default[0] if isinstance(self.default, tuple) and self.default else self.default
+        return str if self.is_open_list else type(value)
+
+    @property
+    def is_open_list(self) -> bool:
+        """Whether the value is a list of strings of any length, which a default of () declares."""
+        return self.default == ()
 
     @property
     def accepts(self) -> str:
@@ -45,7 +50,9 @@ class Setting:
         words = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}[self.kind]
         if self.choices:
             words = "one of " + ", ".join(self.choices)
-        if isinstance(self.default, tuple):
+        if self.is_open_list:
+            words = "a list of strings"
+        elif isinstance(self.default, tuple):
             words = f"a list of {len(self.default)} values, each {words}"
         if self.minimum is not None or self.maximum is not None:
             low = "-inf" if self.minimum is None else f"{self.minimum:g}"
@@ -62,8 +69,8 @@ class Setting:
             If the value has another type or length, is not finite, or lies outside the range; `where` is named.
         """
         if isinstance(self.default, tuple):
-            wrong_shape = isinstance(value, str) or not isinstance(value, Sequence) or len(value) != len(self.default)
-            if wrong_shape:
+            is_list = isinstance(value, Sequence) and not isinstance(value, str)
+            if not is_list or (len(value) != len(self.default) and not self.is_open_list):
                 raise SettingsError(f"{where} = {value!r}: expected {self.accepts}")
             return tuple(self._check_scalar(item, where) for item in value)
         return self._check_scalar(value, where)

@@ -199,7 +199,7 @@ def _rotations(quaternions: list[np.ndarray]) -> np.ndarray:
 
 def main() -> None:
     """Run the controller."""
-    sys.exit(run(ControllerNode, ControllerNode, PRIORITY, sys.argv))
+    sys.exit(run(ControllerNode, PRIORITY, sys.argv))
 
 
 if __name__ == "__main__":

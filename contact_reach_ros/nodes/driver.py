@@ -280,7 +280,7 @@ class DriverNode(ManagedNode):
 
 def main() -> None:
     """Run the driver."""
-    sys.exit(run(DriverNode, DriverNode, PRIORITY, sys.argv))
+    sys.exit(run(DriverNode, PRIORITY, sys.argv))
 
 
 if __name__ == "__main__":

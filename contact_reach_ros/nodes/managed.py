@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -55,6 +55,9 @@ class ManagedNode(LifecycleNode):
     def turn(self) -> None:
         """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
         self.inbox.wait(_IDLE_NS)
+
+    def close(self) -> None:
+        """Bring to an end what `on_deactivate` would, when the process ends while the node is active."""
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """A summary (empty when all is well) and values for the diagnostics topic."""
@@ -111,15 +114,13 @@ def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def run(make: Callable[[], ManagedNode], node_class: type[ManagedNode], priority: int | None, arguments: Sequence[str]) -> int:
+def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence[str]) -> int:
     """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
 
     Parameters
     ----------
-    make
-        Makes the node.
     node_class
-        Its class, whose name and settings the arguments are checked against.
+        What to run; the arguments are checked against its settings.
     priority
         SCHED_FIFO priority, or None for a node that must not preempt others.
     arguments
@@ -136,7 +137,7 @@ def run(make: Callable[[], ManagedNode], node_class: type[ManagedNode], priority
     node: ManagedNode | None = None
     try:
         initialise(arguments)
-        node = make()
+        node = node_class()
         return _serve(node, warning)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
@@ -193,6 +194,7 @@ def _serve(node: ManagedNode, warning: str) -> int:
         node.request_stop()
         thread.join()
         executor.shutdown()
+        node.close()
     if failures:
         node.get_logger().fatal(f"the loop ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1

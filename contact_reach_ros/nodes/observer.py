@@ -192,7 +192,7 @@ class ObserverNode(ManagedNode):
 
 def main() -> None:
     """Run the observer."""
-    sys.exit(run(ObserverNode, ObserverNode, PRIORITY, sys.argv))
+    sys.exit(run(ObserverNode, PRIORITY, sys.argv))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Setting, Settings, read_yaml, unknown_key
@@ -34,13 +36,22 @@ def declare(node: Node, sections: Sections) -> dict[str, Any]:
     """
     made: dict[str, Any] = {}
     for prefix, settings_class in sections.items():
-        values = {}
-        for entry in settings_class.declared():
-            default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
-            name = full_name(prefix, entry.name)
-            values[entry.name] = node.declare_parameter(name, default, _descriptor(entry)).value
+        values = {entry.name: _declare(node, full_name(prefix, entry.name), entry) for entry in settings_class.declared()}
         made[prefix] = settings_class.from_mapping(values, f"parameters of {node.get_name()}, {prefix or 'node'}")
     return made
+
+
+def _declare(node: Node, name: str, entry: Setting) -> Any:
+    descriptor = _descriptor(entry)
+    try:
+        if entry.is_open_list:
+            # ROS cannot tell the type of an empty list.
+            value = node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
+            return [text for text in value or [] if text]
+        default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
+        return node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
 
 
 def _descriptor(entry: Setting) -> ParameterDescriptor:

@@ -299,7 +299,7 @@ class PlannerNode(ManagedNode):
 
 def main() -> None:
     """Run the planner."""
-    sys.exit(run(PlannerNode, PlannerNode, None, sys.argv))
+    sys.exit(run(PlannerNode, None, sys.argv))
 
 
 if __name__ == "__main__":

@@ -22,15 +22,12 @@ class Process:
         Of node and executable.
     parameters
         Given on its command line, after the parameter file.
-    managed
-        Whether it is a lifecycle node.
     first
         Whether it is up before the others are started: it needs the whole machine to get ready.
     """
 
     name: str
-    parameters: dict[str, bool | int | float | str]
-    managed: bool = True
+    parameters: dict[str, bool | int | float | str | list[str]]
     first: bool = False
 
     @property
@@ -84,7 +81,7 @@ def processes(options: StackOptions) -> list[Process]:
         obstacles = {"max_spheres": 1, "sphere_stiffness": ball.stiffness, "sphere_damping": ball.damping}
     table = []
     if options.bag:
-        table.append(Process("recorder", {"bag": options.bag}, managed=False))
+        table.append(Process("recorder", {"bag": options.bag, "custom_data": [f"scene={options.scene}", f"seed={options.seed}"]}))
     if options.driver:
         table.append(Process("driver", simulation))
     table.append(Process("observer", time))

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import datetime
-import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-import rclpy
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.topic_recorder import TopicRecorder
 from contact_reach_ros.recording.bag_writer import COMPRESSIONS, BagWriter
 from contact_reach_ros.recording.topics import parse_topic
+from contact_reach_ros.settings import Settings, setting
+
+PRIORITY = 40
 
 RECORDED = (
     topics.JOINT_STATES,
@@ -47,29 +47,67 @@ FLUSH_PERIOD = 1.0
 """A recorder that is killed loses what came within this time, s."""
 
 
-class RecorderNode(Node):
-    """The recorder as a node.
+@dataclass(frozen=True)
+class RecorderSettings(Settings):
+    """What to record, and where to."""
 
-    Raises
-    ------
-    BagError
-        If the bag cannot be made or a parameter is not accepted.
-    """
+    bag: str = setting("", "directory to create; named after date and time when empty, never overwritten")
+    topics: tuple[str, ...] = setting((), "name or name:package/msg/Type each; everything of the stack when empty")
+    custom_data: tuple[str, ...] = setting((), "key=value each: text to keep in the bag, such as scene and seed")
+
+
+@dataclass(frozen=True)
+class StorageSettings(Settings):
+    """How to store it."""
+
+    compression: str = setting(
+        "zstd", "compression of the file's chunks: half the size for a tenth more work", choices=COMPRESSIONS
+    )
+
+
+class RecorderNode(ManagedNode):
+    """Records from its activation to its deactivation."""
+
+    NAME = "recorder"
+    SECTIONS = {"": RecorderSettings, "storage": StorageSettings}
 
     def __init__(self) -> None:
-        super().__init__("recorder")
-        started = datetime.datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
-        directory = self._text("bag", f"contact_reach_{started}", "Directory to create for the bag.")
-        listed = self._texts("topics", "Topics, as name or name:package/msg/Type; all of the stack if empty.")
-        choices = ", ".join(COMPRESSIONS)
-        compression = self._text("storage.compression", "zstd", f"Compression of the file: one of {choices}.")
-        entries = self._texts("custom_data", "Text to keep in the bag, as key=value.")
-        wanted = [parse_topic(text) for text in listed or [topic.name for topic in RECORDED]]
-        custom_data = dict(map(_key_and_value, entries))
-        self._writer = BagWriter(directory, compression=compression, custom_data=custom_data)
+        super().__init__()
+        self._writer: BagWriter | None = None
+        self._recorder: TopicRecorder | None = None
+        self._next_discovery = self._next_flush = 0.0
+        self._lock = threading.Lock()
+        """Between the loop thread and a deactivation."""
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make the bag."""
+        settings: RecorderSettings = self.settings[""]
+        directory = settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}"
+        try:
+            wanted = [parse_topic(text) for text in settings.topics or [topic.name for topic in RECORDED]]
+            custom_data = dict(map(_key_and_value, settings.custom_data))
+            compression = self.settings["storage"].compression
+            self._writer = BagWriter(Path(directory), compression=compression, custom_data=custom_data)
+        except BagError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
         self._recorder = TopicRecorder(self, self._writer, wanted)
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Complete the bag."""
+        result = super().on_deactivate(state)
+        self.close()
+        return result
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """Messages written and lost."""
+        if self._writer is None or self._recorder is None:
+            return "", {}
+        lost = self._recorder.lost
+        return f"{lost} messages lost" if lost else "", {"messages": self._writer.message_count, "messages lost": lost}
 
     def turn(self) -> None:
         """Write what has arrived; now and then look for new topics and hand the data to the disk.
@@ -79,16 +117,22 @@ class RecorderNode(Node):
         BagError
             If the disk refuses.
         """
+        self._stop.wait(DRAIN_PERIOD)
+        with self._lock:
+            if self._writer is not None and self._recorder is not None:
+                self._record(self._writer, self._recorder)
+
+    def _record(self, writer: BagWriter, recorder: TopicRecorder) -> None:
         now = time.monotonic()
         if now >= self._next_discovery:
             self._next_discovery = now + DISCOVERY_PERIOD
-            self._recorder.discover()
-        self._recorder.drain()
+            recorder.discover()
+        recorder.drain()
         if now >= self._next_flush:
             self._next_flush = now + FLUSH_PERIOD
-            self._writer.flush()
+            writer.flush()
 
-    def finish(self) -> None:
+    def close(self) -> None:
         """Write what is still on its way and complete the bag.
 
         Raises
@@ -96,53 +140,22 @@ class RecorderNode(Node):
         BagError
             If the disk refuses.
         """
-        with self._writer:
-            self._recorder.stop()
-        size = sum(file.stat().st_size for file in self._writer.directory.iterdir()) / 1e6
+        with self._lock:
+            if self._writer is None or self._recorder is None:
+                return
+            writer, recorder = self._writer, self._recorder
+            self._writer = self._recorder = None
+            with writer:
+                recorder.stop()
+        size = sum(file.stat().st_size for file in writer.directory.iterdir()) / 1e6
         self.get_logger().info(
-            f"recorded {self._writer.message_count} messages ({self._recorder.lost} lost), {size:.1f} MB,"
-            f" in {self._writer.directory}"
+            f"recorded {writer.message_count} messages ({recorder.lost} lost), {size:.1f} MB, in {writer.directory}"
         )
 
-    def _text(self, name: str, default: str, description: str) -> str:
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        return str(self.declare_parameter(name, default, descriptor).value)
 
-    def _texts(self, name: str, description: str) -> list[str]:
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        value = self.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
-        return [text for text in value or [] if text]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the recorder until SIGINT or SIGTERM; 0 if the bag is complete, 1 otherwise."""
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = RecorderNode()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        # Serves parameters and the like; the messages are drained by this thread.
-        spinning = threading.Thread(target=executor.spin, name="spin", daemon=True)
-        spinning.start()
-        try:
-            while not stop.wait(DRAIN_PERIOD):
-                node.turn()
-        finally:
-            try:
-                node.finish()
-            finally:
-                executor.shutdown()
-                spinning.join()
-                node.destroy_node()
-    except (BagError, InvalidParameterTypeException) as error:
-        print(f"recorder: {error}", file=sys.stderr)
-        return 1
-    finally:
-        rclpy.try_shutdown()
-    return 0
+def main() -> None:
+    """Run the recorder."""
+    sys.exit(run(RecorderNode, PRIORITY, sys.argv))
 
 
 def _key_and_value(text: str) -> tuple[str, str]:
@@ -153,4 +166,4 @@ def _key_and_value(text: str) -> tuple[str, str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

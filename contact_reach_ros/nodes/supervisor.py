@@ -114,7 +114,6 @@ class Supervisor:
         clients = {
             process.name: self._node.create_client(GetState, f"/{process.name}/get_state")
             for process in processes
-            if process.managed
         }
         missing = {process.name: "no such node yet" for process in processes}
         try:
@@ -125,7 +124,7 @@ class Supervisor:
                     raise StackError(f"not active after {timeout:.0f} s: {named}{self._see_log()}")
                 progress("waiting for " + ", ".join(missing))
                 for name in list(missing):
-                    state = self._state_of(name, clients.get(name))
+                    state = self._state_of(clients[name])
                     if state == _ACTIVE:
                         del missing[name]
                     elif state:
@@ -168,10 +167,8 @@ class Supervisor:
             arguments += ["-p", f"{key}:={json.dumps(value)}"]
         return arguments
 
-    def _state_of(self, name: str, client: Client | None) -> str:
-        """Lifecycle state of a node, or 'active' for a plain one that is there; empty while unknown."""
-        if client is None:
-            return _ACTIVE if name in self._node.get_node_names() else ""
+    def _state_of(self, client: Client) -> str:
+        """Lifecycle state of a node; empty while unknown."""
         if not client.service_is_ready():
             return ""
         response = self._call(client, GetState.Request(), 1.0)

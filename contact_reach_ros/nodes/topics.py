@@ -14,8 +14,8 @@ from std_msgs.msg import Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-"""What publishers offer: reliable, so that recorders and lockstep lose nothing."""
+STREAM = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""What publishers offer: reliable and deep, so that recorders and lockstep lose nothing even when they are late."""
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The last message is given to whoever comes later."""

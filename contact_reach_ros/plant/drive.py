@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,7 @@ class Drive:
         if torque.shape != (iiwa14.N_JOINTS,):
             self.rejected += 1
             raise InputError(f"effort_controller/commands: data has {torque.size} values; expected {iiwa14.N_JOINTS}")
-        if not np.isfinite(torque.sum()):
+        if not math.isfinite(sum(torque.tolist())):
             self.rejected += 1
             raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
         self._command = torque

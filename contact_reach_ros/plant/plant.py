@@ -160,13 +160,13 @@ class Plant:
         damping, friction = {
             Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
             Actuation.DAMPED_HOLD: (joints.hold_damping, scale * joints.coulomb_friction),
-            Actuation.BRAKED: (joints.brake_damping, joints.brake_torque),
+            Actuation.BRAKED: (scale * joints.viscous_friction, joints.brake_torque),
         }[self.actuation]
-        # MuJoCo integrates joint damping implicitly, so the brakes are stable whatever the inertia.
+        # MuJoCo integrates joint damping implicitly, so the damped hold is stable whatever the inertia.
         self.model.dof_damping[self._arm] = damping
         self.model.dof_frictionloss[self._arm] = friction
         # Dry friction creeps the slower the nearer to 1 its impedance is; with MuJoCo's 0.9 a push of 10 N would move
-        # the braked arm by 2 cm/s.
+        # the braked arm by 10 cm/s.
         impedance = _BRAKE_IMPEDANCE if self.actuation is Actuation.BRAKED else _IMPEDANCE
         self.model.dof_solimp[self._arm, :2] = impedance
 

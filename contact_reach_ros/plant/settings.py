@@ -26,7 +26,6 @@ class JointSettings(Settings):
     viscous_friction: float = setting(0.3, "friction per speed", unit="Nm s/rad", minimum=0.0, maximum=50.0)
     coulomb_friction: float = setting(0.2, "dry friction", unit="Nm", minimum=0.0, maximum=50.0)
     hold_damping: float = setting(30.0, "damping of the damped hold", unit="Nm s/rad", minimum=1.0, maximum=500.0)
-    brake_damping: float = setting(200.0, "damping of the brakes", unit="Nm s/rad", minimum=1.0, maximum=1000.0)
     brake_torque: float = setting(150.0, "what a closed brake holds", unit="Nm", minimum=1.0, maximum=1000.0)
 
 

@@ -186,7 +186,7 @@ class Episode:
         """Seconds; NaN without plans."""
         stamps = [
             message.message.header.stamp.sec * NANOSECONDS + message.message.header.stamp.nanosec
-            for message in self._reader.messages(["/reference/pose"])
+            for message in self._reader.messages([name for name in ["/reference/pose"] if name in self._reader.topics()])
         ]
         if not stamps:
             return float("nan")

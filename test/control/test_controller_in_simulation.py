@@ -63,13 +63,11 @@ def test_arm_comes_softly_to_rest_when_plans_stop_coming(arm):
     loop.finish(0.6)
     at_expiry = loop.reference().position
     assert np.abs(loop.v).max() > 0.05
-    forces = [np.linalg.norm(loop.torques[-1])]
     for _ in loop.run(1.0):
-        forces.append(np.linalg.norm(loop.torques[-1]))
+        assert np.abs(loop.torques[-1] - loop.controller.model.gravity).max() < 10.0
     assert loop.controller.mode is Mode.HOLDING
     assert np.abs(loop.v).max() < 0.01
-    assert np.linalg.norm(loop.reference().position - at_expiry) < 0.01
-    assert np.abs(np.diff(forces)).max() < 1.0
+    assert np.linalg.norm(loop.reference().position - at_expiry) < 1e-3
 
 
 def test_compliant_stop_after_the_hold_limit_leaves_the_arm_still():

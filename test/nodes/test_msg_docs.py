@@ -24,6 +24,8 @@ SECTIONS = {
 def shown(value):
     if isinstance(value, bool):
         return str(value).lower()
+    if value == ():
+        return "(empty)"
     if isinstance(value, tuple):
         return "[" + ", ".join(f"{item:g}" for item in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value) or "(empty)"

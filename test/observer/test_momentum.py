@@ -1,0 +1,213 @@
+"""The momentum observer on an arm that is exactly its model."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, REST, TICK_NS, ideal_plant, random_states
+
+from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.plant.plant import TICK, Actuation
+from contact_reach_ros.plant.settings import JointSettings
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+
+SETTINGS = MomentumSettings()
+TICKS_PER_LAG = round(1.0 / SETTINGS.gain / TICK)
+
+
+class Observed:
+    """The simulated arm, softly held, and the observer that knows what holds it but not what else acts."""
+
+    def __init__(self, start: np.ndarray = HOME, settings: MomentumSettings = SETTINGS, **plant) -> None:
+        self.plant = ideal_plant(start, **plant)
+        self.plant.set_actuation(Actuation.COMMANDED)
+        self.observer = MomentumObserver(settings, RobotModel())
+        self.observer.update(start, REST, None, 0)
+        self._start = start
+        self._model = RobotModel()
+
+    def step(self, external: np.ndarray = REST) -> np.ndarray:
+        """One tick with an external torque on the joints; returns the residual."""
+        q, v = self.plant.data.qpos[:7].copy(), self.plant.data.qvel[:7].copy()
+        self._model.update(q, v)
+        inertia = np.diag(self._model.mass_matrix)
+        command = self._model.bias - inertia * (400.0 * (q - self._start) + 40.0 * v)
+        self.plant.step(command + external)
+        reading = self.plant.read()
+        return self.observer.update(reading.position, reading.velocity, command, self.plant.steps * TICK_NS)
+
+    def push(self, body: str, force: tuple[float, float, float]) -> None:
+        """A force on a link at its centre of mass, base axes, N."""
+        self.plant.data.xfrc_applied[self.plant.model.body(body).id, :3] = force
+
+
+@pytest.mark.parametrize("joint", range(7), ids=iiwa14.JOINT_NAMES)
+def test_residual_follows_a_torque_step_as_a_first_order_lag(joint):
+    observed = Observed()
+    external = np.eye(7)[joint] * (10.0 if joint < 4 else 1.0)
+    residuals = np.array([observed.step(external) for _ in range(8 * TICKS_PER_LAG)])
+    shares = residuals[:, joint] / external[joint]
+    ticks = np.arange(1, len(shares) + 1)
+    reached = np.interp(1.0 - np.exp(-1.0), shares, ticks) * TICK
+    assert reached == pytest.approx(1.0 / SETTINGS.gain, rel=0.05)
+    np.testing.assert_allclose(shares, 1.0 - np.exp(-SETTINGS.gain * ticks * TICK), rtol=0, atol=0.02)
+    cross_talk = np.delete(residuals, joint, axis=1)
+    assert np.abs(cross_talk).max() < 0.02 * external[joint]
+
+
+def test_nothing_acts_nothing_is_seen():
+    for q in 0.8 * random_states(3)[0]:
+        observed = Observed(q)
+        residuals = [observed.step() for _ in range(100)]
+        assert np.abs(residuals).max() < 1e-6
+
+
+def test_free_motion_is_not_taken_for_a_push():
+    observed = Observed()
+    observed.plant.data.qvel[:] = [0.8, -0.6, 0.7, 0.8, -1.0, 0.9, 1.0]
+    observed.observer.reset()
+    residuals = np.array([observed.step() for _ in range(200)])
+    assert np.abs(residuals).max() < 0.25
+
+
+def test_external_torque_is_the_same_from_an_arm_in_motion():
+    observed = Observed()
+    observed.plant.data.qvel[:] = [0.4, -0.3, 0.4, 0.4, -0.5, 0.4, 0.5]
+    observed.observer.reset()
+    external = np.array([5.0, -8.0, 3.0, 4.0, -1.0, 1.0, 0.5])
+    for _ in range(10 * TICKS_PER_LAG):
+        residual = observed.step(external)
+    np.testing.assert_allclose(residual, external, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("link", range(1, 8))
+def test_force_on_a_link_is_not_seen_by_the_joints_beyond(link):
+    observed = Observed(HOME + 0.1 * np.arange(7))
+    observed.push(iiwa14.LINK_NAMES[link - 1], (12.0, -9.0, 15.0))
+    for _ in range(6 * TICKS_PER_LAG):
+        residual = observed.step()
+    assert np.abs(residual[link:]).max(initial=0.0) < 0.02
+    if link > 1:
+        assert np.abs(residual[:link]).max() > 0.5
+
+
+def test_force_at_the_flange_is_given_back_as_a_wrench():
+    observed = Observed(HOME + 0.1)
+    model = RobotModel()
+    wrench = np.array([8.0, -6.0, 10.0, 0.4, 0.8, -0.5])
+    for _ in range(40 * TICKS_PER_LAG):
+        model.update(observed.plant.data.qpos[:7].copy(), REST)
+        residual = observed.step(model.jacobian.T @ wrench)
+    np.testing.assert_allclose(residual, model.jacobian.T @ wrench, rtol=0, atol=0.02)
+    # The damping of the pseudo-inverse takes a share of what the arm hardly feels.
+    np.testing.assert_allclose(observed.observer.flange_wrench(damping=1e-4), wrench, rtol=0, atol=0.05)
+    np.testing.assert_allclose(observed.observer.flange_wrench(), wrench, rtol=0, atol=0.15 * np.linalg.norm(wrench))
+
+
+def test_flange_wrench_stays_finite_at_a_singularity():
+    observer = MomentumObserver(SETTINGS, RobotModel())
+    observer.update(REST, REST, REST, 0)
+    observer.residual = np.ones(7)
+    wrench = observer.flange_wrench()
+    assert np.isfinite(wrench).all()
+    # σ / (σ² + λ²) is at most 1 / (2 λ).
+    assert np.linalg.norm(wrench) <= np.linalg.norm(np.ones(7)) / (2 * 0.05)
+
+
+def test_known_friction_is_not_taken_for_a_push():
+    friction = 2.0
+    joints = JointSettings(viscous_friction=friction, coulomb_friction=0.0)
+    largest = {}
+    for expected in (0.0, friction):
+        observed = Observed(settings=MomentumSettings(viscous_friction=(expected,) * 7), joints=joints)
+        observed.plant.data.qvel[:] = 0.5
+        observed.observer.reset()
+        largest[expected] = np.abs([observed.step() for _ in range(100)]).max()
+    assert largest[friction] < 0.1
+    assert largest[0.0] > 0.5
+
+
+def drifting_states(stamps_ms: list[float]) -> list[tuple[np.ndarray, np.ndarray, int]]:
+    """States of a smooth motion at the given times."""
+    states = []
+    for stamp in stamps_ms:
+        phase = 1e-3 * stamp * 6.0 + np.arange(7)
+        states.append((HOME + 0.1 * np.sin(phase), 0.6 * np.cos(phase), round(stamp * 1e6)))
+    return states
+
+
+def driving_torque(stamp_ms: float) -> np.ndarray:
+    """Torque that moves the model along `drifting_states`."""
+    (q, v, _), *_ = drifting_states([stamp_ms])
+    model = RobotModel()
+    model.update(q, v)
+    acceleration = -3.6 * np.sin(1e-3 * stamp_ms * 6.0 + np.arange(7))
+    return model.mass_matrix @ acceleration + model.bias
+
+
+def test_steps_of_varying_length_are_taken_as_they_come():
+    external = np.array([4.0, -6.0, 2.0, 3.0, -1.0, 1.0, 0.5])
+    random = np.random.default_rng(0)
+    stamps = list(np.cumsum(random.uniform(0.3, 2.5, 150)))
+    observer = MomentumObserver(SETTINGS, RobotModel())
+    previous = 0.0
+    for (q, v, stamp_ns), stamp in zip(drifting_states(stamps), stamps, strict=True):
+        # What the observer is told leaves the external part out, so that it has to find it.
+        residual = observer.update(q, v, driving_torque(0.5 * (previous + stamp)) - external, stamp_ns)
+        elapsed = 1e-3 * (stamp - stamps[0])
+        if stamp > stamps[0]:
+            expected = external * (1.0 - np.exp(-SETTINGS.gain * elapsed))
+            np.testing.assert_allclose(residual, expected, rtol=0, atol=0.1)
+        previous = stamp
+    assert observer.gaps == 0
+
+
+class TestInterruptions:
+    """A residual of some size, and then a state that cannot be used."""
+
+    @pytest.fixture
+    def observed(self) -> Observed:
+        observed = Observed()
+        for _ in range(30):
+            observed.step(np.full(7, 1.0))
+        assert np.abs(observed.observer.residual).min() > 0.5
+        return observed
+
+    def test_gap_freezes_the_residual_and_is_counted(self, observed):
+        observer = observed.observer
+        before = observer.residual.copy()
+        # After 20 ms without states the arm moves otherwise; the jump in momentum must not be seen.
+        residual = observer.update(HOME, np.full(7, 0.5), REST, (30 + 20) * TICK_NS)
+        np.testing.assert_array_equal(residual, before)
+        assert observer.gaps == 1
+
+    def test_steps_as_long_as_the_declared_gap_are_used(self, observed):
+        observer = observed.observer
+        before = observer.residual.copy()
+        after = observer.update(HOME, REST, REST, 30 * TICK_NS + round(SETTINGS.max_gap * 1e9))
+        assert observer.gaps == 0
+        assert not np.array_equal(after, before)
+
+    def test_observer_goes_on_after_a_gap(self, observed):
+        observer, start_ns = observed.observer, 130 * TICK_NS
+        gravity = RobotModel().gravity_at(HOME)
+        observer.update(HOME, REST, gravity, start_ns)
+        before = observer.residual.copy()
+        residual = observer.update(HOME, REST, gravity, start_ns + TICK_NS)
+        np.testing.assert_allclose(residual, before * np.exp(-SETTINGS.gain * TICK), rtol=1e-9, atol=1e-9)
+
+    def test_unknown_torque_keeps_the_residual(self, observed):
+        before = observed.observer.residual.copy()
+        residual = observed.observer.update(HOME, REST, None, 31 * TICK_NS)
+        np.testing.assert_array_equal(residual, before)
+        assert observed.observer.gaps == 0
+
+    @pytest.mark.parametrize("stamp_ticks", [30, 29, -1000])
+    def test_stamps_that_do_not_advance_keep_the_residual(self, observed, stamp_ticks):
+        before = observed.observer.residual.copy()
+        residual = observed.observer.update(HOME, REST, REST, stamp_ticks * TICK_NS)
+        np.testing.assert_array_equal(residual, before)
+
+    def test_reset_forgets(self, observed):
+        observed.observer.reset()
+        np.testing.assert_array_equal(observed.observer.residual, 0)
+        np.testing.assert_array_equal(observed.observer.update(HOME, REST, REST, 31 * TICK_NS), 0)

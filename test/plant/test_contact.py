@@ -1,0 +1,137 @@
+"""Contact between the arm and a ball."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, ClosedLoop, ideal_plant, offer_plan
+
+from contact_reach_ros.control.controller import Mode
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.plant.plant import CONTACT_BODIES, Plant
+from contact_reach_ros.plant.settings import JointSettings
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.scenes.generate import capsule_segments
+from contact_reach_ros.scenes.scene import Ball, BallSettings
+
+ELBOW = 4
+FOREARM = 5
+
+
+def capsule_of(link: int) -> int:
+    return [capsule.link for capsule in iiwa14.CAPSULES].index(link)
+
+
+def ball_beside(link: int, gap: float, **settings) -> Ball:
+    """A ball to the left of the middle of a link at home, `gap` m away; below zero it overlaps."""
+    ball = BallSettings(**settings)
+    index = capsule_of(link)
+    starts, ends = capsule_segments(HOME)
+    distance = iiwa14.CAPSULES[index].radius + ball.radius + gap
+    return Ball((starts[index] + ends[index]) / 2 + (0.0, distance, 0.0), ball)
+
+
+def braked(*balls: Ball) -> Plant:
+    return ideal_plant(balls=balls, joints=JointSettings())
+
+
+def settle(plant: Plant, seconds: float = 3.0) -> None:
+    for _ in range(round(1000 * seconds)):
+        plant.step()
+
+
+def spring_force(plant: Plant, index: int = 0) -> np.ndarray:
+    """What the spring of a ball pulls with, N."""
+    ball = plant.balls[index]
+    return ball.settings.stiffness * (plant.ball_centers()[index] - ball.center)
+
+
+def depth(plant: Plant) -> float:
+    """How deep the only contact is, m."""
+    (contact,) = plant.data.contact
+    return -float(contact.dist)
+
+
+def test_no_force_while_apart():
+    plant = braked(ball_beside(ELBOW, 0.001))
+    for _ in range(200):
+        plant.step()
+        assert not plant.contact_forces().any()
+    np.testing.assert_allclose(plant.ball_centers(), [plant.balls[0].center], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("stiffness", [50.0, 500.0])
+@pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
+def test_contact_force_is_that_of_the_balls_spring_when_at_rest(stiffness, friction):
+    plant = braked(ball_beside(FOREARM, -0.02, stiffness=stiffness, friction=friction))
+    settle(plant)
+    forces = plant.contact_forces()
+    touched = CONTACT_BODIES.index(iiwa14.LINK_NAMES[FOREARM - 1])
+    assert forces[touched] == pytest.approx(np.linalg.norm(spring_force(plant)), rel=0.01)
+    assert not np.delete(forces, touched).any()
+    assert forces[touched] > 0.5
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize(("contact_stiffness", "mass"), [(300.0, 0.1), (1000.0, 0.1), (1000.0, 0.5), (10_000.0, 0.1)])
+def test_foam_is_as_stiff_as_declared_whatever_friction_and_mass(contact_stiffness, mass, friction):
+    material = {"contact_stiffness": contact_stiffness, "mass": mass, "friction": friction, "stiffness": 200.0}
+    plant = braked(ball_beside(FOREARM, -0.02, **material))
+    settle(plant)
+    assert plant.contact_forces().max() / depth(plant) == pytest.approx(contact_stiffness, rel=0.06)
+
+
+def test_force_on_a_body_is_the_sum_of_its_contacts():
+    # From left and right with the same force: nothing is left.
+    left = ball_beside(FOREARM, -0.01)
+    right = Ball(left.center * (1, -1, 1), left.settings)
+    one, both = braked(left), braked(left, right)
+    for plant in (one, both):
+        settle(plant, 1.0)
+    assert one.contact_forces().max() > 0.5
+    assert both.contact_forces().max() < 0.01 * one.contact_forces().max()
+
+
+def test_balls_do_not_fall_and_do_not_touch_each_other():
+    ball = ball_beside(ELBOW, 0.3)
+    plant = braked(ball, Ball(ball.center + (0.05, 0.0, 0.0), ball.settings))
+    settle(plant, 0.5)
+    np.testing.assert_allclose(plant.ball_centers(), [ball.center for ball in plant.balls], rtol=0, atol=1e-9)
+
+
+def test_arm_that_pushes_a_ball_slowly_feels_its_spring():
+    ball = ball_beside(FOREARM, 0.005, stiffness=100.0)
+    loop = ClosedLoop(ideal_plant(balls=(ball,)))
+    loop.finish(0.6)
+    start = loop.reference()
+    # The whole arm turns about the first joint, towards the ball.
+    turned = HOME + 0.15 * np.eye(7)[0]
+    goal = Reference(*loop.controller.model.flange_pose(turned), turned)
+    now_ns, count = loop.now_ns, 40
+    knots, ends = [], []
+    for k in range(count):
+        share = min(1.0, (k + 1) / (count - 20))
+        q = start.posture + share * (goal.posture - start.posture)
+        knots.append(Reference(*loop.controller.model.flange_pose(q), q))
+        ends.append(100_000_000 * (k + 1))
+    offer_plan(loop.controller, knots, now_ns, tuple(ends), now_ns)
+    loop.finish(3.9)
+    assert loop.controller.mode is Mode.TRACKING
+    plant = loop.plant
+    assert spring_force(plant)[1] > 2.0
+    assert plant.contact_forces().max() == pytest.approx(np.linalg.norm(spring_force(plant)), rel=0.03)
+
+
+def test_contact_is_felt_by_the_joints_as_its_jacobian_says():
+    ball = ball_beside(FOREARM, -0.02)
+    plant = braked(ball)
+    settle(plant)
+    starts, ends = capsule_segments(HOME)
+    middle = (starts[capsule_of(FOREARM)] + ends[capsule_of(FOREARM)]) / 2
+    force = -spring_force(plant)
+    # A1 turns about the vertical axis through the base.
+    contact_torque = plant.data.qfrc_constraint[0] - brake_torque(plant)
+    assert contact_torque == pytest.approx(np.cross(middle, force)[2], rel=0.05)
+
+
+def brake_torque(plant: Plant) -> float:
+    """Torque of the first joint's brake: the friction rows come before the contacts."""
+    return float(plant.data.efc_force[0])

@@ -1,0 +1,196 @@
+"""Generated scenes: targets that can be reached and balls that are in the way of the middle links only."""
+
+import dataclasses
+import functools
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import HOME, POSITION_LIMITS, mobility
+
+from contact_reach_ros.errors import SceneError
+from contact_reach_ros.plant.plant import Plant
+from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.generate import capsule_segments, make_scene, overlap_depths
+from contact_reach_ros.scenes.scene import Scene, TargetSettings, read_scene
+
+SEEDS = range(31)
+MIDDLE = ("capsule_3", "capsule_4", "capsule_5")
+HAND = ("capsule_6", "capsule_7")
+TOLERANCE = 1e-6
+
+
+@functools.cache
+def scene_of(name: str, seed: int) -> Scene:
+    return make_scene(read_scene(name), seed)
+
+
+@functools.cache
+def path_of(name: str, seed: int) -> np.ndarray:
+    scene = scene_of(name, seed)
+    path = free_path(RobotModel(), scene.start, scene.target)
+    assert path is not None
+    return path
+
+
+class Depths:
+    """How deep the ball lies in each capsule, by MuJoCo's own geometry."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.plant = Plant(scene, SensorSettings(), JointSettings(), MismatchSettings())
+        names = [self.plant.model.geom(index).name for index in range(self.plant.model.ngeom)]
+        self.capsules = {name: index for index, name in enumerate(names) if name.startswith("capsule")}
+        self.ball = names.index("ball_0")
+
+    def at(self, q: np.ndarray) -> dict[str, float]:
+        model, data = self.plant.model, self.plant.data
+        data.qpos[:7] = q
+        mujoco.mj_kinematics(model, data)
+        return {
+            name: -mujoco.mj_geomDistance(model, data, self.ball, index, 5.0, None)
+            for name, index in self.capsules.items()
+        }
+
+    def deepest(self, path: np.ndarray) -> dict[str, float]:
+        rows = [self.at(q) for q in path]
+        return {name: max(row[name] for row in rows) for name in self.capsules}
+
+
+@pytest.mark.parametrize("name", ["free", "ball"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_target_lies_in_its_box_and_can_be_reached(name, seed):
+    scene, settings = scene_of(name, seed), read_scene(name).target
+    assert (scene.target >= settings.minimum).all()
+    assert (scene.target <= settings.maximum).all()
+    model = RobotModel()
+    origin, rotation = model.flange_pose(scene.start)
+    assert np.linalg.norm(scene.target - origin) >= settings.min_distance
+    assert np.linalg.norm(scene.target - iiwa14.SHOULDER_POSITION) <= iiwa14.MAX_REACH
+    position, final_rotation = model.flange_pose(path_of(name, seed)[-1])
+    np.testing.assert_allclose(position, scene.target, rtol=0, atol=1e-3)
+    assert np.linalg.norm(pin.log3(final_rotation @ rotation.T)) < 1e-2
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ball_is_in_the_way_of_the_middle_links_only(seed):
+    scene = scene_of("ball", seed)
+    (ball,) = scene.balls
+    depths = Depths(scene)
+    settings = ball.settings
+    at_start = depths.at(scene.start)
+    assert max(at_start.values()) <= -settings.start_clearance + TOLERANCE or max(
+        at_start, key=at_start.__getitem__
+    ) == "capsule_0"
+    assert at_start["capsule_0"] <= TOLERANCE
+    deepest = depths.deepest(path_of("ball", seed))
+    middle = max(deepest[name] for name in MIDDLE)
+    assert settings.min_overlap - TOLERANCE <= middle <= settings.max_overlap + TOLERANCE
+    assert max(deepest[name] for name in HAND) <= -settings.hand_clearance + TOLERANCE
+    assert deepest["capsule_2"] <= TOLERANCE
+
+
+def test_same_seed_same_scene():
+    for name in ("free", "ball"):
+        first, second = scene_of(name, 7), make_scene(read_scene(name), 7)
+        np.testing.assert_array_equal(first.target, second.target)
+        for one, other in zip(first.balls, second.balls, strict=True):
+            np.testing.assert_array_equal(one.center, other.center)
+
+
+def test_seeds_give_different_scenes():
+    targets = {tuple(scene_of("free", seed).target) for seed in SEEDS}
+    assert len(targets) == len(SEEDS)
+    spread = np.ptp(np.array(sorted(targets)), axis=0)
+    assert (spread > 0.5 * np.subtract((0.6, 0.3, 0.5), (0.2, -0.3, 0.0))).all()
+
+
+def test_targets_go_to_both_sides():
+    sides = [np.sign(scene_of("ball", seed).target[1]) for seed in SEEDS]
+    assert {-1.0, 1.0} == set(sides)
+
+
+def test_given_target_is_kept():
+    target = np.array([0.45, 0.2, 0.3])
+    scene = make_scene(read_scene("ball"), 0, target)
+    np.testing.assert_array_equal(scene.target, target)
+    assert len(scene.balls) == 1
+
+
+@pytest.mark.parametrize("target", [(1.2, 0.0, 0.3), (0.0, 0.0, 0.4), (-0.6, 0.0, 0.3), (0.4, 0.0, -2.0)])
+@pytest.mark.parametrize("name", ["free", "ball"])
+def test_impossible_target_is_refused_with_the_reason(name, target):
+    with pytest.raises(SceneError, match=r"target \[.*\] m cannot be reached .*choose another target"):
+        make_scene(read_scene(name), 0, np.array(target))
+
+
+def test_target_that_leaves_no_room_for_the_ball_is_refused():
+    # A few centimetres from the start no part of the arm moves far enough to be blocked.
+    origin, _ = RobotModel().flange_pose(HOME)
+    with pytest.raises(SceneError, match="no target with a ball on the arm's path.*choose another target"):
+        make_scene(read_scene("ball"), 0, origin + (0.0, 0.0, 0.01))
+
+
+def test_box_without_targets_is_refused_with_what_to_change():
+    file = read_scene("free")
+    box = TargetSettings(minimum=(1.3, 1.3, 1.3), maximum=(1.4, 1.4, 1.4))
+    with pytest.raises(SceneError, match="scene 'free', seed 3: no target found .*widen the target's box"):
+        make_scene(dataclasses.replace(file, target=box), 3)
+
+
+class TestFreePath:
+    def test_path_is_straight_and_keeps_the_orientation(self):
+        model = RobotModel()
+        for seed in range(5):
+            scene, path = scene_of("free", seed), path_of("free", seed)
+            origin, rotation = model.flange_pose(scene.start)
+            direction = (scene.target - origin) / np.linalg.norm(scene.target - origin)
+            for q in path:
+                position, turned = model.flange_pose(q)
+                aside = (position - origin) - ((position - origin) @ direction) * direction
+                assert np.linalg.norm(aside) < 2e-3
+                assert np.linalg.norm(pin.log3(turned @ rotation.T)) < 0.02
+
+    def test_path_starts_at_the_start_and_has_no_jumps(self):
+        for seed in range(5):
+            path = path_of("free", seed)
+            np.testing.assert_array_equal(path[0], scene_of("free", seed).start)
+            assert np.abs(np.diff(path, axis=0)).max() < 0.1
+
+    def test_path_stays_away_from_limits_and_singularities(self):
+        model = RobotModel()
+        for seed in range(5):
+            path = path_of("free", seed)
+            assert (np.abs(path) <= POSITION_LIMITS - 0.2).all()
+            for q in path:
+                model.update(q, np.zeros(7))
+                assert np.linalg.eigvalsh(mobility(model))[0] > 0.04
+
+    def test_target_at_the_start_needs_no_path(self):
+        model = RobotModel()
+        position, _ = model.flange_pose(HOME)
+        path = free_path(model, HOME, position)
+        np.testing.assert_allclose(path, np.tile(HOME, (len(path), 1)), rtol=0, atol=1e-9)
+
+
+def test_capsules_are_where_mujoco_has_them():
+    depths = Depths(scene_of("ball", 0))
+    (ball,) = scene_of("ball", 0).balls
+    for q in path_of("ball", 0)[::10]:
+        by_mujoco = depths.at(q)
+        ours = overlap_depths(*capsule_segments(q), ball.center, ball.settings.radius)
+        expected = [by_mujoco[f"capsule_{capsule.link}"] for capsule in iiwa14.CAPSULES]
+        np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-9)
+
+
+def test_capsules_cover_their_link_frames():
+    starts, ends = capsule_segments(HOME)
+    _, origins = link_frames(HOME)
+    for capsule, start, end in zip(iiwa14.CAPSULES, starts, ends, strict=True):
+        origin = origins[capsule.link - 1]
+        along = np.clip((origin - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+        assert np.linalg.norm(start + along * (end - start) - origin) < capsule.radius

@@ -1,0 +1,177 @@
+"""Typed settings: kinds, ranges, and messages that name what is wrong and what is expected."""
+
+import array
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
+
+
+@dataclasses.dataclass(frozen=True)
+class Everything(Settings):
+    """One value of each kind."""
+
+    switch: bool = setting(True, "a switch")
+    count: int = setting(3, "a count", minimum=1, maximum=10)
+    gain: float = setting(0.5, "a gain", unit="1/s", minimum=0.0)
+    limit: float = setting(1.0, "a limit", unit="m", maximum=2.0)
+    free: float = setting(0.0, "anything finite")
+    name: str = setting("abc", "a name")
+    mode: str = setting("slow", "a mode", choices=("slow", "fast"))
+    corner: tuple[float, ...] = setting((1.0, 2.0, 3.0), "a corner", unit="m", minimum=-5.0, maximum=5.0)
+
+
+def make(**values) -> Everything:
+    return Everything.from_mapping(values, "settings.yaml")
+
+
+def test_defaults_hold_for_what_is_not_given():
+    assert make() == Everything()
+    assert make(count=4) == Everything(count=4)
+
+
+@given(
+    st.fixed_dictionaries(
+        {
+            "switch": st.booleans(),
+            "count": st.integers(1, 10),
+            "gain": st.floats(0, allow_infinity=False),
+            "limit": st.floats(max_value=2.0, allow_infinity=False),
+            "free": st.floats(allow_nan=False, allow_infinity=False),
+            "name": st.text(),
+            "mode": st.sampled_from(["slow", "fast"]),
+            "corner": st.lists(st.floats(-5, 5), min_size=3, max_size=3),
+        }
+    )
+)
+def test_values_within_the_declarations_are_taken_as_they_are(values):
+    settings = make(**values)
+    for key, value in values.items():
+        assert getattr(settings, key) == (tuple(value) if isinstance(value, list) else value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("switch", 1, "true or false"),
+        ("switch", "true", "true or false"),
+        ("switch", None, "true or false"),
+        ("count", 2.0, "an integer in [1, 10]"),
+        ("count", True, "an integer in [1, 10]"),
+        ("count", 0, "an integer in [1, 10]"),
+        ("count", 11, "an integer in [1, 10]"),
+        ("count", "3", "an integer in [1, 10]"),
+        ("gain", -1e-9, "a number in [0, inf] 1/s"),
+        ("gain", math.nan, "a number in [0, inf] 1/s"),
+        ("gain", math.inf, "a number in [0, inf] 1/s"),
+        ("gain", False, "a number in [0, inf] 1/s"),
+        ("gain", "0.5", "a number in [0, inf] 1/s"),
+        ("gain", [0.5], "a number in [0, inf] 1/s"),
+        ("limit", 2.1, "a number in [-inf, 2] m"),
+        ("free", -math.inf, "a number"),
+        ("free", 10**400, "a number"),
+        ("name", 5, "a string"),
+        ("mode", "medium", "one of slow, fast"),
+        ("mode", 1, "one of slow, fast"),
+        ("corner", (1.0, 2.0), "a list of 3 values, each a number in [-5, 5] m"),
+        ("corner", (1.0, 2.0, 3.0, 4.0), "a list of 3 values, each a number in [-5, 5] m"),
+        ("corner", 1.0, "a list of 3 values, each a number in [-5, 5] m"),
+        ("corner", "123", "a list of 3 values, each a number in [-5, 5] m"),
+    ],
+)
+def test_other_values_are_refused_and_named(key, value, expected):
+    with pytest.raises(SettingsError) as raised:
+        make(**{key: value})
+    assert str(raised.value) == f"settings.yaml: {key} = {value!r}: expected {expected}"
+
+
+@pytest.mark.parametrize("wrong", [6.0, math.nan, True, "1", None])
+def test_wrong_element_of_a_list_is_named(wrong):
+    with pytest.raises(SettingsError) as raised:
+        make(corner=[0.0, wrong, 0.0])
+    assert str(raised.value).startswith(f"settings.yaml: corner = {wrong!r}: expected a list of 3 values")
+
+
+def test_integers_become_floats_where_a_number_is_declared():
+    settings = make(gain=2, corner=[1, 2, 3])
+    assert type(settings.gain) is float
+    assert settings.corner == (1.0, 2.0, 3.0)
+    assert {type(value) for value in settings.corner} == {float}
+
+
+def test_lists_of_any_kind_become_tuples():
+    # ROS parameters come as arrays.
+    assert make(corner=array.array("d", [1, 2, 3])).corner == (1.0, 2.0, 3.0)
+
+
+def test_values_given_in_code_are_checked_alike():
+    with pytest.raises(SettingsError) as raised:
+        Everything(count=11)
+    assert str(raised.value) == "Everything.count = 11: expected an integer in [1, 10]"
+    with pytest.raises(SettingsError):
+        dataclasses.replace(Everything(), gain=-1.0)
+
+
+def test_settings_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Everything().count = 4
+
+
+def test_unknown_key_names_the_nearest_one():
+    with pytest.raises(SettingsError) as raised:
+        make(cuont=4)
+    assert str(raised.value) == "settings.yaml: unknown key 'cuont'; did you mean 'count'?"
+
+
+def test_unknown_key_that_resembles_none_lists_them_all():
+    message = unknown_key("xyzzy", ["beta", "alpha"], "file")
+    assert message == "file: unknown key 'xyzzy'; known keys: alpha, beta"
+
+
+def test_declarations_tell_what_there_is():
+    declared = {entry.name: entry for entry in Everything.declared()}
+    assert list(declared) == ["switch", "count", "gain", "limit", "free", "name", "mode", "corner"]
+    assert declared["gain"].unit == "1/s"
+    assert declared["gain"].default == 0.5
+    assert declared["gain"].description == "a gain"
+    kinds = [entry.kind for entry in declared.values()]
+    assert kinds == [bool, int, float, float, float, str, str, float]
+
+
+class TestYamlFiles:
+    def test_mapping_is_read(self, tmp_path):
+        file = tmp_path / "a.yaml"
+        file.write_text("a: 1\nb: {c: [1, 2]}\n")
+        assert read_yaml(file) == {"a": 1, "b": {"c": [1, 2]}}
+
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            (b"", "holds NoneType; expected a mapping"),
+            (b"- 1", "holds list; expected a mapping"),
+            (b"text", "holds str; expected a mapping"),
+            (b"a: [1", "not valid YAML"),
+            (b"a: \xff", "not valid YAML"),
+            (b"a: !!python/object/apply:os.getcwd []", "not valid YAML"),
+        ],
+    )
+    def test_other_content_is_refused_and_the_file_named(self, tmp_path, content, message):
+        file = tmp_path / "a.yaml"
+        file.write_bytes(content)
+        with pytest.raises(SettingsError) as raised:
+            read_yaml(file)
+        assert str(raised.value).startswith(f"{file}: {message}")
+
+    def test_file_that_cannot_be_read_is_named(self, tmp_path):
+        for path in (tmp_path / "missing.yaml", tmp_path):
+            with pytest.raises(SettingsError, match=f"{path}: cannot be read .*give the path of a YAML file"):
+                read_yaml(path)
+
+
+def test_errors_are_those_of_the_package():
+    assert issubclass(SettingsError, ContactReachError)

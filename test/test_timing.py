@@ -1,0 +1,63 @@
+"""Percentiles from buckets."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_reach_ros.timing import PERCENTILES, Histogram
+
+BUCKET_US = 5.0
+LONGEST_US = 100_000.0
+
+
+def filled(durations_us: list[float]) -> Histogram:
+    histogram = Histogram()
+    for duration in durations_us:
+        histogram.add(round(1000 * duration))
+    return histogram
+
+
+@given(st.lists(st.integers(0, 99_999), min_size=1, max_size=200), st.floats(0.1, 100))
+def test_percentiles_are_exact_to_a_bucket(durations_us, percent):
+    true = np.percentile(durations_us, percent, method="inverted_cdf")
+    assert true <= filled(durations_us).percentile_us(percent) <= true + BUCKET_US
+
+
+def test_no_percentile_exceeds_the_longest_duration():
+    histogram = filled([1.0, 2.0, 3.0])
+    assert set(histogram.summary().values()) == {3.0}
+
+
+def test_longest_duration_is_kept_exactly():
+    histogram = filled([10.0] * 99 + [250_000.25])
+    assert histogram.maximum_ns == 250_000_250
+    assert histogram.percentile_us(50) == 15.0
+    assert histogram.percentile_us(100) == 250_000.25
+
+
+def test_durations_beyond_the_last_bucket_count_as_the_longest():
+    histogram = filled([LONGEST_US, 2 * LONGEST_US, 3 * LONGEST_US])
+    assert histogram.count == 3
+    assert histogram.percentile_us(1) == 3 * LONGEST_US
+
+
+def test_negative_durations_count_as_zero():
+    histogram = filled([-1.0, -1e9])
+    histogram.add(20_000)
+    assert histogram.count == 3
+    assert histogram.percentile_us(50) == BUCKET_US
+    assert histogram.maximum_ns == 20_000
+
+
+def test_without_durations_there_is_nothing_to_say():
+    assert all(math.isnan(value) for value in Histogram().summary().values())
+
+
+def test_summary_has_the_names_that_reports_use():
+    summary = filled(list(np.linspace(0, 1000, 1001))).summary()
+    assert list(summary) == list(PERCENTILES)
+    for name, percent in PERCENTILES.items():
+        assert summary[name] == pytest.approx(10 * percent, abs=2 * BUCKET_US)
