@@ -147,7 +147,8 @@ class ControllerNode(ManagedNode):
             self.refuse("references", error)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        if message.name == OBSERVER:
+        # Before the first state there is no time to compare with.
+        if message.name == OBSERVER and self._started:
             reason = message.message if message.level >= DiagnosticStatus.ERROR else ""
             self._controller.observer_report(reason, self._clock_ns())
 

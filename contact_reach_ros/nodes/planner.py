@@ -5,8 +5,10 @@ The loop thread is the worker that solves; the executor in the main thread goes 
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -57,6 +59,8 @@ NAME = "planner"
 
 _IDLE_NS = 100_000_000
 _POLL_S = 0.003
+_RECENT = 8
+_MAX_LATENCY_NS = NANOSECONDS // 4
 _TICK_NS = int(TICK * NANOSECONDS)
 
 
@@ -66,7 +70,7 @@ class PlannerSettings(Settings):
 
     period: float = setting(0.04, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
     latency: float = setting(
-        0.04, "time from a state to the moment its plan takes effect", unit="s", minimum=0.001, maximum=0.5
+        0.04, "least time from a state to the effect of its plan; in lockstep exactly that", unit="s", minimum=0.001, maximum=0.5
     )
     goal_orientation: str = setting(
         "hold",
@@ -104,7 +108,8 @@ class PlannerNode(ManagedNode):
         self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY if self._lockstep else topics.NEWEST)
         settings = self.settings[""]
         self._period_ns = int(settings.period * NANOSECONDS)
-        self._latency_ns = int(settings.latency * NANOSECONDS)
+        self._min_latency_ns = int(settings.latency * NANOSECONDS)
+        self._recent_ns: deque[int] = deque(maxlen=_RECENT)
         self._order = JointOrder(iiwa14.JOINT_NAMES)
         self._model = RobotModel()
         self._planner: RecedingHorizonPlanner | None = None
@@ -124,8 +129,12 @@ class PlannerNode(ManagedNode):
         settings = self.settings[""]
         try:
             budget = load_budget(settings.contact_budget)
+            planning = self.settings["planning"]
+            if self._lockstep:
+                # A deadline on the wall clock would let the result depend on how busy the machine is.
+                planning = dataclasses.replace(planning, deadline=0.0)
             self._planner = RecedingHorizonPlanner(
-                self.settings["planning"], self.settings["impedance"], budget.permitted_force, settings.max_spheres
+                planning, self.settings["impedance"], budget.permitted_force, settings.max_spheres
             )
             began = time.monotonic()
             self._planner.warm_up(lambda line: self.get_logger().info(line))
@@ -182,12 +191,21 @@ class PlannerNode(ManagedNode):
         self._state = (q, v)
         now_ns = nanoseconds(message.header.stamp)
         if self._goal is not None and now_ns >= self._due_ns:
-            effect_ns = now_ns + self._latency_ns
+            effect_ns = now_ns + self._latency_ns()
             self._promise(effect_ns - _TICK_NS)
-            self._make_plan(q, v, now_ns, effect_ns, self._goal)
+            try:
+                self._make_plan(q, v, now_ns, effect_ns, self._goal)
+            except InputError as error:
+                self.refuse("plans", error)
             self._due_ns = now_ns + self._period_ns
         # Nothing can take effect before the next plan that may still be asked for.
-        self._promise(max(now_ns + _TICK_NS, self._due_ns) + self._latency_ns - _TICK_NS)
+        self._promise(max(now_ns + _TICK_NS, self._due_ns) + self._min_latency_ns - _TICK_NS)
+
+    def _latency_ns(self) -> int:
+        """Time until a plan begun now can take effect: what the last ones took, on a machine that may be busy."""
+        if self._lockstep or not self._recent_ns:
+            return self._min_latency_ns
+        return min(max(self._min_latency_ns, *self._recent_ns), _MAX_LATENCY_NS)
 
     def _make_plan(self, q: np.ndarray, v: np.ndarray, now_ns: int, effect_ns: int, goal: Goal) -> None:
         began_ns = time.monotonic_ns()
@@ -195,7 +213,8 @@ class PlannerNode(ManagedNode):
         self._publish(plan)
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
-        self._late += took_ns > self._latency_ns
+        self._recent_ns.append(took_ns)
+        self._late += took_ns > effect_ns - now_ns
         self._plan = plan
 
     def _promise(self, until_ns: int) -> None:

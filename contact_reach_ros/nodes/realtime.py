@@ -94,23 +94,22 @@ class Inbox:
         wait_set.wait(max(timeout_ns, 0))
         for index, (subscription, handle) in enumerate(self._subscriptions):
             if wait_set.is_ready("subscription", index):
-                while (message := self._take(subscription)) is not None:
-                    handle(message)
+                self._handle_all(subscription, handle)
 
     def poll(self) -> None:
         """Handle all messages that are there, without a wait: cheaper where the thread sleeps by the clock anyway."""
         for subscription, handle in self._subscriptions:
-            while (message := self._take(subscription)) is not None:
-                handle(message)
+            self._handle_all(subscription, handle)
 
     def wake(self) -> None:
         """End a wait in the loop thread; may be called from any thread."""
         self._wake.trigger()
 
-    def _take(self, subscription: Subscription) -> Any:
-        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        if taken is None:
-            return None
-        message, information = taken
-        self.received_ns = information["received_timestamp"]
-        return message
+    def _handle_all(self, subscription: Subscription, handle: Callable[[Any], None]) -> None:
+        """Take all messages, then handle them: those that come meanwhile have to wait, or a slow handler never ends."""
+        taken = []
+        while (pair := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            taken.append(pair)
+        for message, information in taken:
+            self.received_ns = information["received_timestamp"]
+            handle(message)

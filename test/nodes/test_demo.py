@@ -1,0 +1,122 @@
+"""The main job, end to end and in lockstep: stack up, goal on the topic, arm reaches it, bag and report written."""
+
+import json
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
+
+TYPES = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/effort_controller/commands": "std_msgs/msg/Float64MultiArray",
+    "/goal_pose": "geometry_msgs/msg/PoseStamped",
+    "/reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
+    "/reference/posture": "trajectory_msgs/msg/JointTrajectory",
+    "/obstacles": "visualization_msgs/msg/MarkerArray",
+    "/external_torque": "sensor_msgs/msg/JointState",
+    "/external_wrench": "geometry_msgs/msg/WrenchStamped",
+    "/safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/plan/path": "nav_msgs/msg/Path",
+    "/sim/contacts": "sensor_msgs/msg/JointState",
+    "/robot_description": "std_msgs/msg/String",
+    "/clock": "rosgraph_msgs/msg/Clock",
+}
+
+
+def demo(folder, *arguments):
+    parameters = parameter_file(folder / "small.yaml", planner=SMALL_PLANNER)
+    command = [*module("cli"), "demo", "--lockstep", "--output", str(folder / "bags"), "--json", str(folder / "r.json")]
+    return subprocess.run(
+        [*command, "--parameters", str(parameters), *arguments],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ball")
+    result = demo(folder, "--scene", "ball", "--seed", "1")
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result, json.loads((folder / "r.json").read_text())
+
+
+def test_the_goal_is_reached_and_reported(ball):
+    result, report = ball
+    assert report["reached"] and report["safety_events"] == []
+    assert report["final_error_m"] <= 0.01
+    assert 0.1 < report["distance_m"] < 0.8
+    # Nothing moves faster than the limit that the bound on the step and the gains set.
+    assert report["time_ratio"] >= 1.0 - 1e-3 and report["duration_s"] > 0.0
+    assert 0.0 <= report["max_contact_force_N"] < 30.0
+    assert 0.0 < report["max_external_torque_Nm"] < 30.0
+    assert report["ticks"] > 1000 * report["duration_s"]
+    assert set(report["round_trip_us"]) == {"p50", "p99", "p999"}
+    assert set(report["plan_ms"]) == {"p50", "p95", "max"} and report["plan_ms"]["p50"] > 0.0
+    assert 0.0 < report["plan_age_ms_max"] < 300.0
+    assert "reached" in result.stdout and "Traceback" not in result.stdout + result.stderr
+
+
+def test_the_plot_is_a_picture(ball):
+    _, report = ball
+    assert Path(report["plot"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_bag_opens_with_the_mcap_library(ball):
+    _, report = ball
+    (file,) = Path(report["bag"]).glob("*.mcap")
+    counts, types, stamps = Counter(), {}, []
+    with file.open("rb") as stream:
+        for schema, channel, _, message in make_reader(
+            stream, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
+            counts[channel.topic] += 1
+            types[channel.topic] = schema.name
+            if channel.topic == "/joint_states":
+                stamps.append((message.header.stamp.sec, message.header.stamp.nanosec))
+    assert types == TYPES
+    assert counts["/goal_pose"] == 1 and counts["/robot_description"] == 1
+    assert counts["/reference/pose"] == counts["/reference/posture"] == counts["/plan/path"] > 20
+    # In lockstep every state is answered, and none is missing.
+    assert len(stamps) > 1000
+    distinct = sorted(set(stamps))
+    steps = [
+        (later[0] - earlier[0]) * 1_000_000_000 + later[1] - earlier[1]
+        for earlier, later in zip(distinct, distinct[1:], strict=False)
+    ]
+    assert set(steps) == {1_000_000}
+
+
+def test_the_bag_opens_with_rosbags_and_the_counts_agree(ball):
+    _, report = ball
+    with AnyReader([Path(report["bag"])]) as reader:
+        assert {name: topic.msgtype for name, topic in reader.topics.items()} == TYPES
+        counted = Counter(connection.topic for connection, _, _ in reader.messages())
+        assert counted == {name: topic.msgcount for name, topic in reader.topics.items()}
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+
+
+def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):
+    result = demo(tmp_path, "--goal", "2.0", "0.0", "0.5")
+    assert result.returncode == 2
+    assert "2.0" in result.stderr and "Traceback" not in result.stderr
+
+
+def test_an_unknown_scene_lists_the_scenes(tmp_path):
+    result = demo(tmp_path, "--scene", "moon")
+    assert result.returncode == 2
+    assert "ball, free" in result.stderr
+
+
+def test_the_version_is_printed():
+    result = subprocess.run([*module("cli"), "--version"], capture_output=True, text=True, check=True)
+    assert result.stdout.startswith("contact-reach ")
