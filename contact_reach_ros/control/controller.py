@@ -115,6 +115,10 @@ class Controller:
         _check_state(q, v)
         self.model.update(q, v)
         self._watch_observer(clock_ns)
+        if now_ns < self._last_ns:
+            # The clock was set back: what has been going on for a while still has.
+            self._started_ns -= self._last_ns - now_ns
+            self._hold_since_ns -= self._last_ns - now_ns
         supervision = self.settings.supervision
         if self.mode is Mode.STOPPED:
             torque = self.model.bias - self.model.gravity - self._stop_damping * v
@@ -126,7 +130,7 @@ class Controller:
             repulsion = self.repulsion.torque(q, v)
             if repulsion is not None:
                 torque += repulsion
-            since_start = max(now_ns - self._started_ns, 0) / NANOSECONDS
+            since_start = (now_ns - self._started_ns) / NANOSECONDS
             if since_start < supervision.start_ramp:
                 torque *= since_start / supervision.start_ramp
         torque += self._hold_torque()
@@ -209,7 +213,7 @@ class Controller:
     def _held(self, now_ns: int) -> Reference:
         """The pose to hold; after a plan the reference decays to it, and after a further limit the arm stops."""
         supervision = self.settings.supervision
-        held_for = max(now_ns - self._hold_since_ns, 0) / NANOSECONDS
+        held_for = (now_ns - self._hold_since_ns) / NANOSECONDS
         if self._had_plan and held_for > supervision.hold_limit:
             self.stop(f"no valid plan for {supervision.hold_limit:g} s")
         if held_for < supervision.hold_blend:

@@ -41,7 +41,18 @@ INTERRUPTED = 130
 
 _LOOK_S = 0.1
 _LINE_S = 1.0
-_RECORDER_S = 3.0
+_DISCOVERY_S = 15.0
+_RECORDED = (
+    topics.JOINT_STATES,
+    topics.COMMANDS,
+    topics.EXTERNAL_TORQUE,
+    topics.SIM_CONTACTS,
+    topics.SAFETY_STATE,
+    topics.DIAGNOSTICS,
+    topics.REFERENCE_POSE,
+    topics.GOAL_POSE,
+)
+"""What the judgement of a demo rests on."""
 
 
 @dataclass(frozen=True)
@@ -168,8 +179,9 @@ def _drive_to_goal(
     publisher = node.create_publisher(topics.GOAL_POSE.type, topics.GOAL_POSE.name, topics.GOAL_POSE.qos)
     began = time.monotonic()
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    # Planner and recorder have to know this publisher before it says something.
-    deadline = time.monotonic() + _RECORDER_S
+    supervisor.wait_heard("recorder", _RECORDED, _DISCOVERY_S)
+    # Planner and recorder have to be matched with this publisher before it says something.
+    deadline = time.monotonic() + _DISCOVERY_S
     while publisher.get_subscription_count() < 2 and time.monotonic() < deadline:
         supervisor.spin(_LOOK_S)
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)

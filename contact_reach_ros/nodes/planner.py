@@ -114,6 +114,7 @@ class PlannerNode(ManagedNode):
         self._model = RobotModel()
         self._planner: RecedingHorizonPlanner | None = None
         self._goal: Goal | None = None
+        self._early_goal: PoseStamped | None = None
         self._spheres = Spheres.none()
         self._rests: dict[int, np.ndarray] = {}
         self._state: tuple[np.ndarray, np.ndarray] | None = None
@@ -189,6 +190,9 @@ class PlannerNode(ManagedNode):
             self.refuse("joint states", error)
             return
         self._state = (q, v)
+        if self._early_goal is not None:
+            early, self._early_goal = self._early_goal, None
+            self._on_goal(early)
         now_ns = nanoseconds(message.header.stamp)
         if self._goal is not None and now_ns >= self._due_ns:
             effect_ns = now_ns + self._latency_ns()
@@ -249,7 +253,9 @@ class PlannerNode(ManagedNode):
 
     def _on_goal(self, message: PoseStamped) -> None:
         if self._state is None:
-            self.refuse("goals", InputError("goal_pose: no joint state yet; is the driver running?"))
+            # It is checked, and counts, as soon as the pose of the arm is known.
+            self._early_goal = message
+            self.get_logger().info("goal_pose: waiting for the first joint state")
             return
         try:
             _, rotation = self._model.flange_pose(self._state[0])

@@ -25,6 +25,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.processes import Process
 from contact_reach_ros.nodes.realtime import Inbox
+from contact_reach_ros.nodes.topics import Topic
 
 _ACTIVE = "active"
 _POLL_S = 0.1
@@ -93,6 +94,28 @@ class Supervisor:
             for process in processes:
                 self._start(process)
             self._wait_active(processes, deadline, timeout, progress)
+
+    def wait_heard(self, listener: str, heard: Sequence[Topic], timeout: float) -> None:
+        """Wait until a node has subscribed to topics, which a recorder does only once it has discovered a publisher.
+
+        Raises
+        ------
+        StackError
+            If a process died, or the time is over; the topics that are not heard are named.
+        """
+        deadline = time.monotonic() + timeout
+        missing = list(heard)
+        while missing:
+            self.check()
+            if time.monotonic() > deadline:
+                names = ", ".join(topic.name for topic in missing)
+                raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._see_log()}")
+            self.spin(_POLL_S)
+            missing = [topic for topic in missing if listener not in self._listeners(topic)]
+
+    def _listeners(self, topic: Topic) -> set[str]:
+        name = self._node.resolve_topic_name(topic.name)
+        return {endpoint.node_name for endpoint in self._node.get_subscriptions_info_by_topic(name)}
 
     def _start(self, process: Process) -> None:
         environment = dict(os.environ)

@@ -68,6 +68,9 @@ def test_repulsion_is_continuous(joint, side, depth, speed):
 def test_repulsion_at_the_limit_is_the_declared_share(joint, side):
     torque = repulsion_at(joint, side, SETTINGS.joint_limit_margin)
     assert -side * torque[joint] == pytest.approx(SETTINGS.joint_limit_torque_share * TORQUE_LIMITS[joint])
+    # It grows with the square, so that it begins without a kink.
+    halfway = repulsion_at(joint, side, 0.5 * SETTINGS.joint_limit_margin)
+    assert halfway[joint] == pytest.approx(0.25 * torque[joint])
 
 
 @given(joints, sides, st.floats(0.01, 0.3), st.floats(0.01, 3.0))

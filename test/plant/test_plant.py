@@ -73,6 +73,7 @@ def test_commanded_arm_needs_a_command():
 
 def test_commanded_torque_moves_the_arm_as_the_model_says():
     plant, model = ideal_plant(), RobotModel()
+    plant.step()
     plant.set_actuation(Actuation.COMMANDED)
     random = np.random.default_rng(0)
     for _ in range(100):

@@ -170,6 +170,14 @@ class TestFreePath:
                 model.update(q, np.zeros(7))
                 assert np.linalg.eigvalsh(mobility(model))[0] > 0.04
 
+    @pytest.mark.parametrize(("elbow", "is_followed"), [(-0.9, True), (-0.5, False)])
+    def test_target_that_nearly_stretches_the_arm_is_none(self, elbow, is_followed):
+        # Both have the orientation of the start and can be reached.
+        model = RobotModel()
+        target, rotation = model.flange_pose(np.array([0.0, 1.1, 0.0, elbow, 0.0, np.pi - 1.1 + elbow, 0.0]))
+        np.testing.assert_allclose(rotation, model.flange_pose(HOME)[1], rtol=0, atol=1e-12)
+        assert (free_path(model, HOME, target) is not None) == is_followed
+
     def test_target_at_the_start_needs_no_path(self):
         model = RobotModel()
         position, _ = model.flange_pose(HOME)

@@ -1,0 +1,94 @@
+"""Whatever process dies, the arm is left at rest, one message says why, and no process stays behind."""
+
+import os
+import re
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, processes_of_domain, running, wait_for
+
+from contact_reach_ros.recording.bag_reader import BagReader
+from contact_reach_ros.recording.signals import read_signals
+
+REST = 0.1
+"""Joint speed that counts as rest, sensor noise included, rad/s."""
+
+
+@pytest.fixture
+def moving_demo(tmp_path):
+    """A demo in real time whose arm is on its way: environment, process, output file and folder."""
+    env = environment()
+    parameters = parameter_file(tmp_path / "small.yaml", planner=SMALL_PLANNER)
+    output = tmp_path / "output.txt"
+    command = [*module("cli"), "demo", "--scene", "free", "--output", str(tmp_path), "--parameters", str(parameters)]
+    with running(command, env, output) as process:
+        wait_for(lambda: moved(output) or process.poll() is not None, 300, "the arm moves")
+        assert process.poll() is None, output.read_text()
+        yield env, process, output, tmp_path
+
+
+def moved(output: Path) -> bool:
+    """Whether the demo's progress shows the arm on its way."""
+    distances = [float(text) for text in re.findall(r"distance +([0-9.]+) mm", output.read_text())]
+    return bool(distances) and distances[-1] < distances[0] - 10.0
+
+
+def joint_speeds(folder: Path) -> np.ndarray:
+    (bag,) = (path for path in folder.glob("demo_*") if path.is_dir())
+    return np.abs(read_signals(BagReader(bag)).velocity.values).max(axis=1)
+
+
+def assert_nothing_left(env):
+    wait_for(lambda: not processes_of_domain(env["ROS_DOMAIN_ID"]), 20, "all processes of the stack have ended")
+
+
+@pytest.mark.parametrize("victim", ["planner", "controller", "observer", "driver", "recorder"])
+def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(moving_demo, victim):
+    env, process, output, folder = moving_demo
+    os.kill(processes_of_domain(env["ROS_DOMAIN_ID"])[victim], signal.SIGKILL)
+    assert process.wait(120) == 1
+    text = output.read_text()
+    assert text.count(f"{victim} ended (killed by SIGKILL)") == 1
+    assert "Traceback" not in text
+    assert_nothing_left(env)
+    speeds = joint_speeds(folder)
+    assert speeds.max() > REST, "the arm never moved: the test shows nothing"
+    if victim not in ("driver", "recorder"):
+        # The last tenth of a second that the driver reported; without a driver there is no arm, without a recorder no bag.
+        assert speeds[-100:].max() < REST
+
+
+def test_ctrl_c_ends_everything_and_the_bag_is_complete(moving_demo):
+    env, process, output, folder = moving_demo
+    process.send_signal(signal.SIGINT)
+    assert process.wait(120) == 130
+    assert "Traceback" not in output.read_text()
+    assert_nothing_left(env)
+    assert joint_speeds(folder)[-100:].max() < REST
+    (bag,) = (path for path in folder.glob("demo_*") if path.is_dir())
+    assert (bag / "metadata.yaml").is_file() and BagReader(bag).summary.notes == ()
+    (log,) = folder.glob("demo_*.log")
+    assert "Traceback" not in log.read_text()
+
+
+def test_a_killed_supervisor_leaves_no_process_behind(moving_demo):
+    env, process, _, _ = moving_demo
+    process.kill()
+    process.wait()
+    assert_nothing_left(env)
+
+
+def test_bringup_names_the_node_that_cannot_start(tmp_path):
+    env = environment()
+    output = tmp_path / "output.txt"
+    parameters = parameter_file(tmp_path / "wrong.yaml", observer={"contact_budget": "/no/such/budget.yaml"})
+    small = parameter_file(tmp_path / "small.yaml", planner=SMALL_PLANNER)
+    parameters.write_text(parameters.read_text() + small.read_text())
+    command = [*module("nodes.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
+    with running(command, env, output) as process:
+        assert process.wait(300) == 1
+    assert "observer ended (exit code 1)" in output.read_text()
+    assert "/no/such/budget.yaml" in output.read_text()
+    assert_nothing_left(env)
