@@ -41,6 +41,9 @@ class Mode(Enum):
     """Latched compliant stop: no stiffness, damping and gravity only."""
 
 
+_PAUSE_NS = 5_000_000
+"""Ticks further apart than this show that the controller itself was held up."""
+
 _NOWHERE = Reference(np.zeros(3), np.eye(3), np.zeros(iiwa14.N_JOINTS))
 """Stands where there is no reference yet."""
 
@@ -70,6 +73,7 @@ class Controller:
         self._last_ns = 0
         self._had_plan = False
         self._observer_ns: int | None = None
+        self._clock_ns: int | None = None
         self._observer_stopped = ""
         limits = np.array(iiwa14.TORQUE_LIMITS)
         # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
@@ -228,6 +232,11 @@ class Controller:
         return silence if silence > self.settings.supervision.observer_timeout else None
 
     def _watch_observer(self, clock_ns: int) -> None:
+        pause_ns = 0 if self._clock_ns is None else clock_ns - self._clock_ns
+        self._clock_ns = clock_ns
+        if self._observer_ns is not None and pause_ns > _PAUSE_NS:
+            # This process was held up itself, and what the observer said meanwhile is still to be read.
+            self._observer_ns += pause_ns
         silence = self._observer_silence(clock_ns)
         if silence is not None:
             self.stop(f"observer silent for {1000 * silence:.0f} ms")

@@ -70,7 +70,9 @@ class TimedReferences:
 
 def _check_times(kind: str, ends_ns: tuple[int, ...], count: int) -> None:
     if count == 0 or len(ends_ns) != count:
-        raise InputError(f"{kind}: {count} points with {len(ends_ns)} times; expected one or more of each, equally many")
+        raise InputError(
+            f"{kind}: {count} points with {len(ends_ns)} times; expected one or more of each, equally many"
+        )
     if any(later <= earlier for earlier, later in zip((0, *ends_ns), ends_ns, strict=False)):
         raise InputError(f"{kind}: time_from_start {list(ends_ns)} ns; expected positive, strictly increasing times")
 
@@ -103,7 +105,9 @@ class ReferenceQueue:
         if knots.positions.shape[1:] != (3,) or knots.rotations.shape != (count, 3, 3):
             raise InputError("reference/pose: transforms must be one position and one rotation in each point")
         if not (np.isfinite(knots.positions).all() and np.isfinite(knots.rotations).all()):
-            raise InputError("reference/pose: transforms hold non-finite values; expected finite positions and rotations")
+            raise InputError(
+                "reference/pose: transforms hold non-finite values; expected finite positions and rotations"
+            )
         self._check_stamp("reference/pose", knots.stamp_ns, knots.ends_ns, now_ns)
         self._keep(self._poses, knots.stamp_ns, knots)
         self._pair(knots.stamp_ns, now_ns)

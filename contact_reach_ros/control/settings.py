@@ -30,7 +30,7 @@ class LimitSettings(Settings):
         0.1, "distance to a position limit at which repulsion begins", unit="rad", minimum=0.01, maximum=0.5
     )
     joint_limit_torque_share: float = setting(
-        0.3, "repulsion at the position limit, as a share of the joint's torque limit", minimum=0.0, maximum=1.0
+        0.5, "repulsion at the position limit, as a share of the joint's torque limit", minimum=0.0, maximum=1.0
     )
     joint_limit_damping: float = setting(
         10.0,

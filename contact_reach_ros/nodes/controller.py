@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -26,6 +25,7 @@ from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.observer import NAME as OBSERVER
 from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.timing import Histogram
 
@@ -67,7 +67,9 @@ class ControllerNode(ManagedNode):
         settings = ControllerSettings(
             self.settings["impedance"], self.settings["limits"], self.settings["supervision"]
         )
-        self._controller = Controller(settings, RobotModel())
+        model = RobotModel()
+        _rehearse(Controller(settings, model))
+        self._controller = Controller(settings, model)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -188,14 +190,26 @@ class ControllerNode(ManagedNode):
         return response
 
 
+def _rehearse(controller: Controller) -> None:
+    """Go through everything once: what libraries do at their first call must not happen while an arm waits."""
+    q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
+    controller.start(q, v, 0)
+    controller.tick(q, v, 1, 1)
+    pose, rotation = controller.model.flange_pose(q)
+    controller.references.offer_poses(PoseKnots(1, (10,), pose[None], rotation[None]), 1)
+    controller.references.offer_postures(PostureKnots(1, (10,), q[None]), 1)
+    for now_ns in (2, 20):
+        controller.tick(q, v, now_ns, now_ns)
+
+
 def _rotations(quaternions: list[np.ndarray]) -> np.ndarray:
     """Rotation matrices (H, 3, 3) of quaternions (x, y, z, w)."""
-    if not quaternions:
-        return np.zeros((0, 3, 3))
-    lengths = np.linalg.norm(quaternions, axis=1)
-    if not all(math.isfinite(length) and length > 1e-6 for length in lengths):
-        raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
-    return Rotation.from_quat(np.array(quaternions)).as_matrix()
+    rotations = np.empty((len(quaternions), 3, 3))
+    for index, (x, y, z, w) in enumerate(quaternions):
+        if not 1e-6 < math.hypot(w, x, y, z) < math.inf:
+            raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
+        rotations[index] = rotation_from_quaternion((w, x, y, z))
+    return rotations
 
 
 def main() -> None:

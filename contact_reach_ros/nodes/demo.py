@@ -42,6 +42,7 @@ INTERRUPTED = 130
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DISCOVERY_S = 15.0
+_DYING_S = 0.5
 _RECORDED = (
     topics.JOINT_STATES,
     topics.COMMANDS,
@@ -204,6 +205,10 @@ def _drive_to_goal(
         if reached_ns is None and watcher.distance <= SUCCESS_DISTANCE:
             reached_ns = watcher.stamp_ns
         settled = reached_ns is not None and watcher.stamp_ns - reached_ns > options.settle * NANOSECONDS
+        if watcher.stopped:
+            # When a dying process is the reason, it is named rather than the stop.
+            supervisor.spin(_DYING_S)
+            supervisor.check()
         if settled or watcher.stopped or watcher.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
             _say(watcher.line(sent_ns), done=True)
             return watcher.stamp_ns

@@ -84,7 +84,9 @@ class ObserverNode(ManagedNode):
         except ContactReachError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        self._observer = MomentumObserver(self.settings["momentum"], RobotModel())
+        model = RobotModel()
+        _rehearse(MomentumObserver(self.settings["momentum"], model))
+        self._observer = MomentumObserver(self.settings["momentum"], model)
         self._monitor = SafetyMonitor(self.settings["safety"], budget)
         return super().on_configure(state)
 
@@ -188,6 +190,14 @@ class ObserverNode(ManagedNode):
             return response
         response.success, response.message = True, "monitoring"
         return response
+
+
+def _rehearse(observer: MomentumObserver) -> None:
+    """Go through everything once: what libraries do at their first call must not happen while an arm waits."""
+    zero = np.zeros(iiwa14.N_JOINTS)
+    for stamp_ns in (0, 1_000_000):
+        observer.update(np.array(iiwa14.HOME_POSITION), zero, zero, stamp_ns)
+    observer.flange_wrench()
 
 
 def main() -> None:

@@ -21,10 +21,18 @@ class MomentumSettings(Settings):
     """Settings of the momentum observer."""
 
     gain: float = setting(
-        50.0, "K: the residual follows the external torque as a first-order lag of 1/K", unit="1/s", minimum=1.0, maximum=500.0
+        50.0,
+        "K: the residual follows the external torque as a first-order lag of 1/K",
+        unit="1/s",
+        minimum=1.0,
+        maximum=500.0,
     )
     viscous_friction: tuple[float, ...] = setting(
-        (0.0,) * iiwa14.N_JOINTS, "friction per speed that the model expects", unit="Nm s/rad", minimum=0.0, maximum=50.0
+        (0.0,) * iiwa14.N_JOINTS,
+        "friction per speed that the model expects",
+        unit="Nm s/rad",
+        minimum=0.0,
+        maximum=50.0,
     )
     max_gap: float = setting(
         0.003, "longer steps between states freeze the residual and start afresh", unit="s", minimum=0.001, maximum=0.1
@@ -95,4 +103,5 @@ class MomentumObserver:
         A damped pseudo-inverse of Jᵀ for the last state; a contact elsewhere on the arm appears as its equivalent.
         """
         jacobian = self._model.jacobian
-        return np.linalg.solve(jacobian @ jacobian.T + damping**2 * np.eye(6), jacobian @ self.residual)
+        damped = jacobian @ jacobian.T + damping**2 * np.eye(6)
+        return np.asarray(np.linalg.solve(damped, jacobian @ self.residual), dtype=np.float64)

@@ -91,8 +91,8 @@ class SafetyMonitor:
         if pushed.any():
             joint = int(np.argmax(np.abs(self._last_residual) / limits))
             raise InputError(
-                f"external torque on {iiwa14.JOINT_NAMES[joint]} is {self._last_residual[joint]:.1f} Nm; reset needs at most "
-                f"{limits[joint]:g} Nm: free the arm"
+                f"external torque on {iiwa14.JOINT_NAMES[joint]} is {self._last_residual[joint]:.1f} Nm; "
+                f"reset needs at most {limits[joint]:g} Nm: free the arm"
             )
         self.stop_reason = ""
         self._above = 0

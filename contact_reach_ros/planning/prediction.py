@@ -1,8 +1,9 @@
-"""Where the arm will be when a plan takes effect: the references in force until then, run through the transfer model."""
+"""Where the arm will be when a plan takes effect: the transfer model under the references in force until then."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -62,7 +63,7 @@ def pieces_between(
     }
     instants = [start_ns, *sorted(instant for instant in changes if start_ns < instant < end_ns), end_ns]
     pieces = []
-    for begin, end in zip(instants[:-1], instants[1:], strict=True):
+    for begin, end in itertools.pairwise(instants):
         reference = reference_at(plans, end) or hold
         duration = (end - begin) * 1e-9
         count = max(1, int(np.ceil(duration / longest - 1e-9)))
@@ -91,13 +92,16 @@ class Predictor:
         durations = np.zeros(MAX_PIECES, np.float32)
         durations[:count] = [piece.duration for piece in pieces]
 
-        def padded(name: str, shape: tuple[int, ...]) -> np.ndarray:
-            rows = np.zeros((MAX_PIECES, *shape, 1), np.float32)
-            for index, piece in enumerate(pieces):
-                rows[index, ..., 0] = getattr(piece.reference, name)
-            return rows
+        def rows(values: Sequence[Array]) -> jax.Array:
+            padded = np.zeros((MAX_PIECES, *values[0].shape, 1), np.float32)
+            padded[:count, ..., 0] = values
+            return jnp.asarray(padded)
 
-        references = Reference(padded("position", (3,)), padded("rotation", (3, 3)), padded("posture", (7,)))
+        references = Reference(
+            position=rows([piece.reference.position for piece in pieces]),
+            rotation=rows([piece.reference.rotation for piece in pieces]),
+            posture=rows([piece.reference.posture for piece in pieces]),
+        )
         start = pipeline.init(
             self._system, jnp.asarray(q[:, None], jnp.float32), jnp.asarray(v[:, None], jnp.float32), obstacles
         )

@@ -32,7 +32,9 @@ class Goal:
         if self.rotation is not None:
             rotation = _checked("goal rotation", self.rotation, (3, 3))
             if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0.0:
-                raise InputError("goal rotation: expected an orthonormal, right-handed matrix; normalise the quaternion")
+                raise InputError(
+                    "goal rotation: expected an orthonormal, right-handed matrix; normalise its quaternion"
+                )
             object.__setattr__(self, "rotation", rotation)
 
     def same_as(self, other: Goal | None) -> bool:
@@ -85,7 +87,7 @@ class Spheres:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """References of H knots and what the planner expects of them. Knot i holds in (effect + i dt, effect + (i+1) dt]."""
+    """References of H knots and what the planner expects of them; knot i holds in (effect + i dt, effect + (i+1) dt]."""
 
     number: int
     """Counted from 1 by each planner."""

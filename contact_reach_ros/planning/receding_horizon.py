@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections import deque
@@ -24,6 +23,7 @@ from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, fresh
 from contact_reach_ros.planning.solver.hybrid import HybridSolver, Solution
+from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.model import default_arm
 from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
 from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
@@ -181,7 +181,7 @@ class RecedingHorizonPlanner:
         if elapsed < 0.0 or (np.abs(q - last_q) > reachable).any():
             self.reset()
 
-    def _problem(self, q: jax.Array, v: jax.Array, obstacles: object, goal: Goal) -> Problem:
+    def _problem(self, q: jax.Array, v: jax.Array, obstacles: Obstacles | None, goal: Goal) -> Problem:
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
         weights = self._weights
         if goal.rotation is None:

@@ -36,9 +36,15 @@ class PlanningSettings(Settings):
     joint_limit_weight: float = setting(
         20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
     )
-    joint_limit_margin: float = setting(0.15, "where the cost of a joint limit starts", unit="rad", minimum=0.0, maximum=1.0)
+    joint_limit_margin: float = setting(
+        0.15, "where the cost of a joint limit starts", unit="rad", minimum=0.0, maximum=1.0
+    )
     null_motion_weight: float = setting(
-        0.003, "squared Δq, so that the elbow rests when nothing asks it to move", unit="1/rad²", minimum=0.0, maximum=1.0
+        0.003,
+        "squared Δq, so that the elbow rests when nothing asks it to move",
+        unit="1/rad²",
+        minimum=0.0,
+        maximum=1.0,
     )
     translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
     rotation_bound: float = setting(0.2, "γ of the rotation in Δx, each axis", unit="rad", minimum=0.001, maximum=1.0)
@@ -64,8 +70,11 @@ class PlanningSettings(Settings):
     )
     stagnation_steps: int = setting(3, "stagnant steps in a row that end the search", minimum=1, maximum=100)
     deadline: float = setting(
-        0.2, "wall-clock time for one plan, 0 for none (and then the same input gives the same plan)", unit="s",
-        minimum=0.0, maximum=10.0,
+        0.2,
+        "wall-clock time for one plan, 0 for none (and then the same input gives the same plan)",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
     )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 

@@ -11,7 +11,7 @@ from contact_reach_ros.planning.solver.cma_es import Distribution
 FloatArray = NDArray[np.floating]
 
 SIGMA_RANGE = (0.3, 3.0)
-"""Step size with which a carried distribution starts again, relative to the initial one: never collapsed or exploded."""
+"""Step size with which a carried distribution may start, relative to the initial one: not collapsed, not exploded."""
 
 
 def shift_matrix(horizon: int, elapsed: float) -> FloatArray:

@@ -32,8 +32,8 @@ class WatchdogSettings(Settings):
 class Drive:
     """Feeds commands to the plant and watches over them.
 
-    The brakes are closed until the first command. Commands that stop for `hold_after` seconds bring the damped hold, for
-    `stop_after` seconds a stop that is latched until `reset`.
+    The brakes are closed until the first command. Commands that stop for `hold_after` seconds bring the damped hold,
+    for `stop_after` seconds a stop that is latched until `reset`.
 
     Attributes
     ----------

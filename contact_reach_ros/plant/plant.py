@@ -106,7 +106,7 @@ class Plant:
             self._apply_joint_settings()
 
     def step(self, command: Array | None = None) -> None:
-        """Advance by one tick; `command` (7,) N m acts when the actuation is commanded, capped at the data sheet's limits.
+        """Advance by one tick; when commanded, under `command` (7,) N m, capped at the data sheet's limits.
 
         Raises
         ------
@@ -190,7 +190,12 @@ def _ball_body(index: int, ball: Ball) -> Element:
     settings = ball.settings
     body = Element("body", name=f"ball_{index}", pos=numbers(ball.center))
     for axis in ("1 0 0", "0 1 0", "0 0 1"):
-        attributes = {"type": "slide", "axis": axis, "stiffness": repr(settings.stiffness), "damping": repr(settings.damping)}
+        attributes = {
+            "type": "slide",
+            "axis": axis,
+            "stiffness": repr(settings.stiffness),
+            "damping": repr(settings.damping),
+        }
         SubElement(body, "joint", attributes)
     # MuJoCo multiplies a contact's stiffness by its effective mass and divides it by 1 - d; the ball's mass dominates
     # the former.

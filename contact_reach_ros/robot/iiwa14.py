@@ -68,7 +68,9 @@ class Capsule:
     radius: float
 
 
-def _joint(number: int, offset: Vector3, rotation: Quaternion, limit_deg: float, speed_deg: float, torque: float) -> Joint:
+def _joint(
+    number: int, offset: Vector3, rotation: Quaternion, limit_deg: float, speed_deg: float, torque: float
+) -> Joint:
     return Joint(JOINT_NAMES[number - 1], offset, rotation, math.radians(limit_deg), math.radians(speed_deg), torque)
 
 

@@ -47,7 +47,9 @@ def make_scene(file: SceneFile, seed: int, target: Array | None = None) -> Scene
     start = np.array(file.target.start)
     origin, _ = model.flange_pose(start)
     for _ in range(_TARGET_TRIES):
-        drawn = random.uniform(file.target.minimum, file.target.maximum) if target is None else np.asarray(target, float)
+        drawn = (
+            random.uniform(file.target.minimum, file.target.maximum) if target is None else np.asarray(target, float)
+        )
         path = None
         if target is not None or np.linalg.norm(drawn - origin) >= file.target.min_distance:
             path = free_path(model, start, drawn)
@@ -90,7 +92,7 @@ def overlap_depths(starts: Array, ends: Array, center: Array, radius: float) -> 
 
 
 def _place_ball(path: Array, settings: BallSettings, random: np.random.Generator) -> Array | None:
-    """A centre (3,) that elbow or forearm would run into on the path, and hand and start would not; None if none fits."""
+    """A centre (3,) that elbow or forearm would run into on the path, hand and start would not; None if none fits."""
     segments = [capsule_segments(q) for q in path]
     starts, ends = np.array([pair[0] for pair in segments]), np.array([pair[1] for pair in segments])
     middle, hand = np.isin(_LINKS, _MIDDLE_LINKS), np.isin(_LINKS, _HAND_LINKS)

@@ -129,7 +129,9 @@ def read_scene(name: str) -> SceneFile:
         raise SettingsError(f"{file}: target: minimum = {target.minimum}: expected at most maximum = {target.maximum}")
     for name, angle, limit in zip(iiwa14.JOINT_NAMES, target.start, iiwa14.POSITION_LIMITS, strict=True):
         if abs(angle) > limit:
-            raise SettingsError(f"{file}: target: start = {target.start}: expected {name} in [{-limit:.3f}, {limit:.3f}] rad")
+            raise SettingsError(
+                f"{file}: target: start = {target.start}: expected {name} in [{-limit:.3f}, {limit:.3f}] rad"
+            )
     if ball is not None and ball.min_overlap > ball.max_overlap:
         raise SettingsError(
             f"{file}: ball: min_overlap = {ball.min_overlap:g}: expected at most max_overlap = {ball.max_overlap:g} m"

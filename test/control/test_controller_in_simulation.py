@@ -19,7 +19,10 @@ def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:
     """A plan that moves the flange at about 0.09 m/s, one knot per 100 ms."""
     now = loop.reference()
     count = milliseconds // 100
-    knots = [Reference(now.position + (-0.01 * k, 0.008 * k, 0.01 * k), now.rotation, now.posture) for k in range(count)]
+    knots = [
+        Reference(now.position + np.array([-0.01 * k, 0.008 * k, 0.01 * k]), now.rotation, now.posture)
+        for k in range(count)
+    ]
     ends = tuple(100 * MS * (index + 1) for index in range(count))
     offer_plan(loop.controller, knots, loop.now_ns, ends, loop.now_ns)
 
@@ -48,7 +51,7 @@ def test_arm_follows_a_plan():
     loop = ClosedLoop(ideal_plant())
     loop.finish(0.5)
     target = loop.reference()
-    target = Reference(target.position + (0.01, -0.01, 0.01), target.rotation, target.posture)
+    target = Reference(target.position + np.array([0.01, -0.01, 0.01]), target.rotation, target.posture)
     offer_plan(loop.controller, [target], loop.now_ns, (1500 * MS,), loop.now_ns)
     loop.finish(1.0)
     assert loop.controller.mode is Mode.TRACKING

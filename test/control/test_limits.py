@@ -106,7 +106,7 @@ def greedy_reference(loop: ClosedLoop, joint: int, side: float) -> Reference:
     posture[joint] += 0.2 * side
     ahead = q.copy()
     ahead[joint] += 0.1 * side
-    position, rotation = loop.controller.model.flange_pose(q)
+    position, _ = loop.controller.model.flange_pose(q)
     target, target_rotation = loop.controller.model.flange_pose(ahead)
     step = target - position
     step *= min(1.0, 0.01 * np.sqrt(3.0) / max(np.linalg.norm(step), 1e-9))

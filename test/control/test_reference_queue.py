@@ -187,25 +187,25 @@ def test_points_without_a_time_each_are_refused(queue):
 def test_values_that_are_not_finite_are_refused(queue, value):
     bad = poses(0)
     bad.positions[1, 2] = value
-    with pytest.raises(InputError, match="reference/pose: .*non-finite"):
+    with pytest.raises(InputError, match=r"reference/pose: .*non-finite"):
         queue.offer_poses(bad, 0)
     bad = poses(0)
     bad.rotations[2, 0, 1] = value
-    with pytest.raises(InputError, match="reference/pose: .*non-finite"):
+    with pytest.raises(InputError, match=r"reference/pose: .*non-finite"):
         queue.offer_poses(bad, 0)
     bad = postures(0)
     bad.postures[0, 6] = value
-    with pytest.raises(InputError, match="reference/posture: .*7 finite angles"):
+    with pytest.raises(InputError, match=r"reference/posture: .*7 finite angles"):
         queue.offer_postures(bad, 0)
 
 
 def test_wrong_sizes_are_refused(queue):
     good = poses(0)
-    with pytest.raises(InputError, match="reference/pose: .*one position and one rotation"):
+    with pytest.raises(InputError, match=r"reference/pose: .*one position and one rotation"):
         queue.offer_poses(PoseKnots(0, good.ends_ns, good.positions[:, :2], good.rotations), 0)
-    with pytest.raises(InputError, match="reference/pose: .*one position and one rotation"):
+    with pytest.raises(InputError, match=r"reference/pose: .*one position and one rotation"):
         queue.offer_poses(PoseKnots(0, good.ends_ns, good.positions, good.rotations[:2]), 0)
-    with pytest.raises(InputError, match="reference/posture: .*7 finite angles"):
+    with pytest.raises(InputError, match=r"reference/posture: .*7 finite angles"):
         queue.offer_postures(PostureKnots(0, good.ends_ns, np.zeros((3, 6))), 0)
 
 

@@ -88,7 +88,7 @@ def singular(request) -> np.ndarray:
 def pulled_reference(model: RobotModel, q: np.ndarray) -> Reference:
     """1 cm and some posture away from the pose at `q`."""
     position, rotation = model.flange_pose(q)
-    return Reference(position + (0.006, 0.005, -0.006), rotation, q + 0.2)
+    return Reference(position + np.array([0.006, 0.005, -0.006]), rotation, q + 0.2)
 
 
 def largest_torque(model: RobotModel, law: ImpedanceLaw, q: np.ndarray, v: np.ndarray, reference: Reference) -> float:
@@ -151,7 +151,7 @@ def final_error(start: np.ndarray, reference: Reference, floor: float) -> tuple[
 
 @pytest.mark.parametrize(("elbow", "cost"), [(-0.6, 1e-5), (-0.4, 1e-3), (-0.3, 4e-3), (0.0, 11e-3)])
 def test_bounding_costs_little_task_error(elbow, cost):
-    # The arm is asked to reach 1 cm further out with a posture that it does not have; from -0.2 on that is out of reach.
+    # The arm is asked to reach 1 cm further out, in a posture that it does not have; from -0.2 on it cannot get there.
     model = RobotModel()
     start = HOME.copy()
     start[3] = elbow

@@ -26,7 +26,7 @@ def ball_beside(link: int, gap: float, **settings) -> Ball:
     index = capsule_of(link)
     starts, ends = capsule_segments(HOME)
     distance = iiwa14.CAPSULES[index].radius + ball.radius + gap
-    return Ball((starts[index] + ends[index]) / 2 + (0.0, distance, 0.0), ball)
+    return Ball((starts[index] + ends[index]) / 2 + np.array([0.0, distance, 0.0]), ball)
 
 
 def braked(*balls: Ball) -> Plant:
@@ -92,7 +92,7 @@ def test_force_on_a_body_is_the_sum_of_its_contacts():
 
 def test_balls_do_not_fall_and_do_not_touch_each_other():
     ball = ball_beside(ELBOW, 0.3)
-    plant = braked(ball, Ball(ball.center + (0.05, 0.0, 0.0), ball.settings))
+    plant = braked(ball, Ball(ball.center + np.array([0.05, 0.0, 0.0]), ball.settings))
     settle(plant, 0.5)
     np.testing.assert_allclose(plant.ball_centers(), [ball.center for ball in plant.balls], rtol=0, atol=1e-9)
 

@@ -215,7 +215,7 @@ def recording(seed: int) -> np.ndarray:
     rows, model = [], RobotModel()
     for _ in range(300):
         reading = plant.read()
-        plant.step(model.gravity_at(reading.position) + (0, 8, 0, 4, 0, 0, 0))
+        plant.step(model.gravity_at(reading.position) + np.array([0, 8, 0, 4, 0, 0, 0]))
         values = (reading.position, reading.velocity, reading.torque, plant.contact_forces(), plant.ball_centers()[0])
         rows.append(np.concatenate(values))
     return np.array(rows)
@@ -235,6 +235,4 @@ def test_time_is_counted_in_ticks():
 
 
 def test_contact_bodies_are_the_links_with_capsules():
-    assert CONTACT_BODIES == tuple(f"lbr_link_{number}" for number in range(2, 8))
-
-
+    assert list(CONTACT_BODIES) == [f"lbr_link_{number}" for number in range(2, 8)]

@@ -86,7 +86,7 @@ def test_converted_inertias_keep_kinetic_and_potential_energy():
     model = RobotModel("alternative")
     for q, v in zip(*random_states(50), strict=True):
         model.update(q, v)
-        kinetic, potential = aligned_energies(q, v)
+        kinetic, _ = aligned_energies(q, v)
         armature = 0.5 * iiwa14.ARMATURE * v @ v
         assert 0.5 * v @ model.mass_matrix @ v - armature == pytest.approx(kinetic, rel=1e-4)
         for joint, direction in enumerate(np.eye(7)):

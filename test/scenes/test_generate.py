@@ -131,14 +131,14 @@ def test_target_that_leaves_no_room_for_the_ball_is_refused(monkeypatch):
     monkeypatch.setattr(generate, "_TARGET_TRIES", 3)
     # A few centimetres from the start no part of the arm moves far enough to be blocked.
     origin, _ = RobotModel().flange_pose(HOME)
-    with pytest.raises(SceneError, match="no target with a ball on the arm's path.*choose another target"):
-        make_scene(read_scene("ball"), 0, origin + (0.0, 0.0, 0.01))
+    with pytest.raises(SceneError, match=r"no target with a ball on the arm's path.*choose another target"):
+        make_scene(read_scene("ball"), 0, origin + np.array([0.0, 0.0, 0.01]))
 
 
 def test_box_without_targets_is_refused_with_what_to_change():
     file = read_scene("free")
     box = TargetSettings(min_distance=1.5)
-    with pytest.raises(SceneError, match="scene 'free', seed 3: no target found .*widen the target's box"):
+    with pytest.raises(SceneError, match=r"scene 'free', seed 3: no target found .*widen the target's box"):
         make_scene(dataclasses.replace(file, target=box), 3)
 
 

@@ -1,4 +1,4 @@
-"""CMA-ES after Hansen's tutorial (2016), with the plain mean of the best candidates as line 13 of Algorithm 1 has it."""
+"""CMA-ES after Hansen's tutorial (2016), with the plain mean of the best candidates, as in line 13 of Algorithm 1."""
 
 from __future__ import annotations
 

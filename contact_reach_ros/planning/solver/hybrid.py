@@ -214,9 +214,7 @@ class HybridSolver(Generic[ProblemT]):
         mean, cost = points[:, index], ranked[index]
         better = cost < search.best_cost
         return Search(
-            distribution=update(
-                self._rates, search.distribution, sample.factor, elite.steps, elite.valid, mean
-            ),
+            distribution=update(self._rates, search.distribution, sample.factor, elite.steps, elite.valid, mean),
             best=jnp.where(better, mean, search.best),
             best_cost=jnp.where(better, cost, search.best_cost),
             rejected=search.rejected + elite.rejected + rejected,

@@ -1,7 +1,7 @@
 """Joint accelerations of the arm under law (3), for all lanes at once.
 
-With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the null-space torque before projection, law (3)
-makes the arm move as
+With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the null-space torque before projection, law
+(3) makes the arm move as
 
     M q̈ = Jᵀ f + τ₀ + τ_contact,    f = Λ (a − J M⁻¹ τ₀),    Λ = (J M⁻¹ Jᵀ)⁻¹,
 
@@ -21,7 +21,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact
 from contact_reach_ros.planning.transfer.dynamics import Dynamics
 from contact_reach_ros.planning.transfer.kinematics import Frames
-from contact_reach_ros.planning.transfer.lanes import Keep, cross, dot, ratio, root
+from contact_reach_ros.planning.transfer.lanes import cross, dot, ratio, root
 from contact_reach_ros.planning.transfer.model import N_LINKS
 
 N_TASK = 6
@@ -55,7 +55,6 @@ def joint_acceleration(
     reference: Reference,
     contact: Contact | None,
     timestep: float | jax.Array,
-    keep: Keep,
 ) -> jax.Array:
     """Mean joint acceleration (7, B) over a step of `timestep` seconds from midpoint positions and initial speeds.
 
@@ -88,7 +87,7 @@ def joint_acceleration(
     torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
 
     factor, solved, pivots = _factorise_mass(mass_matrix, jnp.concatenate([jacobian, jnp.stack(torques)]))
-    wrench = _task_wrench(solved, desired, implicit, keep)
+    wrench = _task_wrench(solved, desired, implicit)
     # q̈ = L⁻ᵀ (L⁻¹ Jᵀ f + L⁻¹ τ₀ + L⁻¹ τ_contact), from the last joint to the first.
     acceleration: list[jax.Array] = [wrench[0]] * N_LINKS
     for joint in reversed(range(N_LINKS)):
@@ -143,8 +142,8 @@ def _factorise_mass(
     return below, appended, pivots
 
 
-def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array, keep: Keep) -> list[jax.Array]:
-    """f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as six rows (B,), by the same recursion.
+def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array) -> list[jax.Array]:
+    """The wrench f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as six rows (B,), by the same recursion.
 
     `solved` holds for each joint the entries of L⁻¹ [Jᵀ τ₀ τ_contact], the last only if there is contact.
     """

@@ -54,7 +54,7 @@ def contact_forces(
     """Contact at the given link frames; `contact_stiffness` in N/m."""
     axes = (frames.x[:, _FIRST_LINK:], frames.y[:, _FIRST_LINK:], frames.z[:, _FIRST_LINK:])
     start = keep(frames.origin[:, _FIRST_LINK:] + combine(axes, per_link(arm.capsule_start)))
-    segment = keep(combine(axes, per_link(arm.capsule_axis)) + jnp.zeros_like(start))
+    segment = keep(combine(axes, per_link(arm.capsule_axis)))
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
     # From here on (3, capsule, sphere, B).
     to_sphere = obstacles.center[:, None] - start[:, :, None]

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.transfer.kinematics import Frames
-from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, cycled, dot, per_link, suffix_sum
+from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, dot, per_link, suffix_sum
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 
-CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+_CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+"""Each axis with the two that follow it."""
 
 
 class Dynamics(NamedTuple):
@@ -35,18 +36,20 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
     jacobian = keep(jnp.concatenate([cross(axis, frames.flange[:, None] - frames.origin), axis]))
     first, diagonal, products = _composite_inertias(arm, frames, keep)
     composite_mass = np.cumsum(arm.mass[::-1])[::-1][:, None]
+    # Component by component: XLA computes stacked rows several times slower than separate ones.
     # Momentum of everything beyond a joint when that joint alone turns at unit speed.
     velocity = jacobian[:3]
-    linear = [
-        keep(velocity[a] * composite_mass + axis[b] * first[c] - axis[c] * first[b]) for a, b, c in CYCLES
-    ]
+    linear = [keep(velocity[a] * composite_mass + axis[b] * first[c] - axis[c] * first[b]) for a, b, c in _CYCLES]
     # Row a of the inertia tensor: its moment and the products with b and c.
     angular = [
         keep(
-            first[b] * velocity[c] - first[c] * velocity[b]
-            + diagonal[a] * axis[a] + products[c] * axis[b] + products[b] * axis[c]
+            first[b] * velocity[c]
+            - first[c] * velocity[b]
+            + diagonal[a] * axis[a]
+            + products[c] * axis[b]
+            + products[b] * axis[c]
         )
-        for a, b, c in CYCLES
+        for a, b, c in _CYCLES
     ]
     momentum = [*linear, *angular]
     # Outer products summed in this form are 20 times faster than a contraction.
@@ -60,16 +63,14 @@ def _composite_inertias(arm: ArmModel, frames: Frames, keep: Keep) -> tuple[jax.
     """First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, 7, B)."""
     axes = (frames.x, frames.y, frames.z)
     center = keep(frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None])
-    mass = arm.mass[:, None]
-    first = keep(center * mass)
+    first = keep(center * arm.mass[:, None])
     diagonal = dot(first, center)[None] - first * center
-    products = [-first[a] * center[b] for a, b in ((1, 2), (2, 0), (0, 1))]
+    products = [-first[b] * center[c] for _, b, c in _CYCLES]
     # Σ_ab I_ab axis_a axis_bᵀ, the inertia about the centre of mass in base axes.
     for index, axis in enumerate(axes):
-        tensor_axis = combine(axes, per_link(arm.inertia[:, index]))
-        diagonal = diagonal + tensor_axis * axis
-        products = [
-            product + tensor_axis[a] * axis[b] for product, (a, b) in zip(products, ((1, 2), (2, 0), (0, 1)))
-        ]
-    composite = [keep(suffix_sum(keep(part))) for part in (first, diagonal, jnp.stack([keep(x) for x in products]))]
-    return composite
+        column = combine(axes, per_link(arm.inertia[:, index]))
+        diagonal = diagonal + column * axis
+        products = [product + column[b] * axis[c] for product, (_, b, c) in zip(products, _CYCLES, strict=True)]
+    parts = (first, diagonal, jnp.stack([keep(product) for product in products]))
+    first, diagonal, off_diagonal = (keep(suffix_sum(keep(part))) for part in parts)
+    return first, diagonal, off_diagonal

@@ -50,7 +50,7 @@ def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
 
 
 def flange_drift(frames: Frames, v: jax.Array, keep: Keep) -> jax.Array:
-    """J̇ q̇ of the flange, (6, B): its acceleration, linear then angular, while the joints keep their speeds `v` (7, B)."""
+    """J̇ q̇ (6, B): the flange's acceleration, linear then angular, while the joints keep their speeds `v` (7, B)."""
     rates = frames.z * v
     angular_velocity = keep(prefix_sum(rates))
     angular_acceleration = keep(prefix_sum(cross(angular_velocity, rates)))

@@ -58,19 +58,12 @@ def dot(a: jax.Array, b: jax.Array) -> jax.Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cycled(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """A (3, ...) array with its components moved up by one (y, z, x) and by two (z, x, y)."""
-    return jnp.concatenate([a[1:], a[:1]]), jnp.concatenate([a[2:], a[:2]])
-
-
-def combine(vectors: Sequence[jax.Array], weights: Sequence[np.ndarray | float]) -> jax.Array | float:
-    """Σ weights[k] * vectors[k] with constant weights, of which the zeros cost nothing; 0.0 if all are zero."""
-    total: jax.Array | float = 0.0
+def combine(vectors: Sequence[jax.Array], weights: Sequence[np.ndarray] | np.ndarray) -> jax.Array:
+    """Σ weights[k] * vectors[k] with constant weights, of which zeros and ones cost nothing."""
+    total = jnp.zeros_like(vectors[0])
     for vector, weight in zip(vectors, weights, strict=True):
-        if not np.any(weight):
-            continue
-        term = vector if np.all(weight == 1.0) else -vector if np.all(weight == -1.0) else vector * weight
-        total = term if isinstance(total, float) else total + term
+        if np.any(weight):
+            total = total + (vector if np.all(weight == 1.0) else vector * weight)
     return total
 
 

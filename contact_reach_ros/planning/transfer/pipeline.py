@@ -96,8 +96,6 @@ def step(sys: System, state: State, act: Reference) -> State:
         contact = contact_forces(sys.arm, frames, obstacles, sys.contact_stiffness, keep)
         obstacles = obstacles._replace(center=pushed(obstacles, contact, sys.contact_stiffness, timestep))
         link_force = contact.link_force
-    acceleration = joint_acceleration(
-        sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep, keep
-    )
+    acceleration = joint_acceleration(sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep)
     qd = state.qd + timestep * acceleration
     return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
