@@ -1,12 +1,12 @@
 """The stack for `ros2 launch contact_reach_ros bringup.launch.py`, from the same table as the bringup executable."""
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from contact_reach_ros.nodes.processes import PACKAGE, StackOptions, processes
+from launch import LaunchDescription
 
 ARGUMENTS = {
     "scene": ("ball", "scene: a name or the path of a YAML file"),

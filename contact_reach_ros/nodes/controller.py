@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -24,6 +24,7 @@ from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.observer import NAME as OBSERVER
+from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.robot.model import RobotModel
@@ -38,7 +39,11 @@ class ControllerNode(ManagedNode):
     """Runs the controller's tick for each joint state and publishes the torque."""
 
     NAME = NAME
-    SECTIONS = {"impedance": ImpedanceSettings, "limits": LimitSettings, "supervision": SupervisionSettings}
+    SECTIONS: ClassVar[Sections] = {
+        "impedance": ImpedanceSettings,
+        "limits": LimitSettings,
+        "supervision": SupervisionSettings,
+    }
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,7 +59,8 @@ class ControllerNode(ManagedNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._order = JointOrder(iiwa14.JOINT_NAMES)
-        self._controller: Controller | None = None
+        settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
+        self._controller = Controller(settings, RobotModel())
         self._started = False
         self._state_ns = 0
         self._state = (np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
@@ -63,13 +69,8 @@ class ControllerNode(ManagedNode):
         self._published_mode: tuple[Mode, str] | None = None
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the robot model."""
-        settings = ControllerSettings(
-            self.settings["impedance"], self.settings["limits"], self.settings["supervision"]
-        )
-        model = RobotModel()
-        _rehearse(Controller(settings, model))
-        self._controller = Controller(settings, model)
+        """Warm everything up."""
+        _rehearse(Controller(self._controller.settings, self._controller.model))
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -80,8 +81,6 @@ class ControllerNode(ManagedNode):
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Mode, plan age and computing time."""
         controller = self._controller
-        if controller is None:
-            return "", {}
         values = {
             "mode": controller.mode.value,
             "plans accepted": controller.references.accepted,
@@ -170,15 +169,12 @@ class ControllerNode(ManagedNode):
             self.get_logger().error(f"compliant stop: {controller.stop_reason}; call ~/reset to go on")
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._controller is None:
-            response.message = "the controller is not configured"
-            return response
         self._controller.stop("stop service called")
         response.success, response.message = True, "compliant stop"
         return response
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._controller is None or not self._started:
+        if not self._started:
             response.message = "the controller has not seen a joint state yet"
             return response
         try:

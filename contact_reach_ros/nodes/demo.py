@@ -129,7 +129,8 @@ def run_demo(options: DemoOptions) -> int:
     ContactReachError
         If the scene, the goal or the settings are refused.
     """
-    scene = make_scene(read_scene(options.scene), options.seed, None if options.goal is None else np.array(options.goal))
+    goal = None if options.goal is None else np.array(options.goal)
+    scene = make_scene(read_scene(options.scene), options.seed, goal)
     name = f"demo_{scene.name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
     options.output.mkdir(parents=True, exist_ok=True)
     bag = options.output.resolve() / name

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import Vector3
@@ -24,6 +24,7 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import nanoseconds, set_time, to_point
+from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
@@ -62,7 +63,7 @@ class DriverNode(ManagedNode):
     """Simulated robot behind the topics of a real one."""
 
     NAME = "driver"
-    SECTIONS = {
+    SECTIONS: ClassVar[Sections] = {
         "": DriverSettings,
         "watchdog": WatchdogSettings,
         "sensors": SensorSettings,
@@ -84,8 +85,11 @@ class DriverNode(ManagedNode):
         self._horizons = {"observer": 0, "planner": 0}
         if self._lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
-        self._plant: Plant | None = None
-        self._drive: Drive | None = None
+        settings = self.settings
+        chosen: DriverSettings = settings[""]
+        self._scene = make_scene(read_scene(chosen.scene), chosen.seed, parse_target(chosen.target))
+        self._plant = Plant(self._scene, settings["sensors"], settings["joints"], settings["mismatch"])
+        self._drive = Drive(self._plant, settings["watchdog"])
         self._start_ns = 0
         self._next_ns = 0
         self._published_ns = 0
@@ -96,17 +100,9 @@ class DriverNode(ManagedNode):
         self._peak_contact = np.zeros(len(CONTACT_BODIES))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the scene and the simulation."""
-        settings = self.settings
-        try:
-            chosen = settings[""]
-            scene = make_scene(read_scene(chosen.scene), chosen.seed, parse_target(chosen.target))
-        except ContactReachError as error:
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        self._plant = Plant(scene, settings["sensors"], settings["joints"], settings["mismatch"])
-        self._drive = Drive(self._plant, settings["watchdog"])
+        """Prepare the messages."""
         self._prepare_messages()
+        scene = self._scene
         self.get_logger().info(
             f"scene {scene.name}, seed {scene.seed}, {len(scene.balls)} ball(s); a goal for it: "
             f"{np.round(scene.target, 3).tolist()} m"
@@ -130,8 +126,6 @@ class DriverNode(ManagedNode):
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Tick rates, misses, round trip and watchdog."""
-        if self._drive is None or self._plant is None:
-            return "", {}
         values: dict[str, Any] = {
             "ticks": self._plant.steps,
             "missed ticks": self._missed,
@@ -262,17 +256,11 @@ class DriverNode(ManagedNode):
             self._horizons[message.frame_id] = nanoseconds(message.stamp)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._drive is None:
-            response.message = "the driver is not configured"
-            return response
         self._drive.stop("stop service called")
         response.success, response.message = True, "brakes closed"
         return response
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._drive is None:
-            response.message = "the driver is not configured"
-            return response
         self._drive.reset()
         response.success, response.message = True, "released; the brakes open with the next command"
         return response

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -37,8 +37,8 @@ class ManagedNode(LifecycleNode):
         Whether the node is active.
     """
 
-    NAME: str
-    SECTIONS: Sections
+    NAME: ClassVar[str]
+    SECTIONS: ClassVar[Sections]
 
     def __init__(self) -> None:
         super().__init__(self.NAME)
@@ -170,7 +170,7 @@ def _serve(node: ManagedNode, warning: str) -> int:
     def work() -> None:
         try:
             node.loop()
-        except BaseException as error:  # noqa: BLE001 - handed to the main thread, which ends the process with it
+        except BaseException as error:  # handed to the main thread, which ends the process with it
             failures.append(error)
         stop.set()
 
@@ -213,4 +213,3 @@ def _start(node: ManagedNode) -> bool:
             node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
             return False
     return True
-

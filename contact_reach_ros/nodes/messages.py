@@ -108,5 +108,7 @@ class JointOrder:
         indices = self.indices(message.name, topic)
         values = np.array(getattr(message, field), dtype=float)
         if len(values) != len(self._seen):
-            raise InputError(f"{topic}: {field} has {len(values)} values; expected one for each of {len(self._seen)} names")
+            raise InputError(
+                f"{topic}: {field} has {len(values)} values; expected one for each of {len(self._seen)} names"
+            )
         return values if indices is None else values[indices]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -15,10 +15,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, set_time
+from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
@@ -42,7 +43,9 @@ class ObserverSettings(Settings):
 
     contact_budget: str = setting("", "contact budget YAML; the one of the package when empty")
     torque_source: str = setting(
-        "measured", "torque that acts on the links: the effort of joint_states, or the commands", choices=("measured", "commanded")
+        "measured",
+        "torque that acts on the links: the effort of joint_states, or the commands",
+        choices=("measured", "commanded"),
     )
 
 
@@ -50,7 +53,7 @@ class ObserverNode(ManagedNode):
     """Runs the momentum observer and the safety monitor for each joint state."""
 
     NAME = NAME
-    SECTIONS = {"": ObserverSettings, "momentum": MomentumSettings, "safety": SafetySettings}
+    SECTIONS: ClassVar[Sections] = {"": ObserverSettings, "momentum": MomentumSettings, "safety": SafetySettings}
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,8 +70,9 @@ class ObserverNode(ManagedNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._order = JointOrder(iiwa14.JOINT_NAMES)
-        self._observer: MomentumObserver | None = None
-        self._monitor: SafetyMonitor | None = None
+        self._model = RobotModel()
+        self._observer = MomentumObserver(self.settings["momentum"], self._model)
+        self._monitor = SafetyMonitor(self.settings["safety"], load_budget(self.settings[""].contact_budget))
         self._ticks = 0
         self._last_ns = 0
         self._published_reason: str | None = None
@@ -78,22 +82,12 @@ class ObserverNode(ManagedNode):
         self._wrench_message.header.frame_id = iiwa14.BASE_NAME
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Read the contact budget and build the robot model."""
-        try:
-            budget = load_budget(self.settings[""].contact_budget)
-        except ContactReachError as error:
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        model = RobotModel()
-        _rehearse(MomentumObserver(self.settings["momentum"], model))
-        self._observer = MomentumObserver(self.settings["momentum"], model)
-        self._monitor = SafetyMonitor(self.settings["safety"], budget)
+        """Warm everything up."""
+        _rehearse(MomentumObserver(self.settings["momentum"], self._model))
         return super().on_configure(state)
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Ticks, gaps and the largest external torque."""
-        if self._observer is None or self._monitor is None:
-            return "", {}
         values = {
             "ticks": self._ticks,
             "gaps": self._observer.gaps,
@@ -172,17 +166,11 @@ class ObserverNode(ManagedNode):
         self._safety.publish(message)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._monitor is None:
-            response.message = "the observer is not configured"
-            return response
         self._monitor.stop("stop service called")
         response.success, response.message = True, "stopped"
         return response
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._monitor is None:
-            response.message = "the observer is not configured"
-            return response
         try:
             self._monitor.reset()
         except InputError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,8 @@ def declare(node: Node, sections: Sections) -> dict[str, Any]:
     """
     made: dict[str, Any] = {}
     for prefix, settings_class in sections.items():
-        values = {entry.name: _declare(node, full_name(prefix, entry.name), entry) for entry in settings_class.declared()}
+        entries = settings_class.declared()
+        values = {entry.name: _declare(node, full_name(prefix, entry.name), entry) for entry in entries}
         made[prefix] = settings_class.from_mapping(values, f"parameters of {node.get_name()}, {prefix or 'node'}")
     return made
 
@@ -86,10 +88,8 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     SettingsError
         Naming file and key, and what is accepted.
     """
-    known = {
-        full_name(prefix, entry.name): entry for prefix, cls in sections.items() for entry in cls.declared()
-    }
-    for option, value in zip(arguments, arguments[1:], strict=False):
+    known = {full_name(prefix, entry.name): entry for prefix, cls in sections.items() for entry in cls.declared()}
+    for option, value in itertools.pairwise(arguments):
         if option == "--params-file":
             for key, item in _parameters_in(Path(value), node_name).items():
                 _check(known, key, item, value)

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -43,6 +43,7 @@ from contact_reach_ros.nodes.messages import (
     to_transform,
     vector,
 )
+from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
@@ -70,7 +71,11 @@ class PlannerSettings(Settings):
 
     period: float = setting(0.04, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
     latency: float = setting(
-        0.04, "least time from a state to the effect of its plan; in lockstep exactly that", unit="s", minimum=0.001, maximum=0.5
+        0.04,
+        "least time from a state to the effect of its plan; in lockstep exactly that",
+        unit="s",
+        minimum=0.001,
+        maximum=0.5,
     )
     goal_orientation: str = setting(
         "hold",
@@ -93,7 +98,7 @@ class PlannerNode(ManagedNode):
     """Plans from the newest state whenever there is a goal."""
 
     NAME = NAME
-    SECTIONS = {"": PlannerSettings, "planning": PlanningSettings, "impedance": ImpedanceSettings}
+    SECTIONS: ClassVar[Sections] = {"": PlannerSettings, "planning": PlanningSettings, "impedance": ImpedanceSettings}
 
     def __init__(self) -> None:
         super().__init__()
@@ -212,6 +217,8 @@ class PlannerNode(ManagedNode):
         return min(max(self._min_latency_ns, *self._recent_ns), _MAX_LATENCY_NS)
 
     def _make_plan(self, q: np.ndarray, v: np.ndarray, now_ns: int, effect_ns: int, goal: Goal) -> None:
+        if self._planner is None:
+            return
         began_ns = time.monotonic_ns()
         plan = self._planner.plan(q, v, now_ns, effect_ns, goal, self._spheres)
         self._publish(plan)
@@ -246,7 +253,8 @@ class PlannerNode(ManagedNode):
         self._postures.publish(postures)
         path = Path(header=header)
         for index, position in enumerate(plan.predicted_positions.tolist()):
-            pose = PoseStamped(header=Header(stamp=to_time(plan.effect_ns + index * knot_ns), frame_id=iiwa14.BASE_NAME))
+            stamp = to_time(plan.effect_ns + index * knot_ns)
+            pose = PoseStamped(header=Header(stamp=stamp, frame_id=iiwa14.BASE_NAME))
             pose.pose.position = to_point(position)
             path.poses.append(pose)
         self._path.publish(path)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.scenes.scene import read_scene
+
+ParameterValue = bool | int | float | str | list[str]
 
 PACKAGE = "contact_reach_ros"
 DEFAULT_PARAMETERS = "default.yaml"
@@ -27,7 +30,7 @@ class Process:
     """
 
     name: str
-    parameters: dict[str, bool | int | float | str | list[str]]
+    parameters: Mapping[str, ParameterValue]
     first: bool = False
 
     @property
@@ -68,20 +71,21 @@ def processes(options: StackOptions) -> list[Process]:
         If the scene is unknown or its file is wrong.
     """
     ball = read_scene(options.scene).ball
-    time = {"use_sim_time": options.lockstep}
-    simulation = {
+    time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep}
+    simulation: dict[str, ParameterValue] = {
         "scene": options.scene,
         "seed": options.seed,
         "target": options.target,
         "lockstep": options.lockstep,
         "mismatch.enabled": options.mismatch,
     }
-    obstacles: dict[str, bool | int | float | str] = {"max_spheres": 0}
+    obstacles: dict[str, ParameterValue] = {"max_spheres": 0}
     if ball is not None:
         obstacles = {"max_spheres": 1, "sphere_stiffness": ball.stiffness, "sphere_damping": ball.damping}
     table = []
     if options.bag:
-        table.append(Process("recorder", {"bag": options.bag, "custom_data": [f"scene={options.scene}", f"seed={options.seed}"]}))
+        origin = [f"scene={options.scene}", f"seed={options.seed}"]
+        table.append(Process("recorder", {"bag": options.bag, "custom_data": origin}))
     if options.driver:
         table.append(Process("driver", simulation))
     table.append(Process("observer", time))

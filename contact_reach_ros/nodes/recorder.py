@@ -9,13 +9,14 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
+from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.topic_recorder import TopicRecorder
 from contact_reach_ros.recording.bag_writer import COMPRESSIONS, BagWriter
 from contact_reach_ros.recording.topics import parse_topic
@@ -61,7 +62,7 @@ class StorageSettings(Settings):
     """How to store it."""
 
     compression: str = setting(
-        "zstd", "compression of the file's chunks: half the size for a tenth more work", choices=COMPRESSIONS
+        "zstd", "compression of the file's chunks: half the size for a tenth more work", choices=tuple(COMPRESSIONS)
     )
 
 
@@ -69,7 +70,7 @@ class RecorderNode(ManagedNode):
     """Records from its activation to its deactivation."""
 
     NAME = "recorder"
-    SECTIONS = {"": RecorderSettings, "storage": StorageSettings}
+    SECTIONS: ClassVar[Sections] = {"": RecorderSettings, "storage": StorageSettings}
 
     def __init__(self) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
@@ -135,8 +135,7 @@ class Supervisor:
         self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
     ) -> None:
         clients = {
-            process.name: self._node.create_client(GetState, f"/{process.name}/get_state")
-            for process in processes
+            process.name: self._node.create_client(GetState, f"/{process.name}/get_state") for process in processes
         }
         missing = {process.name: "no such node yet" for process in processes}
         try:
@@ -197,7 +196,7 @@ class Supervisor:
         response = self._call(client, GetState.Request(), 1.0)
         return response.current_state.label if response is not None else "not answering"
 
-    def _call(self, client: Client, request: object, timeout: float) -> object | None:
+    def _call(self, client: Client, request: Any, timeout: float) -> Any:
         future = client.call_async(request)
         self._executor.spin_until_future_complete(future, timeout_sec=timeout)
         if future.done():

@@ -87,7 +87,7 @@ class Spheres:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """References of H knots and what the planner expects of them; knot i holds in (effect + i dt, effect + (i+1) dt]."""
+    """References of H knots and what the planner expects of them; knot i holds from effect + i dt to effect + (i+1) dt."""
 
     number: int
     """Counted from 1 by each planner."""

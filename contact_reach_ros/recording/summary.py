@@ -184,10 +184,9 @@ class Episode:
 
     def _greatest_plan_age(self) -> float:
         """Seconds; NaN without plans."""
-        stamps = [
-            message.message.header.stamp.sec * NANOSECONDS + message.message.header.stamp.nanosec
-            for message in self._reader.messages([name for name in ["/reference/pose"] if name in self._reader.topics()])
-        ]
+        recorded = [name for name in ("/reference/pose",) if name in self._reader.topics()]
+        headers = [message.message.header for message in self._reader.messages(recorded)]
+        stamps = [header.stamp.sec * NANOSECONDS + header.stamp.nanosec for header in headers]
         if not stamps:
             return float("nan")
         effects = (np.array(sorted(stamps)) - self._signals.origin_ns) / NANOSECONDS

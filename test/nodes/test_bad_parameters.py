@@ -10,7 +10,11 @@ NODES = ("driver", "controller", "observer", "planner", "recorder")
 
 def start(node, *arguments):
     return subprocess.run(
-        [*module(f"nodes.{node}"), "--ros-args", *arguments], env=environment(), capture_output=True, text=True, timeout=60
+        [*module(f"nodes.{node}"), "--ros-args", *arguments],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
 
 

@@ -1,5 +1,6 @@
 """The main job, end to end and in lockstep: stack up, goal on the topic, arm reaches it, bag and report written."""
 
+import itertools
 import json
 import subprocess
 from collections import Counter
@@ -90,7 +91,7 @@ def test_the_bag_opens_with_the_mcap_library(ball):
     distinct = sorted(set(stamps))
     steps = [
         (later[0] - earlier[0]) * 1_000_000_000 + later[1] - earlier[1]
-        for earlier, later in zip(distinct, distinct[1:], strict=False)
+        for earlier, later in itertools.pairwise(distinct)
     ]
     assert set(steps) == {1_000_000}
 

@@ -17,7 +17,11 @@ def state(names):
 def test_joints_are_picked_by_name_from_any_order_and_among_others():
     order = JointOrder(iiwa14.JOINT_NAMES)
     expected = np.arange(1.0, 8.0)
-    for names in (iiwa14.JOINT_NAMES, iiwa14.JOINT_NAMES[::-1], ("gripper_9", *iiwa14.JOINT_NAMES[3:], *iiwa14.JOINT_NAMES[:3])):
+    for names in (
+        iiwa14.JOINT_NAMES,
+        iiwa14.JOINT_NAMES[::-1],
+        ("gripper_9", *iiwa14.JOINT_NAMES[3:], *iiwa14.JOINT_NAMES[:3]),
+    ):
         assert np.array_equal(order.pick(state(names), "position", "joint_states"), expected)
 
 

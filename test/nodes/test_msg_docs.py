@@ -36,7 +36,8 @@ def test_every_parameter_is_listed_with_its_default_and_range(node):
     page = (share_directory() / "msg_docs" / f"{node}.md").read_text()
     for prefix, settings in SECTIONS[node].items():
         for entry in settings.declared():
-            row = f"| `{full_name(prefix, entry.name)}` | {shown(entry.default)} | {entry.accepts} | {entry.description} |"
+            name = full_name(prefix, entry.name)
+            row = f"| `{name}` | {shown(entry.default)} | {entry.accepts} | {entry.description} |"
             assert row in page, f"msg_docs/{node}.md lacks the row {row}"
 
 

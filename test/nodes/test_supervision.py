@@ -56,7 +56,7 @@ def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(moving_demo, victim):
     speeds = joint_speeds(folder)
     assert speeds.max() > REST, "the arm never moved: the test shows nothing"
     if victim not in ("driver", "recorder"):
-        # The last tenth of a second that the driver reported; without a driver there is no arm, without a recorder no bag.
+        # The last tenth of a second of the bag; without a driver there is no arm, without a recorder no bag.
         assert speeds[-100:].max() < REST
 
 
@@ -89,6 +89,6 @@ def test_bringup_names_the_node_that_cannot_start(tmp_path):
     command = [*module("nodes.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
     with running(command, env, output) as process:
         assert process.wait(300) == 1
-    assert "observer ended (exit code 1)" in output.read_text()
+    assert "observer ended (exit code 2)" in output.read_text()
     assert "/no/such/budget.yaml" in output.read_text()
     assert_nothing_left(env)

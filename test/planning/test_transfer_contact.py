@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from arm_simulation import HOME
-from conftest import FAR_BALL, ball, make_objective
+from planning_helpers import FAR_BALL, LANES, ball, make_objective, make_problem
 
 from contact_reach_ros.planning.obstacles import clearances
 from contact_reach_ros.planning.problem import Spheres
@@ -19,15 +19,15 @@ from contact_reach_ros.planning.transfer.model import default_arm
 from contact_reach_ros.robot.kinematics import link_frames as table_frames
 
 STIFFNESS = 1000.0
-FOREARM = 2
-"""Place of link 4 among the capsules."""
+FOREARM = 3
+"""Place of link 5 among the capsules."""
 
 
 def beside_forearm(gap: float) -> np.ndarray:
     """Centre of a ball beside the forearm of the arm at home, `gap` m from its surface."""
     rotations, origins = table_frames(HOME)
-    middle = origins[3] + rotations[3] @ (0.0, 0.09, 0.0)
-    return middle + (0.08 + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
+    middle = origins[4] + rotations[4] @ (0.0, 0.0, 0.11)
+    return middle + (0.075 + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -89,15 +89,13 @@ def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(stif
 
 def test_smaller_time_steps_change_a_push_little(roll_out, objective):
     """The arm pushes into the ball for a whole plan: coarse and fine steps agree on force and motion."""
-    from conftest import make_problem
-
     problem = make_problem(HOME, np.zeros(3), ball(beside_forearm(-0.01)))
     push = np.zeros((3, 13, 1))
     push[:, 6 + 0] = 0.1
     fine_system = dataclasses.replace(objective.system, timestep=objective.system.timestep / 5)
     fine = dataclasses.replace(objective, system=fine_system, substeps=5 * objective.substeps)
     fine_rollout = jax.jit(fine.roll_out)(problem, push)
-    coarse_rollout, _ = roll_out(problem, np.broadcast_to(push, (3, 13, 60)))
+    coarse_rollout, _ = roll_out(problem, np.broadcast_to(push, (3, 13, LANES)))
     fine_force, coarse_force = fine_rollout.contact[-1, 0], coarse_rollout.contact[-1, 0]
     assert float(fine_force) > 1.0
     assert float(coarse_force) == pytest.approx(float(fine_force), rel=0.1)
@@ -105,9 +103,7 @@ def test_smaller_time_steps_change_a_push_little(roll_out, objective):
 
 
 def test_far_away_ball_leaves_the_motion_alone(roll_out):
-    from conftest import make_problem
-
     problem = make_problem(HOME, np.zeros(3), ball(FAR_BALL))
-    rollout, _ = roll_out(problem, np.zeros((3, 13, 60)))
+    rollout, _ = roll_out(problem, np.zeros((3, 13, LANES)))
     assert float(rollout.link_force.max()) == 0.0
     np.testing.assert_allclose(rollout.q[-1, :, 0], HOME, rtol=0, atol=1e-5)

@@ -5,7 +5,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import HOME
-from conftest import FAR_BALL, LANES, ball, make_problem
+from planning_helpers import FAR_BALL, LANES, ball, make_problem
 
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings

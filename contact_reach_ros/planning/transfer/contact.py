@@ -87,10 +87,12 @@ def _joint_torque(frames: Frames, force: jax.Array, moment: jax.Array, keep: Kee
 
 
 def pushed(obstacles: Obstacles, contact: Contact, contact_stiffness: float, timestep: float | jax.Array) -> jax.Array:
-    """Sphere centres (3, K, B) after `timestep` seconds of the contact's forces.
+    """Sphere centres (3, K, B) after `timestep` seconds under the contact and the spring to the rest position.
 
-    Linearly implicit in the anchor's spring and in the contact, so that neither limits the step.
+    A sphere relaxes exponentially towards where contact and spring balance; following that exactly for the stiffness at
+    hand keeps any stiffness and damping stable.
     """
     force = contact.sphere_force + obstacles.stiffness * (obstacles.rest - obstacles.center)
-    resistance = obstacles.damping / timestep + obstacles.stiffness + contact_stiffness * contact.touching
-    return obstacles.center + force / resistance[None]
+    total_stiffness = obstacles.stiffness + contact_stiffness * contact.touching
+    relaxed = -jnp.expm1(-timestep * total_stiffness / obstacles.damping)
+    return obstacles.center + force * (relaxed / total_stiffness)[None]

@@ -59,25 +59,29 @@ class ArmModel:
 def load_system() -> brax.System:
     """Load the arm into Brax."""
     configure_jax()
+    import jax
+
     # Brax announces that it is no longer developed, and MuJoCo MJX that an optional GPU backend is missing; neither
     # is news to a user of this package.
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         from brax.io import mjcf
 
-        return mjcf.loads(build_mjcf())
+        # Constants, even when they are first asked for while a program is being traced.
+        with jax.ensure_compile_time_eval():
+            return mjcf.loads(build_mjcf())
 
 
 def arm_model(system: brax.System) -> ArmModel:
     """The constants of a Brax system that is this arm, with or without obstacles."""
     link, inertia = system.link, system.link.inertia
-    joint_rotation = np.array([_tidy(rotation_from_quaternion(quaternion)) for quaternion in link.transform.rot])
-    to_link = [rotation_from_quaternion(quaternion) for quaternion in inertia.transform.rot]
-    tensors = [rotation @ tensor @ rotation.T for rotation, tensor in zip(to_link, np.asarray(inertia.i), strict=True)]
+    joint_rotation = [_tidy(rotation_from_quaternion(quaternion)) for quaternion in _double(link.transform.rot)]
+    to_link = [rotation_from_quaternion(quaternion) for quaternion in _double(inertia.transform.rot)]
+    tensors = [rotation @ tensor @ rotation.T for rotation, tensor in zip(to_link, _double(inertia.i), strict=True)]
     capsules = iiwa14.CAPSULES
     return ArmModel(
         joint_offset=_double(link.transform.pos),
-        joint_rotation=joint_rotation,
+        joint_rotation=np.array(joint_rotation),
         flange_offset=np.array(iiwa14.FLANGE_OFFSET),
         mass=_double(inertia.mass),
         center_of_mass=_double(inertia.transform.pos),

@@ -1,0 +1,59 @@
+"""Problems and planners for the tests of planning."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.cost import Objective, Problem, Weights
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.model import default_arm
+from contact_reach_ros.planning.transfer.pipeline import System
+
+PERMITTED_FORCE = 10.0
+SMALL = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64)
+"""Enough candidates for tests that are not about their number."""
+
+LANES = 60
+"""Candidates that the shared rollout takes."""
+
+FAR_BALL = np.array([0.0, 0.0, -100.0])
+
+
+def ball(center: np.ndarray, stiffness: float = 100.0, rest: np.ndarray | None = None) -> Obstacles:
+    """One sphere of 0.1 m radius, as the transfer model takes it."""
+    return Obstacles(
+        center=jnp.asarray(center)[:, None, None],
+        rest=jnp.asarray(center if rest is None else rest)[:, None, None],
+        radius=jnp.full((1, 1), 0.1),
+        stiffness=jnp.full((1, 1), stiffness),
+        damping=jnp.full((1, 1), 30.0),
+    )
+
+
+def make_problem(
+    q: np.ndarray, goal: np.ndarray, obstacles: Obstacles | None, settings: PlanningSettings = SMALL, **weights: float
+) -> Problem:
+    """A problem at rest; joint angles `q` are (7,) or (7, B), further arguments replace weights of the cost."""
+    q = q.reshape(7, -1)
+    return Problem(
+        q=jnp.asarray(q),
+        v=jnp.zeros_like(jnp.asarray(q)),
+        obstacles=obstacles,
+        goal_position=jnp.asarray(goal)[:, None],
+        goal_rotation=jnp.eye(3)[:, :, None],
+        weights=Weights.of(settings, PERMITTED_FORCE)._replace(**{"orientation": 0.0, **weights}),
+    )
+
+
+def make_objective(measure: str = "largest") -> Objective:
+    system = System(default_arm(), ImpedanceSettings(), SMALL.contact_stiffness, SMALL.knot_duration / SMALL.substeps)
+    return Objective(system, SMALL.horizon, SMALL.substeps, measure)
+
+
+def make_planner(**changes: object) -> RecedingHorizonPlanner:
+    settings = dataclasses.replace(SMALL, **changes)
+    return RecedingHorizonPlanner(settings, ImpedanceSettings(), PERMITTED_FORCE, capacity=1)
