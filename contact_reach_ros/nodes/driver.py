@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
@@ -77,6 +78,8 @@ class DriverNode(ManagedNode):
         self._joint_states = self.make_publisher(topics.JOINT_STATES)
         self._contacts = self.make_publisher(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
+        self._safety = self.make_publisher(topics.SAFETY_STATE)
+        self._published_stop: str | None = None
         self._description = self.make_publisher(topics.ROBOT_DESCRIPTION)
         self._clock_publisher = self.make_publisher(topics.CLOCK) if self._lockstep else None
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -192,6 +195,8 @@ class DriverNode(ManagedNode):
         self._answered = False
         self._published_ns = time.time_ns()
         self._joint_states.publish(message)
+        if self._drive.stop_reason != self._published_stop:
+            self._publish_safety()
         if steps % _CONTACTS_EVERY == 0:
             self._publish_contacts(now_ns)
         if steps % _OBSTACLES_EVERY == 0 and self._plant.balls:
@@ -200,6 +205,14 @@ class DriverNode(ManagedNode):
             message = Clock()
             set_time(message.clock, now_ns)
             self._clock_publisher.publish(message)
+
+    def _publish_safety(self) -> None:
+        self._published_stop = reason = self._drive.stop_reason
+        level = DiagnosticStatus.ERROR if reason else DiagnosticStatus.OK
+        message = reason or "watching over the commands"
+        self._safety.publish(DiagnosticStatus(level=level, name=self.NAME, message=message, hardware_id="iiwa14"))
+        if reason:
+            self.get_logger().error(f"brakes closed: {reason}; call ~/reset to go on")
 
     def _publish_contacts(self, now_ns: int) -> None:
         forces = self._peak_contact.tolist()
@@ -262,7 +275,7 @@ class DriverNode(ManagedNode):
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._drive.reset()
-        response.success, response.message = True, "released; the brakes open with the next command"
+        response.success, response.message = True, "released; the brakes open after steady commands"
         return response
 
 

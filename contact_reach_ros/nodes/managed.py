@@ -131,14 +131,12 @@ def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
-    # Threads inherit the priority, so it comes before rclpy starts any.
-    warning = request_realtime(priority) if priority is not None else ""
     sys.setswitchinterval(2e-4)
     node: ManagedNode | None = None
     try:
         initialise(arguments)
         node = node_class()
-        return _serve(node, warning)
+        return _serve(node, priority)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
@@ -162,7 +160,7 @@ def initialise(arguments: Sequence[str]) -> None:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
 
-def _serve(node: ManagedNode, warning: str) -> int:
+def _serve(node: ManagedNode, priority: int | None) -> int:
     """Loop in a thread of its own, executor in the main thread, where Python handles signals."""
     failures: list[BaseException] = []
     stop = threading.Event()
@@ -174,12 +172,12 @@ def _serve(node: ManagedNode, warning: str) -> int:
             failures.append(error)
         stop.set()
 
-    if warning:
-        node.get_logger().warning(warning)
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     _on_signals(signal.SIG_DFL)
     if node.autostart and not _start(node):
         return 1
+    if priority is not None and (warning := request_realtime(priority)):
+        node.get_logger().warning(warning)
     _on_signals(lambda *_: stop.set())
     thread = threading.Thread(target=work, name="loop")
     thread.start()

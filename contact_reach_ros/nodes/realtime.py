@@ -6,6 +6,7 @@ served by an executor in another thread.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 from collections.abc import Callable
@@ -20,8 +21,14 @@ from rclpy.subscription import Subscription
 from contact_reach_ros.nodes.topics import Topic
 
 
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+"""Flags of mlockall(2)."""
+
+
 def request_realtime(priority: int) -> str:
-    """Give the calling thread, and those it starts later, SCHED_FIFO priority; collect no garbage from now on.
+    """Give all threads of this process, and those they start later, SCHED_FIFO priority; collect no garbage from now on.
+
+    To be called when the process is ready for its loop: what it does before would keep others from running.
 
     Returns
     -------
@@ -31,8 +38,12 @@ def request_realtime(priority: int) -> str:
     gc.collect()
     gc.freeze()
     gc.disable()
+    # Pages in use stay in memory. Where that is not permitted the loop still works, with a late tick now and then.
+    ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        # The middleware's own threads count too: they bring the messages.
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         return (
             "no real-time priority: ticks will be missed when the machine is busy. Permit it with "

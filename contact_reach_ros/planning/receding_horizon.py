@@ -34,6 +34,9 @@ from contact_reach_ros.robot.kinematics import link_frames
 _JUMP_SLACK = 0.05
 """A joint that is further from its last angle than its speed limit allows, plus this, has jumped; rad."""
 
+_PAPER_SIGMA = 0.01
+"""Of every variable, m or rad, in line 1 of Algorithm 1."""
+
 
 class _Memory(NamedTuple):
     """What the next plan starts from."""
@@ -75,7 +78,9 @@ class RecedingHorizonPlanner:
         self._weights = jax.tree.map(jnp.float32, Weights.of(settings, permitted_force))
         knot = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
         self._bounds = np.tile(knot, settings.horizon)
-        self._spread = settings.sigma / self._bounds
+        self._spread = _PAPER_SIGMA / self._bounds
+        if settings.sampling == "bounds":
+            self._spread = np.full_like(self._bounds, settings.sigma)
         self._predictor = Predictor(system)
         self._solver: HybridSolver[Problem] = HybridSolver(self._cost, len(self._bounds), settings)
         self._evaluate = jax.jit(self._roll_out)

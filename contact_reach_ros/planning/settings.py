@@ -9,6 +9,7 @@ from contact_reach_ros.settings import Settings, setting
 
 SOLVER_METHODS = ("hybrid", "cma", "gradient")
 BOUNDARY_PENALTIES = ("quadratic", "paper")
+SAMPLINGS = ("bounds", "paper")
 CONTACT_MEASURES = ("largest", "sum")
 
 
@@ -52,18 +53,27 @@ class PlanningSettings(Settings):
     contact_stiffness: float = setting(
         1000.0, "force per penetration between a link and a sphere", unit="N/m", minimum=10.0, maximum=100000.0
     )
-    solver: str = setting("hybrid", "Algorithm 1, CMA-ES alone, or gradient steps alone", choices=SOLVER_METHODS)
+    solver: str = setting(
+        "hybrid", "Algorithm 1, or the same with no or with many gradient steps", choices=SOLVER_METHODS
+    )
+    gradient_steps: int = setting(10, "gradient steps per solver step of 'gradient'", minimum=2, maximum=100)
     population: int = setting(200, "k: candidates per step", minimum=4, maximum=5000)
     elite: int = setting(50, "k_top: candidates that make the next mean", minimum=2, maximum=2500)
+    line_search_points: int = setting(200, "β that are tried along the gradient", minimum=2, maximum=5000)
+    sampling: str = setting(
+        "bounds",
+        "initial standard deviations: a share of γ, or 0.01 for every variable as in line 1 of Algorithm 1",
+        choices=SAMPLINGS,
+    )
+    sigma: float = setting(
+        0.3, "initial standard deviation of the candidates as a share of γ", minimum=0.01, maximum=2.0
+    )
     boundary_penalty: str = setting(
         "quadratic", "on candidates outside γ: squared distance, or line 9 of Algorithm 1", choices=BOUNDARY_PENALTIES
     )
     boundary_weight: float = setting(
         0.01, "quadratic penalty per squared distance in units of γ", minimum=0.0, maximum=10.0
     )
-    gradient_steps: int = setting(10, "gradient steps per solver step of the solver 'gradient'", minimum=2, maximum=100)
-    line_search_points: int = setting(200, "β that are tried along the gradient", minimum=2, maximum=5000)
-    sigma: float = setting(0.01, "initial standard deviation of the candidates", minimum=1e-4, maximum=0.2)
     max_steps: int = setting(100, "solver steps in one plan", minimum=1, maximum=1000)
     stagnation_tolerance: float = setting(
         1e-4, "decrease of the cost below which a step counts as stagnant", minimum=0.0, maximum=0.1

@@ -19,8 +19,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class WatchdogSettings(Settings):
-    """When a silent controller stops the arm."""
+    """When the brakes open, and when a silent controller stops the arm."""
 
+    open_after: float = setting(
+        0.1, "time of steady commands after which the brakes open", unit="s", minimum=0.0, maximum=5.0
+    )
     hold_after: float = setting(
         0.02, "silence after which the arm is held with damping", unit="s", minimum=0.002, maximum=1.0
     )
@@ -32,8 +35,9 @@ class WatchdogSettings(Settings):
 class Drive:
     """Feeds commands to the plant and watches over them.
 
-    The brakes are closed until the first command. Commands that stop for `hold_after` seconds bring the damped hold,
-    for `stop_after` seconds a stop that is latched until `reset`.
+    The brakes are closed until commands have come for `open_after` seconds without a gap of `hold_after`, so that a
+    controller which is still starting up is not handed the arm. From then on commands that stop for `hold_after` seconds
+    bring the damped hold, for `stop_after` seconds a stop that is latched until `reset`.
 
     Attributes
     ----------
@@ -47,10 +51,13 @@ class Drive:
         self.plant = plant
         self.stop_reason = ""
         self.rejected = 0
+        self._open_ns = int(settings.open_after * NANOSECONDS)
         self._hold_ns = int(settings.hold_after * NANOSECONDS)
         self._stop_ns = int(settings.stop_after * NANOSECONDS)
         self._command: Array | None = None
         self._command_ns = 0
+        self._steady_since_ns = 0
+        self._opened = False
 
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (7,) in N m that arrived at `clock_ns`.
@@ -66,13 +73,17 @@ class Drive:
         if not math.isfinite(sum(torque.tolist())):
             self.rejected += 1
             raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
+        if self._command is None or clock_ns - self._command_ns > self._hold_ns:
+            self._steady_since_ns = clock_ns
         self._command = torque
         self._command_ns = clock_ns
 
     def tick(self, clock_ns: int) -> None:
         """Advance the plant by one tick under the command at hand."""
         silence = clock_ns - self._command_ns
-        if self.stop_reason or self._command is None:
+        if self._command is not None and silence <= self._hold_ns:
+            self._opened = self._opened or clock_ns - self._steady_since_ns >= self._open_ns
+        if self.stop_reason or not self._opened:
             actuation = Actuation.BRAKED
         elif silence > self._stop_ns:
             self.stop(f"no command for {silence / NANOSECONDS * 1000:.0f} ms")
@@ -90,6 +101,7 @@ class Drive:
             self.stop_reason = reason
 
     def reset(self) -> None:
-        """Release a stop; the brakes open with the next command."""
+        """Release a stop; the brakes open again after steady commands."""
         self.stop_reason = ""
         self._command = None
+        self._opened = False

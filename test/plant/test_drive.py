@@ -18,8 +18,9 @@ GRAVITY = RobotModel().gravity_at(HOME)
 class Bench:
     """A drive that is ticked at 1 kHz."""
 
-    def __init__(self) -> None:
-        self.drive = Drive(ideal_plant(joints=JointSettings()), WatchdogSettings())
+    def __init__(self, open_after: float = 0.0) -> None:
+        # Brakes that open at once, except where that is what is tested.
+        self.drive = Drive(ideal_plant(joints=JointSettings()), WatchdogSettings(open_after=open_after))
         self.clock_ns = 5_000_000_000
 
     def command(self, torque: np.ndarray = GRAVITY) -> None:
@@ -50,6 +51,24 @@ def test_arm_stays_where_it_is_until_the_first_command(bench):
     assert not bench.drive.stop_reason
     bench.command()
     assert bench.tick() == [Actuation.COMMANDED]
+
+
+def test_brakes_open_only_after_steady_commands():
+    bench = Bench(open_after=0.1)
+    for _ in range(3):
+        # A controller that is starting up: some commands, then a pause.
+        for _ in range(60):
+            bench.command()
+            assert bench.tick() == [Actuation.BRAKED]
+        assert set(bench.tick(150)) == {Actuation.BRAKED}
+    assert not bench.drive.stop_reason
+    seen = []
+    for _ in range(120):
+        bench.command()
+        seen += bench.tick()
+    assert seen == [Actuation.BRAKED] * 100 + [Actuation.COMMANDED] * 20
+    assert set(bench.tick(150)) == {Actuation.COMMANDED, Actuation.DAMPED_HOLD, Actuation.BRAKED}
+    assert "no command" in bench.drive.stop_reason
 
 
 def test_silence_brings_first_the_damped_hold_and_then_the_brakes(bench):

@@ -123,7 +123,7 @@ class HybridSolver(Generic[ProblemT]):
         number
             Selects the random numbers, together with the seed of the settings.
         until
-            Instant of `time.perf_counter` by which to return, looked at between steps.
+            Instant of `time.perf_counter` by which to return, looked at between steps; one is always taken.
         """
         settings = self._settings
         search = Search(distribution, distribution.mean, jnp.float32(start_cost), jnp.int32(0))
@@ -131,7 +131,8 @@ class HybridSolver(Generic[ProblemT]):
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
         while len(costs) <= settings.max_steps:
-            if now + longest_step > until:
+            # One step is always taken: on a machine too busy for the deadline, plans still have to get somewhere.
+            if len(costs) > 1 and now + longest_step > until:
                 reason = "deadline"
                 break
             search = self._advance(problem, search, (settings.seed, number, len(costs)))

@@ -1,0 +1,127 @@
+"""The cost (5): its parts, and its gradient."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arm_simulation import HOME
+from planning_helpers import FAR_BALL, LANES, PERMITTED_FORCE, SMALL, ball, make_objective, make_problem
+
+from contact_reach_ros.planning.solver.hybrid import gradient
+from contact_reach_ros.planning.transfer.pipeline import State
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import link_frames, rotation_about
+
+FLANGE = link_frames(HOME)[1][-1]
+STILL = np.zeros((3, 13, LANES))
+
+
+def at_forearm(depth: float) -> np.ndarray:
+    """Centre of a ball that the forearm of the arm at home enters by `depth`, m."""
+    rotations, origins = link_frames(HOME)
+    return origins[4] + rotations[4] @ (0.0, 0.0, 0.11) + (0.075 + 0.1 - depth) * np.array([0.0, 1.0, 0.0])
+
+
+def test_goal_term_is_the_distance_summed_over_the_knots(roll_out):
+    _, terms = roll_out(make_problem(HOME, FLANGE + (0.3, 0.0, 0.4), ball(FAR_BALL)), STILL)
+    assert terms["goal"][0] == pytest.approx(3 * 0.5 * SMALL.goal_weight, abs=1e-3)
+    assert abs(terms["progress"][0]) < 1e-3
+
+
+def test_moving_away_from_the_start_is_rewarded(roll_out):
+    actions = STILL.copy()
+    actions[:, 0, 0] = 0.01
+    rollout, terms = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), actions)
+    moved = np.linalg.norm(rollout.pose.position[1:, :, 0] - rollout.pose.position[0, :, 0], axis=1)
+    assert terms["progress"][0] == pytest.approx(-SMALL.progress_weight * moved.sum(), abs=1e-3)
+    assert terms["goal"][0] == pytest.approx(SMALL.goal_weight * moved.sum(), abs=1e-3)
+
+
+def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out):
+    for depth, over in ((0.005, False), (0.02, True)):
+        rollout, terms = roll_out(make_problem(HOME, FLANGE, ball(at_forearm(depth))), STILL)
+        force = np.asarray(rollout.contact[:, 0])
+        assert (force.max() > PERMITTED_FORCE) == over
+        excess = np.maximum(force - PERMITTED_FORCE, 0.0).sum()
+        assert terms["contact_limit"][0] == pytest.approx(SMALL.contact_limit_weight * excess, rel=1e-4)
+        assert terms["contact"][0] == pytest.approx(SMALL.contact_weight * force.sum(), rel=1e-4)
+
+
+@pytest.mark.parametrize(("measure", "expected"), [("largest", 4.0), ("sum", 7.0)])
+def test_contact_is_the_largest_force_on_a_link_or_the_sum(measure, expected):
+    forces = jnp.array([0.0, 1.0, 4.0, 0.0, 2.0, 0.0])[:, None]
+    assert float(make_objective(measure)._measure(forces)[0]) == expected
+
+
+def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):
+    rotation = link_frames(HOME)[0][-1]
+    for angle in (0.1, 3.0):
+        goal_rotation = rotation_about((0.0, 1.0, 0.0), angle) @ rotation
+        problem = make_problem(HOME, FLANGE, ball(FAR_BALL), orientation=0.2)
+        problem = problem._replace(goal_rotation=jnp.asarray(goal_rotation)[:, :, None])
+        _, terms = roll_out(problem, STILL)
+        assert terms["orientation"][0] == pytest.approx(3 * 0.2 * 2.0 * np.sin(angle / 2), rel=1e-3)
+    _, terms = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), STILL)
+    assert terms["orientation"][0] == 0.0
+
+
+def test_joint_limit_term_begins_at_the_margin(roll_out):
+    inside, outside = HOME.copy(), HOME.copy()
+    inside[6] = iiwa14.POSITION_LIMITS[6] - SMALL.joint_limit_margin - 0.01
+    outside[6] = iiwa14.POSITION_LIMITS[6] - SMALL.joint_limit_margin + 0.1
+    _, terms = roll_out(make_problem(inside, FLANGE, ball(FAR_BALL)), STILL)
+    assert terms["joint_limit"][0] < 1e-6
+    _, terms = roll_out(make_problem(outside, FLANGE, ball(FAR_BALL)), STILL)
+    assert terms["joint_limit"][0] == pytest.approx(3 * SMALL.joint_limit_weight * 0.1**2, rel=1e-3)
+
+
+def test_null_motion_term_is_the_square_of_the_posture_change(roll_out):
+    actions = STILL.copy()
+    actions[:, 6:, 0] = 0.1
+    _, terms = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), actions)
+    assert terms["null_motion"][0] == pytest.approx(3 * 7 * SMALL.null_motion_weight * 0.1**2, rel=1e-4)
+
+
+def test_references_are_the_predicted_pose_plus_the_action(roll_out):
+    random = np.random.default_rng(0)
+    actions = random.uniform(-0.01, 0.01, (3, 13, LANES))
+    rollout, _ = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), actions)
+    for knot in range(3):
+        start = np.asarray(rollout.pose.position)[knot]
+        np.testing.assert_allclose(rollout.reference.position[knot], start + actions[knot, :3], rtol=0, atol=1e-6)
+        posture = np.asarray(rollout.q)[knot] + actions[knot, 6:]
+        np.testing.assert_allclose(rollout.reference.posture[knot], posture, rtol=0, atol=1e-6)
+        turned = np.asarray(rollout.reference.rotation)[knot, :, :, 0]
+        angle = np.linalg.norm(actions[knot, 3:6, 0])
+        expected = rotation_about(actions[knot, 3:6, 0] / angle, angle) @ np.asarray(rollout.pose.rotation)[knot, :, :, 0]
+        np.testing.assert_allclose(turned, expected, rtol=0, atol=1e-5)
+
+
+def test_gradient_agrees_with_finite_differences():
+    """In double precision and in contact, where the derivative is hardest to get right."""
+    with jax.enable_x64(True):
+        objective = make_objective()
+        problem = make_problem(HOME, FLANGE + (0.2, 0.1, -0.1), ball(at_forearm(0.005)), orientation=0.1)
+        problem = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), problem)
+        bounds = np.array([0.01] * 3 + [0.2] * 10)
+        actions = np.random.default_rng(1).uniform(-0.5, 0.5, (3, 13)) * bounds
+
+        @jax.jit
+        def cost(problem: object, points: jax.Array) -> jax.Array:
+            return objective.cost(problem, points.reshape(3, 13, -1))
+
+        slope = np.asarray(gradient(cost, problem, jnp.asarray(actions.reshape(-1))))
+        step = 1e-6 * np.diag(np.tile(bounds, 3))
+        points = actions.reshape(-1, 1)
+        difference = np.asarray(cost(problem, points + step) - cost(problem, points - step))
+        np.testing.assert_allclose(slope, difference / (2 * np.diag(step)), rtol=1e-4, atol=1e-5)
+
+
+def test_state_starts_without_contact(objective):
+    """The pipeline has the shape of Brax's own: init makes a state, step advances it."""
+    from contact_reach_ros.planning.transfer import pipeline
+
+    state = pipeline.init(objective.system, jnp.asarray(HOME)[:, None], jnp.zeros((7, 1)))
+    assert isinstance(state, State)
+    assert state.obstacles is None
+    assert float(state.link_force.max()) == 0.0

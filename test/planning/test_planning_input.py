@@ -1,0 +1,90 @@
+"""Goals, spheres and settings: what is refused, and what becomes of too many spheres."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME
+
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.planning.obstacles import clearances, fit_to_capacity
+from contact_reach_ros.planning.problem import Goal, Spheres
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.robot.kinematics import link_frames, rotation_about
+
+
+def row_of_spheres(count: int) -> Spheres:
+    """Along the x axis in front of the arm, 0.1 m of radius, the first one nearest."""
+    center = np.column_stack([0.9 + 0.3 * np.arange(count), np.zeros(count), np.full(count, 0.5)])
+    return Spheres(center, center + 0.01, np.full(count, 0.1), np.full(count, 200.0), np.full(count, 20.0))
+
+
+def test_goals_that_make_no_sense_are_refused():
+    with pytest.raises(InputError, match=r"goal position: expected shape \(3,\)"):
+        Goal(np.zeros(2))
+    with pytest.raises(InputError, match="goal position: expected finite values"):
+        Goal(np.array([0.5, np.nan, 0.2]))
+    with pytest.raises(InputError, match="goal rotation: expected an orthonormal"):
+        Goal(np.zeros(3), 2.0 * np.eye(3))
+    with pytest.raises(InputError, match="goal rotation: expected an orthonormal"):
+        Goal(np.zeros(3), -np.eye(3))
+
+
+def test_goals_are_compared_with_their_orientation():
+    free, held = Goal(np.ones(3)), Goal(np.ones(3), np.eye(3))
+    assert free.same_as(Goal(np.ones(3)))
+    assert held.same_as(Goal(np.ones(3), np.eye(3)))
+    assert not free.same_as(held)
+    assert not held.same_as(Goal(np.ones(3), rotation_about((0, 0, 1), 0.1)))
+    assert not free.same_as(None)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("center", np.zeros((1, 3)), "sphere center: expected shape"),
+        ("rest", np.full((2, 3), np.inf), "sphere rest: expected finite"),
+        ("radius", np.array([0.1, 0.0]), "sphere radius: expected positive"),
+        ("stiffness", np.array([-1.0, 1.0]), "sphere stiffness: expected positive"),
+    ],
+)
+def test_spheres_that_make_no_sense_are_refused(name, value, message):
+    spheres = row_of_spheres(2)
+    values = {key: getattr(spheres, key) for key in ("center", "rest", "radius", "stiffness", "damping")}
+    with pytest.raises(InputError, match=message):
+        Spheres(**(values | {name: value}))
+
+
+def test_settings_that_contradict_each_other_are_refused():
+    with pytest.raises(SettingsError, match="elite = 50: expected less than the population, 50"):
+        PlanningSettings(population=50, elite=50)
+
+
+def test_clearance_is_the_gap_between_surfaces():
+    _, origins = link_frames(HOME)
+    center = origins[-1] + np.array([1.0, 0.0, 0.0])
+    spheres = Spheres(center[None], center[None], np.array([0.1]), np.ones(1), np.ones(1))
+    nearer = Spheres(center[None] - (0.1, 0, 0), center[None], np.array([0.1]), np.ones(1), np.ones(1))
+    assert clearances(HOME, spheres)[0] == pytest.approx(clearances(HOME, nearer)[0] + 0.1, abs=2e-3)
+    touching = Spheres(origins[4][None], origins[4][None], np.array([0.1]), np.ones(1), np.ones(1))
+    assert clearances(HOME, touching)[0] < -0.1
+
+
+def test_missing_spheres_are_filled_up_out_of_reach():
+    obstacles, left_out = fit_to_capacity(HOME, row_of_spheres(1), 3)
+    assert left_out == 0
+    assert obstacles.center.shape == (3, 3, 1)
+    np.testing.assert_allclose(obstacles.center[:, 0, 0], [0.9, 0.0, 0.5], rtol=0, atol=1e-6)
+    assert (np.linalg.norm(obstacles.center[:, 1:, 0], axis=0) > 50.0).all()
+
+
+def test_nearest_spheres_are_kept_and_the_others_counted():
+    spheres = row_of_spheres(5)
+    order = np.array([3, 0, 4, 1, 2])
+    shuffled = Spheres(*(getattr(spheres, name)[order] for name in ("center", "rest", "radius", "stiffness", "damping")))
+    obstacles, left_out = fit_to_capacity(HOME, shuffled, 2)
+    assert left_out == 3
+    np.testing.assert_allclose(sorted(np.asarray(obstacles.center[0, :, 0])), [0.9, 1.2], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(obstacles.rest - obstacles.center, 0.01, rtol=0, atol=1e-6)
+
+
+def test_planner_without_capacity_leaves_all_spheres_out():
+    assert fit_to_capacity(HOME, row_of_spheres(4), 0) == (None, 4)

@@ -1,0 +1,93 @@
+"""Which references are in force when, and where they bring the arm."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, REST
+from planning_helpers import make_objective
+
+from contact_reach_ros.planning.prediction import HeldReference, Predictor, pieces_between, reference_at
+from contact_reach_ros.planning.problem import Plan
+from contact_reach_ros.robot.kinematics import link_frames
+
+MS = 1_000_000
+HOLD = HeldReference(link_frames(HOME)[1][-1], link_frames(HOME)[0][-1], HOME)
+
+
+def plan_at(effect_ms: int, label: float, knots: int = 3) -> Plan:
+    """A plan whose reference positions are (label + knot, 0, 0)."""
+    positions = np.zeros((knots, 3))
+    positions[:, 0] = label + np.arange(knots)
+    return Plan(
+        number=1,
+        effect_ns=effect_ms * MS,
+        knot_duration_s=0.1,
+        positions=positions,
+        rotations=np.tile(HOLD.rotation, (knots, 1, 1)),
+        postures=np.tile(HOME, (knots, 1)),
+        predicted_q=np.zeros((knots + 1, 7)),
+        predicted_positions=np.zeros((knots + 1, 3)),
+        predicted_contact_forces=np.zeros((knots, 6)),
+        cost=0.0,
+        cost_terms={},
+        steps=0,
+        stop_reason="stagnated",
+        solve_s=0.0,
+        rejected=0,
+        left_out=0,
+    )
+
+
+def label_at(plans: list[Plan], milliseconds: float) -> float | None:
+    reference = reference_at(plans, round(milliseconds * MS))
+    return None if reference is None else reference.position[0]
+
+
+def test_knot_holds_up_to_and_including_its_end():
+    plans = [plan_at(0, 10.0)]
+    assert label_at(plans, 0) is None
+    assert label_at(plans, 0.001) == 10.0
+    assert label_at(plans, 100) == 10.0
+    assert label_at(plans, 100.001) == 11.0
+    assert label_at(plans, 300) == 12.0
+    assert label_at(plans, 300.001) is None
+
+
+def test_newer_plan_takes_over_when_it_takes_effect_and_not_before():
+    plans = [plan_at(0, 10.0), plan_at(150, 20.0)]
+    assert label_at(plans, 150) == 11.0
+    assert label_at(plans, 150.001) == 20.0
+    # A plan that has run out does not give the arm back to an older one.
+    assert label_at([plan_at(0, 10.0, knots=10), plan_at(150, 20.0)], 500) is None
+
+
+def test_time_is_cut_where_the_reference_changes():
+    plans = [plan_at(0, 10.0), plan_at(130, 20.0)]
+    pieces = pieces_between(plans, HOLD, 60 * MS, 270 * MS, 0.025)
+    assert sum(piece.duration for piece in pieces) == pytest.approx(0.21)
+    assert max(piece.duration for piece in pieces) <= 0.025 + 1e-9
+    duration = {}
+    for piece in pieces:
+        label = piece.reference.position[0]
+        duration[label] = duration.get(label, 0.0) + piece.duration
+    assert duration == pytest.approx({10.0: 0.04, 11.0: 0.03, 20.0: 0.1, 21.0: 0.04})
+
+
+def test_arm_is_held_where_no_plan_is_in_force():
+    pieces = pieces_between([], HOLD, 0, 50 * MS, 0.025)
+    assert [piece.reference for piece in pieces] == [HOLD, HOLD]
+
+
+def test_no_time_needs_no_real_piece():
+    assert sum(piece.duration for piece in pieces_between([], HOLD, 7, 7, 0.025)) == 0.0
+
+
+def test_predicted_arm_moves_to_the_reference():
+    predictor = Predictor(make_objective().system)
+    q, v, _ = predictor.predict(HOME, REST, None, pieces_between([], HOLD, 0, 0, 0.025))
+    np.testing.assert_allclose(q[:, 0], HOME, rtol=0, atol=1e-6)
+    plan = plan_at(0, 0.0, knots=10)
+    plan.positions[:] = HOLD.position + (0.01, 0.0, -0.01)
+    q, v, _ = predictor.predict(HOME, REST, None, pieces_between([plan], HOLD, 0, 1000 * MS, 0.025))
+    flange = link_frames(np.asarray(q, dtype=float)[:, 0])[1][-1]
+    np.testing.assert_allclose(flange, plan.positions[0], rtol=0, atol=5e-4)
+    assert np.abs(v).max() < 0.01
