@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-_BUCKET_US = 5
 _BUCKETS = 20000
 
 PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
@@ -12,16 +11,23 @@ PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
 
 
 class Histogram:
-    """Durations in buckets of 5 µs up to 100 ms; longer ones share the last bucket, the longest is kept exactly."""
+    """Durations in 20,000 equal buckets; longer ones share one more, and the longest is kept exactly.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    bucket_us
+        Width of a bucket, µs: 5 reaches to 100 ms, 100 to 2 s.
+    """
+
+    def __init__(self, bucket_us: int = 5) -> None:
+        self._bucket_us = bucket_us
         self._counts = [0] * (_BUCKETS + 1)
         self.count = 0
         self.maximum_ns = 0
 
     def add(self, duration_ns: int) -> None:
         """Count one duration in ns; one below zero, from a clock that was set back, counts as zero."""
-        bucket = max(duration_ns, 0) // (1000 * _BUCKET_US)
+        bucket = max(duration_ns, 0) // (1000 * self._bucket_us)
         self._counts[bucket if bucket < _BUCKETS else _BUCKETS] += 1
         self.count += 1
         if duration_ns > self.maximum_ns:
@@ -35,7 +41,7 @@ class Histogram:
         for bucket, count in enumerate(self._counts[:-1]):
             seen += count
             if seen >= wanted:
-                return min(float(_BUCKET_US * (bucket + 1)), self.maximum_ns / 1000)
+                return min(float(self._bucket_us * (bucket + 1)), self.maximum_ns / 1000)
         return self.maximum_ns / 1000
 
     def summary(self) -> Mapping[str, float]:

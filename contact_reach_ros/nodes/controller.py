@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -166,7 +167,7 @@ class ControllerNode(ManagedNode):
         )
         self._safety.publish(message)
         if stopped:
-            self.get_logger().error(f"compliant stop: {controller.stop_reason}; call ~/reset to go on")
+            self.say(LoggingSeverity.ERROR, f"compliant stop: {controller.stop_reason}; call ~/reset to go on")
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._controller.stop("stop service called")

@@ -15,6 +15,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, String
@@ -212,7 +213,7 @@ class DriverNode(ManagedNode):
         message = reason or "watching over the commands"
         self._safety.publish(DiagnosticStatus(level=level, name=self.NAME, message=message, hardware_id="iiwa14"))
         if reason:
-            self.get_logger().error(f"brakes closed: {reason}; call ~/reset to go on")
+            self.say(LoggingSeverity.ERROR, f"brakes closed: {reason}; call ~/reset to go on")
 
     def _publish_contacts(self, now_ns: int) -> None:
         forces = self._peak_contact.tolist()

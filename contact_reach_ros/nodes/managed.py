@@ -5,14 +5,17 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
 from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros.errors import ContactReachError, SettingsError
@@ -20,7 +23,7 @@ from contact_reach_ros.nodes.parameters import Sections, check_arguments, declar
 from contact_reach_ros.nodes.realtime import Inbox, request_realtime
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
 
-_REFUSALS_LOGGED_EVERY_S = 1.0
+_LOG_PERIOD_S = 0.1
 _IDLE_NS = 100_000_000
 
 
@@ -50,7 +53,11 @@ class ManagedNode(LifecycleNode):
         self.refused: dict[str, int] = {}
         self._diagnostics = self.create_publisher(DIAGNOSTICS.type, DIAGNOSTICS.name, DIAGNOSTICS.qos)
         self._stop = threading.Event()
-        self.create_timer(1.0, self._publish_diagnostics)
+        self._refusals: dict[str, str] = {}
+        self._lines: deque[tuple[LoggingSeverity, str]] = deque()
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOG_PERIOD_S, self.write_out, clock=clock)
+        self.create_timer(1.0, self._publish_diagnostics, clock=clock)
 
     def turn(self) -> None:
         """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
@@ -81,9 +88,13 @@ class ManagedNode(LifecycleNode):
         return self.create_publisher(topic.type, topic.name, topic.qos)
 
     def refuse(self, what: str, error: Exception) -> None:
-        """Count refused input and say so in the log, at most once a second."""
+        """Count refused input; the last refusal of each kind goes to the log, at most once a second."""
         self.refused[what] = self.refused.get(what, 0) + 1
-        self.get_logger().warning(str(error), throttle_duration_sec=_REFUSALS_LOGGED_EVERY_S)
+        self._refusals[what] = str(error)
+
+    def say(self, severity: LoggingSeverity, line: str) -> None:
+        """Log a line from the loop thread, which must not wait for it: the main thread writes it a little later."""
+        self._lines.append((severity, line))
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the loop's work."""
@@ -96,7 +107,26 @@ class ManagedNode(LifecycleNode):
         self.running = False
         return super().on_deactivate(state)
 
+    def write_out(self) -> None:
+        """Log what the loop thread has said."""
+        while self._lines:
+            severity, line = self._lines.popleft()
+            self._log(severity, line)
+
+    def _log(self, severity: LoggingSeverity, line: str) -> None:
+        logger = self.get_logger()
+        # rclpy holds that one place in the code logs at one severity only.
+        if severity is LoggingSeverity.INFO:
+            logger.info(line)
+        elif severity is LoggingSeverity.WARN:
+            logger.warning(line)
+        else:
+            logger.error(line)
+
     def _publish_diagnostics(self) -> None:
+        while self._refusals:
+            _, refusal = self._refusals.popitem()
+            self._log(LoggingSeverity.WARN, refusal)
         summary, values = self.diagnosis()
         refused = {f"refused {what}": count for what, count in self.refused.items()}
         status = DiagnosticStatus(
@@ -176,6 +206,8 @@ def _serve(node: ManagedNode, priority: int | None) -> int:
     _on_signals(signal.SIG_DFL)
     if node.autostart and not _start(node):
         return 1
+    # Also the first use of the logger, which takes long.
+    node.get_logger().info("active" if node.running else "waiting to be configured")
     if priority is not None and (warning := request_realtime(priority)):
         node.get_logger().warning(warning)
     _on_signals(lambda *_: stop.set())
@@ -193,6 +225,7 @@ def _serve(node: ManagedNode, priority: int | None) -> int:
         thread.join()
         executor.shutdown()
         node.close()
+        node.write_out()
     if failures:
         node.get_logger().fatal(f"the loop ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1

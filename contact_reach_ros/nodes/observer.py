@@ -11,6 +11,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import Trigger
@@ -153,7 +154,7 @@ class ObserverNode(ManagedNode):
         """The safety state, also as the sign of life that the controller waits for."""
         reason = self._monitor.stop_reason
         if reason and reason != self._published_reason:
-            self.get_logger().error(f"stop: {reason}; call ~/reset to go on")
+            self.say(LoggingSeverity.ERROR, f"stop: {reason}; call ~/reset to go on")
         self._published_reason = reason
         largest = float(np.abs(self._observer.residual).max())
         message = DiagnosticStatus(

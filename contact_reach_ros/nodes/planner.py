@@ -128,7 +128,7 @@ class PlannerNode(ManagedNode):
         self._plan: Plan | None = None
         self._goals = 0
         self._late = 0
-        self._solve_times = Histogram()
+        self._solve_times = Histogram(bucket_us=100)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Compile the solver."""

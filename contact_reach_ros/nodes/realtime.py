@@ -20,13 +20,12 @@ from rclpy.subscription import Subscription
 
 from contact_reach_ros.nodes.topics import Topic
 
-
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
 
 def request_realtime(priority: int) -> str:
-    """Give all threads of this process, and those they start later, SCHED_FIFO priority; collect no garbage from now on.
+    """Give all threads of this process, and those started later, SCHED_FIFO priority; collect no garbage from now on.
 
     To be called when the process is ready for its loop: what it does before would keep others from running.
 
