@@ -26,9 +26,10 @@ from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, to_point
 from contact_reach_ros.nodes.processes import StackOptions, processes
-from contact_reach_ros.nodes.supervisor import Supervisor
+from contact_reach_ros.nodes.supervisor import StackError, Supervisor
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.plant.plant import Actuation
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
 from contact_reach_ros.recording.summary import Episode, EpisodeSummary
 from contact_reach_ros.robot import iiwa14
@@ -87,6 +88,7 @@ class _Watcher:
         self.force = 0.0
         self.safety = "starting"
         self.stopped = False
+        self.commanded = False
         self.plan_ns = 0
         inbox = supervisor.inbox
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
@@ -116,6 +118,8 @@ class _Watcher:
             self.safety = f"STOP by {message.name}: {message.message}"
         elif message.name == "controller" and not self.stopped:
             self.safety = message.message
+        elif message.name == "driver":
+            self.commanded = message.message == Actuation.COMMANDED.value
 
     def _on_plan(self, message: MultiDOFJointTrajectory) -> None:
         self.plan_ns = nanoseconds(message.header.stamp)
@@ -182,10 +186,15 @@ def _drive_to_goal(
     began = time.monotonic()
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     supervisor.wait_heard("recorder", _RECORDED, _DISCOVERY_S)
-    # Planner and recorder have to be matched with this publisher before it says something.
+    # Planner and recorder have to be matched with this publisher before it says something, and the brakes be open.
     deadline = time.monotonic() + _DISCOVERY_S
-    while publisher.get_subscription_count() < 2 and time.monotonic() < deadline:
+    while publisher.get_subscription_count() < 2 or not watcher.commanded:
         supervisor.spin(_LOOK_S)
+        supervisor.check()
+        if watcher.stopped:
+            raise StackError(watcher.safety)
+        if time.monotonic() > deadline:
+            raise StackError(f"the driver does not hear the controller, or nobody the goal, after {_DISCOVERY_S:.0f} s")
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
     goal = PoseStamped()
     goal.header.frame_id = iiwa14.BASE_NAME

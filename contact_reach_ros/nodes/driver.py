@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
@@ -80,7 +80,7 @@ class DriverNode(ManagedNode):
         self._contacts = self.make_publisher(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        self._published_stop: str | None = None
+        self._published_safety: tuple[str, str] | None = None
         self._description = self.make_publisher(topics.ROBOT_DESCRIPTION)
         self._clock_publisher = self.make_publisher(topics.CLOCK) if self._lockstep else None
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -196,7 +196,7 @@ class DriverNode(ManagedNode):
         self._answered = False
         self._published_ns = time.time_ns()
         self._joint_states.publish(message)
-        if self._drive.stop_reason != self._published_stop:
+        if (self._plant.actuation.value, self._drive.stop_reason) != self._published_safety:
             self._publish_safety()
         if steps % _CONTACTS_EVERY == 0:
             self._publish_contacts(now_ns)
@@ -208,10 +208,12 @@ class DriverNode(ManagedNode):
             self._clock_publisher.publish(message)
 
     def _publish_safety(self) -> None:
-        self._published_stop = reason = self._drive.stop_reason
+        actuation, reason = self._plant.actuation.value, self._drive.stop_reason
+        self._published_safety = (actuation, reason)
         level = DiagnosticStatus.ERROR if reason else DiagnosticStatus.OK
-        message = reason or "watching over the commands"
-        self._safety.publish(DiagnosticStatus(level=level, name=self.NAME, message=message, hardware_id="iiwa14"))
+        message = DiagnosticStatus(level=level, name=self.NAME, message=reason or actuation, hardware_id="iiwa14")
+        message.values = [KeyValue(key="actuation", value=actuation)]
+        self._safety.publish(message)
         if reason:
             self.say(LoggingSeverity.ERROR, f"brakes closed: {reason}; call ~/reset to go on")
 

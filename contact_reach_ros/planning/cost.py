@@ -20,6 +20,13 @@ from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import dot, sum_over
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, State, System
 
+ROUNDING = 0.03
+"""Rotation error below which its cost is rounded off, rad.
+
+A goal that holds the orientation starts at zero error, where a plain norm has a kink: gradient steps would be stuck in
+it, and three times as many solver steps be needed.
+"""
+
 
 class Weights(NamedTuple):
     """The numbers of the cost; inputs of the compiled program, so that a change does not compile it again."""
@@ -133,7 +140,7 @@ class Objective:
         from_start = _length(position[:, 1:] - position[:, :1])
         misalignment = jnp.moveaxis(rollout.pose.rotation[1:] - problem.goal_rotation, (1, 2), (0, 1))
         # ‖R − R_g‖ / √2 is 2 sin(angle / 2): the angle while it is small, and still growing at 180°.
-        chord = jnp.sqrt(0.5 * (misalignment**2).sum(axis=(0, 1)) + 1e-8)
+        turned = jnp.sqrt(0.5 * (misalignment**2).sum(axis=(0, 1)) + ROUNDING**2) - ROUNDING
         limit = self.system.arm.position_limit[:, None, None]
         intrusion = jnp.maximum(jnp.abs(q) - limit + weights.joint_limit_margin, 0.0)
         excess = jnp.maximum(rollout.contact - weights.permitted_force, 0.0)
@@ -143,7 +150,7 @@ class Objective:
             "progress": -weights.progress * from_start,
             "contact_limit": weights.contact_limit * excess,
             "contact": weights.contact * rollout.contact,
-            "orientation": weights.orientation * chord,
+            "orientation": weights.orientation * turned,
             "joint_limit": weights.joint_limit * sum_over(intrusion * intrusion, 0),
             "null_motion": weights.null_motion * sum_over(null_motion * null_motion, 0),
         }

@@ -87,7 +87,10 @@ class Spheres:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """References of H knots and what the planner expects of them; knot i holds from effect + i dt to effect + (i+1) dt."""
+    """References of H knots and what the planner expects of them.
+
+    Knot i holds from effect + i dt, excluded, to effect + (i + 1) dt, included.
+    """
 
     number: int
     """Counted from 1 by each planner."""

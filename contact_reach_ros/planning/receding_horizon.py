@@ -88,6 +88,7 @@ class RecedingHorizonPlanner:
         self._memory: _Memory | None = None
         self._last_state: tuple[int, Array] | None = None
         self._number = 0
+        self._since_reset = 0
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage."""
@@ -106,8 +107,12 @@ class RecedingHorizonPlanner:
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s")
 
     def reset(self) -> None:
-        """Forget the plans made so far: the goal was withdrawn, or the arm moved in a way no plan asked for."""
+        """Forget the plans made so far: the goal was withdrawn, or the arm moved in a way no plan asked for.
+
+        What is planned afterwards does not depend on anything before, except for the numbers of the plans.
+        """
         self._plans.clear()
+        self._since_reset = 0
         self._memory = None
         self._last_state = None
 
@@ -155,13 +160,14 @@ class RecedingHorizonPlanner:
 
         distribution, start_cost = self._start(problem, goal, effect_ns)
         until = begin + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
-        self._number += 1
-        solution = self._solver.solve(problem, distribution, start_cost, self._number, until)
+        solution = self._solver.solve(problem, distribution, start_cost, self._since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
                 "can be in and obstacles that do not swallow it; the plan in force runs out into a hold"
             )
+        self._number += 1
+        self._since_reset += 1
         rollout, terms = self._evaluate(problem, self._points(solution.best))
         plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin)
         self._plans.append(plan)

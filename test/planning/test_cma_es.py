@@ -8,14 +8,16 @@ import pytest
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, update
 
 N, PARENTS, POPULATION = 5, 20, 80
+ALL = np.ones(PARENTS)
 RATES = Rates.of(N, PARENTS)
 
 
-def one_update(distribution: Distribution, parents: np.ndarray, valid: np.ndarray | None = None) -> Distribution:
-    valid = np.ones(parents.shape[1]) if valid is None else valid
+@jax.jit
+def one_update(distribution: Distribution, parents: np.ndarray, valid: np.ndarray = ALL) -> Distribution:
+    """With the mean moved to that of the valid parents."""
     factor = jnp.linalg.cholesky(distribution.covariance)
-    mean = distribution.mean + distribution.sigma * (jnp.asarray(parents) @ valid) / max(valid.sum(), 1.0)
-    return update(RATES, distribution, factor, jnp.asarray(parents), jnp.asarray(valid), mean)
+    mean = distribution.mean + distribution.sigma * (parents @ valid) / jnp.maximum(valid.sum(), 1.0)
+    return update(RATES, distribution, factor, parents, valid, mean)
 
 
 @pytest.fixture

@@ -79,7 +79,9 @@ def test_missing_spheres_are_filled_up_out_of_reach():
 def test_nearest_spheres_are_kept_and_the_others_counted():
     spheres = row_of_spheres(5)
     order = np.array([3, 0, 4, 1, 2])
-    shuffled = Spheres(*(getattr(spheres, name)[order] for name in ("center", "rest", "radius", "stiffness", "damping")))
+    shuffled = Spheres(
+        *(getattr(spheres, name)[order] for name in ("center", "rest", "radius", "stiffness", "damping"))
+    )
     obstacles, left_out = fit_to_capacity(HOME, shuffled, 2)
     assert left_out == 3
     np.testing.assert_allclose(sorted(np.asarray(obstacles.center[0, :, 0])), [0.9, 1.2], rtol=0, atol=1e-6)

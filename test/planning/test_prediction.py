@@ -86,7 +86,7 @@ def test_predicted_arm_moves_to_the_reference():
     q, v, _ = predictor.predict(HOME, REST, None, pieces_between([], HOLD, 0, 0, 0.025))
     np.testing.assert_allclose(q[:, 0], HOME, rtol=0, atol=1e-6)
     plan = plan_at(0, 0.0, knots=10)
-    plan.positions[:] = HOLD.position + (0.01, 0.0, -0.01)
+    plan.positions[:] = HOLD.position + np.array([0.01, 0.0, -0.01])
     q, v, _ = predictor.predict(HOME, REST, None, pieces_between([plan], HOLD, 0, 1000 * MS, 0.025))
     flange = link_frames(np.asarray(q, dtype=float)[:, 0])[1][-1]
     np.testing.assert_allclose(flange, plan.positions[0], rtol=0, atol=5e-4)

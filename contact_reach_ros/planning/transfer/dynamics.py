@@ -16,7 +16,6 @@ from contact_reach_ros.planning.transfer.kinematics import Frames
 from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, dot, per_link, suffix_sum
 from contact_reach_ros.planning.transfer.model import ArmModel
 
-
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Each axis with the two that follow it."""
 
