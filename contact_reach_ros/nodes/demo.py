@@ -29,7 +29,6 @@ from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.plant.plant import Actuation
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
 from contact_reach_ros.recording.summary import Episode, EpisodeSummary
 from contact_reach_ros.robot import iiwa14
@@ -108,6 +107,8 @@ class _Watcher:
         position, _ = self._model.flange_pose(self._order.pick(message, "position", topics.JOINT_STATES.name))
         self.distance = float(np.linalg.norm(position - self._target))
         self.stamp_ns = nanoseconds(message.header.stamp)
+        # The driver knows no acting torque while its brakes are closed.
+        self.commanded = bool(np.isfinite(message.effort).all())
 
     def _on_contacts(self, message: JointState) -> None:
         self.force = message.effort[-1]
@@ -118,8 +119,6 @@ class _Watcher:
             self.safety = f"STOP by {message.name}: {message.message}"
         elif message.name == "controller" and not self.stopped:
             self.safety = message.message
-        elif message.name == "driver":
-            self.commanded = message.message == Actuation.COMMANDED.value
 
     def _on_plan(self, message: MultiDOFJointTrajectory) -> None:
         self.plan_ns = nanoseconds(message.header.stamp)

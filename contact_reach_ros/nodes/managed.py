@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -179,11 +180,15 @@ def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence
 def initialise(arguments: Sequence[str]) -> None:
     """Start rclpy; signals are left to the caller.
 
+    Fast DDS is asked to use UDP within this host: with its shared memory a publisher can stall for a third of a second
+    when a participant joins, and round trips take longer. FASTDDS_BUILTIN_TRANSPORTS overrides that.
+
     Raises
     ------
     SettingsError
         If ROS does not understand the arguments.
     """
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.RCLError as error:

@@ -72,7 +72,10 @@ class PlanningSettings(Settings):
         "quadratic", "on candidates outside γ: squared distance, or line 9 of Algorithm 1", choices=BOUNDARY_PENALTIES
     )
     boundary_weight: float = setting(
-        0.01, "quadratic penalty per squared distance in units of γ", minimum=0.0, maximum=10.0
+        0.3,
+        "quadratic penalty for a distance of γ, relative to the spread of the elite's costs",
+        minimum=0.0,
+        maximum=10.0,
     )
     max_steps: int = setting(100, "solver steps in one plan", minimum=1, maximum=1000)
     stagnation_tolerance: float = setting(

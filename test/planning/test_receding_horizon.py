@@ -105,7 +105,6 @@ def test_plan_starts_from_the_state_predicted_under_the_plan_in_force(planner):
 
 def test_plan_is_never_worse_than_the_last_one(planner):
     costs = [plan_from(planner, HOME, REST, 0, 100).cost for _ in range(4)]
-    assert costs[1] < costs[0] - 1e-6
     assert (np.diff(costs) <= 1e-6).all()
 
 

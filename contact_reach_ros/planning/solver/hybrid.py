@@ -84,9 +84,10 @@ class HybridSolver(Generic[ProblemT]):
     """Minimises a cost over the box [-1, 1]ⁿ.
 
     Readings of Algorithm 1: line 9 takes a logarithm of the cost, which may be negative; α d_i, the logarithm's effect,
-    is used directly as |L(a_i)|. By default a quadratic distance takes its place, which needs one evaluation per
-    candidate instead of two. Line 16 descends, along the gradient in the metric of the bounds, scaled so that β = 1
-    spans the box; β is drawn denser towards zero, zero included, and candidates of the line search are clipped too.
+    is used directly as |L(a_i)|. By default the squared distance to the box, scaled by how much the best candidates
+    differ in cost, takes its place, which needs one evaluation per candidate instead of two. Line 16 descends, along
+    the gradient in the metric of the bounds, scaled so that β = 1 spans the box; β is drawn denser towards zero, zero
+    included, and candidates of the line search are clipped too.
     """
 
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
@@ -186,8 +187,11 @@ class HybridSolver(Generic[ProblemT]):
     ) -> Elite:
         """Lines 8 to 13 from the costs (k,) of the repaired candidates and, for line 9, of the unrepaired ones."""
         if outside is None:
+            # In proportion to the spread among the best, so that cost and penalty are similar in magnitude.
+            best, _ = jax.lax.top_k(-_ranked(costs)[0], self._settings.elite)
+            spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
             distance = ((sample.points - sample.repaired) ** 2).sum(axis=0)
-            penalty = self._settings.boundary_weight * distance
+            penalty = self._settings.boundary_weight * spread * distance
         else:
             penalty = jnp.where((sample.points != sample.repaired).any(axis=0), jnp.abs(outside), 0.0)
         ranked, rejected = _ranked(costs + penalty)
