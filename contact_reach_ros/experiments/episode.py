@@ -39,7 +39,7 @@ class EpisodeOptions:
     period, latency
         Least time between plans, and from a state to the effect of its plan, s.
     settle
-        Time before the goal is given, s.
+        Time before the goal is given, s; the brakes open within it.
     timeout
         Time to reach the goal, s.
     success
@@ -50,7 +50,7 @@ class EpisodeOptions:
 
     period: float = 0.04
     latency: float = 0.04
-    settle: float = 0.6
+    settle: float = 0.8
     timeout: float = 20.0
     success: float = 0.01
     hold_orientation: bool = True

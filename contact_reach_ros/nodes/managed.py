@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -21,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
-from contact_reach_ros.nodes.realtime import Inbox, request_realtime
+from contact_reach_ros.nodes.realtime import Inbox, prioritise_middleware, request_realtime
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
 
 _LOG_PERIOD_S = 0.1
@@ -180,15 +179,11 @@ def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence
 def initialise(arguments: Sequence[str]) -> None:
     """Start rclpy; signals are left to the caller.
 
-    Fast DDS is asked to use UDP within this host: with its shared memory a publisher can stall for a third of a second
-    when a participant joins, and round trips take longer. FASTDDS_BUILTIN_TRANSPORTS overrides that.
-
     Raises
     ------
     SettingsError
         If ROS does not understand the arguments.
     """
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.RCLError as error:
@@ -213,7 +208,8 @@ def _serve(node: ManagedNode, priority: int | None) -> int:
         return 1
     # Also the first use of the logger, which takes long.
     node.get_logger().info("active" if node.running else "waiting to be configured")
-    if priority is not None and (warning := request_realtime(priority)):
+    warning = request_realtime(priority) if priority is not None else prioritise_middleware()
+    if warning:
         node.get_logger().warning(warning)
     _on_signals(lambda *_: stop.set())
     thread = threading.Thread(target=work, name="loop")

@@ -26,7 +26,7 @@ class Process:
     parameters
         Given on its command line, after the parameter file.
     first
-        Whether it is up before the others are started: it needs the whole machine to get ready.
+        Whether it is up before the loops are started: it needs the whole machine to get ready, or must miss nothing.
     """
 
     name: str
@@ -85,7 +85,7 @@ def processes(options: StackOptions) -> list[Process]:
     table = []
     if options.bag:
         origin = [f"scene={options.scene}", f"seed={options.seed}"]
-        table.append(Process("recorder", {"bag": options.bag, "custom_data": origin}))
+        table.append(Process("recorder", {"bag": options.bag, "custom_data": origin}, first=True))
     if options.driver:
         table.append(Process("driver", simulation))
     table.append(Process("observer", time))

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.processes import Process
-from contact_reach_ros.nodes.realtime import Inbox
+from contact_reach_ros.nodes.realtime import Inbox, prioritise_middleware
 from contact_reach_ros.nodes.topics import Topic
 
 _ACTIVE = "active"
@@ -88,6 +88,7 @@ class Supervisor:
         """
         if self._log_path is not None:
             self._log = self._log_path.open("wb")
+        prioritise_middleware()
         deadline = time.monotonic() + timeout
         for first in (True, False):
             processes = [process for process in self._table if process.first is first]

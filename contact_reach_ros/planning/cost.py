@@ -28,18 +28,21 @@ it, and three times as many solver steps be needed.
 """
 
 
+Number = float | jax.Array
+
+
 class Weights(NamedTuple):
     """The numbers of the cost; inputs of the compiled program, so that a change does not compile it again."""
 
-    goal: float
-    progress: float
-    contact_limit: float
-    permitted_force: float
-    contact: float
-    orientation: float
-    joint_limit: float
-    joint_limit_margin: float
-    null_motion: float
+    goal: Number
+    progress: Number
+    contact_limit: Number
+    permitted_force: Number
+    contact: Number
+    orientation: Number
+    joint_limit: Number
+    joint_limit_margin: Number
+    null_motion: Number
 
     @classmethod
     def of(cls, settings: PlanningSettings, permitted_force: float) -> Weights:

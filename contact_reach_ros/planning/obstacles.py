@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from contact_reach_ros.planning.problem import Array, Spheres
 from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 
@@ -43,11 +44,11 @@ def fit_to_capacity(q: Array, spheres: Spheres, capacity: int) -> tuple[Obstacle
     missing = capacity - len(kept)
     far_away = np.tile(_FAR_AWAY, (missing, 1))
 
-    def points(values: Array) -> jnp.ndarray:
-        return jnp.asarray(np.concatenate([values[kept], far_away]).T[:, :, None], jnp.float32)
+    def points(values: Array) -> jax.Array:
+        return single(np.concatenate([values[kept], far_away]).T[:, :, None])
 
-    def column(values: Array, filler: float) -> jnp.ndarray:
-        return jnp.asarray(np.concatenate([values[kept], np.full(missing, filler)])[:, None], jnp.float32)
+    def column(values: Array, filler: float) -> jax.Array:
+        return single(np.concatenate([values[kept], np.full(missing, filler)])[:, None])
 
     obstacles = Obstacles(
         center=points(spheres.center),

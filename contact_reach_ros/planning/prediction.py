@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.problem import Array, Plan
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import Reference, State, System
 
 MAX_PIECES = 64
@@ -95,22 +95,27 @@ class Predictor:
         def rows(values: Sequence[Array]) -> jax.Array:
             padded = np.zeros((MAX_PIECES, *values[0].shape, 1), np.float32)
             padded[:count, ..., 0] = values
-            return jnp.asarray(padded)
+            return single(padded)
 
         references = Reference(
             position=rows([piece.reference.position for piece in pieces]),
             rotation=rows([piece.reference.rotation for piece in pieces]),
             posture=rows([piece.reference.posture for piece in pieces]),
         )
-        start = pipeline.init(
-            self._system, jnp.asarray(q[:, None], jnp.float32), jnp.asarray(v[:, None], jnp.float32), obstacles
-        )
-        state = self._run(start, references, durations, count)
+        state = self._run(single(q[:, None]), single(v[:, None]), obstacles, references, durations, count)
         return state.q, state.qd, state.obstacles
 
-    def _advance(self, state: State, references: Reference, durations: jax.Array, count: jax.Array) -> State:
+    def _advance(
+        self,
+        q: jax.Array,
+        v: jax.Array,
+        obstacles: Obstacles | None,
+        references: Reference,
+        durations: jax.Array,
+        count: jax.Array,
+    ) -> State:
         def piece(index: jax.Array, state: State) -> State:
             system = dataclasses.replace(self._system, timestep=durations[index])
             return pipeline.step(system, state, jax.tree.map(lambda rows: rows[index], references))
 
-        return jax.lax.fori_loop(0, count, piece, state)
+        return jax.lax.fori_loop(0, count, piece, pipeline.init(self._system, q, v, obstacles))

@@ -6,10 +6,9 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -24,6 +23,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, fresh
 from contact_reach_ros.planning.solver.hybrid import HybridSolver, Solution
 from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.model import default_arm
 from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
 from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
@@ -36,6 +36,9 @@ _JUMP_SLACK = 0.05
 
 _PAPER_SIGMA = 0.01
 """Of every variable, m or rad, in line 1 of Algorithm 1."""
+
+
+_T = TypeVar("_T")
 
 
 class _Memory(NamedTuple):
@@ -75,7 +78,7 @@ class RecedingHorizonPlanner:
         timestep = settings.knot_duration / settings.substeps
         system = System(default_arm(), gains, settings.contact_stiffness, timestep)
         self._objective = Objective(system, settings.horizon, settings.substeps, settings.contact_measure)
-        self._weights = jax.tree.map(jnp.float32, Weights.of(settings, permitted_force))
+        self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
         knot = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
         self._bounds = np.tile(knot, settings.horizon)
         self._spread = _PAPER_SIGMA / self._bounds
@@ -100,7 +103,7 @@ class RecedingHorizonPlanner:
         progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
         self._predictor.predict(q, v, obstacles, pieces)
         progress("planner: preparing the evaluation of plans")
-        problem = self._problem(jnp.asarray(q[:, None], jnp.float32), jnp.zeros((7, 1)), obstacles, goal)
+        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal)
         jax.block_until_ready(self._evaluate(problem, self._points(np.zeros_like(self._bounds))))
         progress("planner: preparing the solver, the longest part (up to a minute the first time)")
         self._solver.warm_up(problem, self._fresh(np.zeros_like(self._bounds)))
@@ -196,15 +199,16 @@ class RecedingHorizonPlanner:
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
         weights = self._weights
         if goal.rotation is None:
-            weights = weights._replace(orientation=jnp.float32(0.0))
-        return Problem(
+            weights = weights._replace(orientation=single(0.0))
+        problem = Problem(
             q=q,
             v=v,
             obstacles=obstacles,
-            goal_position=jnp.asarray(goal.position[:, None], jnp.float32),
-            goal_rotation=jnp.asarray(rotation[:, :, None], jnp.float32),
+            goal_position=single(goal.position[:, None]),
+            goal_rotation=single(rotation[:, :, None]),
             weights=weights,
         )
+        return _on_device(problem)
 
     def _start(self, problem: Problem, goal: Goal, effect_ns: int) -> tuple[Distribution, float]:
         """Where the solver starts: at the rest of the last plan, or at standing still if that costs less."""
@@ -227,11 +231,11 @@ class RecedingHorizonPlanner:
         costs = np.where(np.isfinite(costs), costs, np.inf)
         index = int(np.argmin(costs))
         best = points[:, index]
-        distribution = self._fresh(best) if carried is None else carried._replace(mean=jnp.asarray(best))
+        distribution = self._fresh(best) if carried is None else carried._replace(mean=single(best))
         return distribution, float(costs[index])
 
     def _fresh(self, mean: np.ndarray) -> Distribution:
-        return fresh(jnp.asarray(mean, jnp.float32), jnp.asarray(self._spread, jnp.float32))
+        return fresh(single(mean), single(self._spread))
 
     def _points(self, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
         """Two points (n, 2) for the evaluation, the first one twice if there is no second."""
@@ -259,7 +263,7 @@ class RecedingHorizonPlanner:
         begin: float,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
-        cost_terms = {name: float(values[0]) for name, values in terms.items()}
+        cost_terms = {name: float(np.asarray(values)[0]) for name, values in terms.items()}
         return Plan(
             number=self._number,
             effect_ns=effect_ns,
@@ -278,6 +282,12 @@ class RecedingHorizonPlanner:
             rejected=solution.rejected,
             left_out=left_out,
         )
+
+
+@jax.jit
+def _on_device(values: _T) -> _T:
+    """What many programs will take as arguments, made JAX arrays all at once."""
+    return values
 
 
 def _joints(name: str, values: ArrayLike) -> Array:

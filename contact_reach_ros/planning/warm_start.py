@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.planning.solver.cma_es import Distribution
+from contact_reach_ros.planning.transfer.lanes import single
 
 FloatArray = NDArray[np.floating]
 
@@ -47,10 +47,10 @@ def shift_distribution(
     filled = np.repeat(1.0 - (weights**2).sum(axis=1), size) * spread**2
     covariance = kept @ distribution.covariance @ kept.T + np.diag(filled)
     return Distribution(
-        mean=jnp.asarray(mean, jnp.float32),
-        sigma=jnp.asarray(np.clip(distribution.sigma, *SIGMA_RANGE), jnp.float32),
-        covariance=jnp.asarray(covariance, jnp.float32),
-        sigma_path=jnp.asarray(kept @ distribution.sigma_path, jnp.float32),
-        covariance_path=jnp.asarray(kept @ distribution.covariance_path, jnp.float32),
-        generation=jnp.asarray(distribution.generation),
+        mean=single(mean),
+        sigma=single(np.clip(distribution.sigma, *SIGMA_RANGE)),
+        covariance=single(covariance),
+        sigma_path=single(kept @ distribution.sigma_path),
+        covariance_path=single(kept @ distribution.covariance_path),
+        generation=distribution.generation,
     )

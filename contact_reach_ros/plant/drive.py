@@ -22,7 +22,7 @@ class WatchdogSettings(Settings):
     """When the brakes open, and when a silent controller stops the arm."""
 
     open_after: float = setting(
-        0.1, "time of steady commands after which the brakes open", unit="s", minimum=0.0, maximum=5.0
+        0.5, "time of steady commands after which the brakes open", unit="s", minimum=0.0, maximum=5.0
     )
     hold_after: float = setting(
         0.02, "silence after which the arm is held with damping", unit="s", minimum=0.002, maximum=1.0
@@ -36,8 +36,8 @@ class Drive:
     """Feeds commands to the plant and watches over them.
 
     The brakes are closed until commands have come for `open_after` seconds without a gap of `hold_after`, so that a
-    controller which is still starting up is not handed the arm. From then on commands that stop for `hold_after` seconds
-    bring the damped hold, for `stop_after` seconds a stop that is latched until `reset`.
+    controller which is still starting up is not handed the arm. From then on commands that stop for `hold_after`
+    seconds bring the damped hold, for `stop_after` seconds a stop that is latched until `reset`.
 
     Attributes
     ----------

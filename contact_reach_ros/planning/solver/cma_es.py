@@ -30,6 +30,7 @@ class Distribution(NamedTuple):
     """() number of updates since the paths were zero."""
 
 
+@jax.jit
 def fresh(mean: jax.Array, spread: jax.Array) -> Distribution:
     """A distribution about `mean` (n,) with independent variables of standard deviations `spread` (n,)."""
     zero = jnp.zeros_like(mean)

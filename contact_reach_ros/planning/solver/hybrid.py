@@ -127,7 +127,7 @@ class HybridSolver(Generic[ProblemT]):
             Instant of `time.perf_counter` by which to return, looked at between steps; one is always taken.
         """
         settings = self._settings
-        search = Search(distribution, distribution.mean, jnp.float32(start_cost), jnp.int32(0))
+        search = _search_from(distribution, start_cost)
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
@@ -156,7 +156,7 @@ class HybridSolver(Generic[ProblemT]):
 
     def warm_up(self, problem: ProblemT, distribution: Distribution) -> None:
         """Compile what `solve` needs for problems of this shape."""
-        search = Search(distribution, distribution.mean, jnp.float32(0.0), jnp.int32(0))
+        search = _search_from(distribution, 0.0)
         jax.block_until_ready(self._advance(problem, search, (self._settings.seed, 0, 0)))
 
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
@@ -224,6 +224,11 @@ class HybridSolver(Generic[ProblemT]):
             best_cost=jnp.where(better, cost, search.best_cost),
             rejected=search.rejected + elite.rejected + rejected,
         )
+
+
+@jax.jit
+def _search_from(distribution: Distribution, cost: jax.Array | float) -> Search:
+    return Search(distribution, distribution.mean, jnp.asarray(cost, jnp.float32), jnp.zeros((), jnp.int32))
 
 
 def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Array:

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 Keep = Callable[[jax.Array], jax.Array]
 """Returns its argument unchanged, and makes XLA store it instead of computing it again for every reader."""
+
+
+def single(values: ArrayLike) -> jax.Array:
+    """Values in single precision, as an argument of compiled programs.
+
+    They stay in numpy, which those take directly: making a JAX array of each costs more than many a program.
+    """
+    return cast(jax.Array, np.asarray(values, dtype=np.float32))
 
 
 def make_keep(value: jax.Array) -> Keep:
