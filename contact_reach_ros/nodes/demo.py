@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import sys
 import time
@@ -146,7 +145,6 @@ def run_demo(options: DemoOptions) -> int:
         bag=str(bag),
         parameters=options.parameters,
     )
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     initialise(["demo"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -22,8 +23,11 @@ from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
 from contact_reach_ros.nodes.realtime import Inbox, prioritise_middleware, request_realtime
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
+from contact_reach_ros.resources import config_file
 
 _LOG_PERIOD_S = 0.1
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _IDLE_NS = 100_000_000
 
 
@@ -177,17 +181,28 @@ def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence
 
 
 def initialise(arguments: Sequence[str]) -> None:
-    """Start rclpy; signals are left to the caller.
+    """Start rclpy, on this host only unless the user has chosen otherwise; signals are left to the caller.
 
     Raises
     ------
     SettingsError
         If ROS does not understand the arguments.
     """
+    stay_on_this_host()
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.RCLError as error:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
+
+
+def stay_on_this_host() -> None:
+    """Let this process and its children talk over UDP on the loopback interface, unless the environment says otherwise.
+
+    ROS's own LOCALHOST range would do, but takes Fast DDS's shared memory with it, see config/fastdds.xml.
+    """
+    if not any(name in os.environ for name in (_RANGE, _PROFILES, "FASTDDS_DEFAULT_PROFILES_FILE")):
+        os.environ[_PROFILES] = str(config_file("fastdds.xml"))
+        os.environ[_RANGE] = "SYSTEM_DEFAULT"
 
 
 def _serve(node: ManagedNode, priority: int | None) -> int:

@@ -49,8 +49,7 @@ def request_realtime(priority: int) -> str:
 def prioritise_middleware() -> str:
     """Give the middleware's threads of a process without a loop of its own SCHED_FIFO priority, below all loops.
 
-    Fast DDS shares memory, and with it locks, between processes. A receiving thread that is preempted while it holds one
-    stalls every publisher it listens to, a real-time one too: 333 ms were seen on a busy machine.
+    They only pass messages on; behind a process that computes, messages would wait for it.
 
     Returns
     -------

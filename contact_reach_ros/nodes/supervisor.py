@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -119,11 +118,8 @@ class Supervisor:
         return {endpoint.node_name for endpoint in self._node.get_subscriptions_info_by_topic(name)}
 
     def _start(self, process: Process) -> None:
-        environment = dict(os.environ)
-        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         self._running[process.name] = subprocess.Popen(
             [sys.executable, "-m", process.module, *self._arguments(process)],
-            env=environment,
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,

@@ -22,12 +22,9 @@ _domains = itertools.count(101 + os.getpid() % 60)
 
 def environment() -> dict[str, str]:
     """Environment of a domain that no other test uses."""
-    return {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(next(_domains) % 130 + 101),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "RCUTILS_COLORIZED_OUTPUT": "0",
-    }
+    # Discovery is left to the package's own default, as a user has it.
+    inherited = {name: value for name, value in os.environ.items() if name != "ROS_AUTOMATIC_DISCOVERY_RANGE"}
+    return {**inherited, "ROS_DOMAIN_ID": str(next(_domains) % 130 + 101), "RCUTILS_COLORIZED_OUTPUT": "0"}
 
 
 def parameter_file(path: Path, **nodes: dict) -> Path:

@@ -1,0 +1,49 @@
+"""How JAX is started; in processes of their own, because a backend starts only once."""
+
+import os
+import subprocess
+import sys
+
+SCRIPT = """
+import os
+from pathlib import Path
+from contact_reach_ros.planning.runtime import configure_jax
+configure_jax(Path(os.environ["CACHE"]))
+import jax, jax.numpy as jnp
+jax.jit(lambda x: jnp.sin(x) @ jnp.cos(x))(jnp.ones((300, 300))).block_until_ready()
+names = [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")]
+print(sum("XLAEigen" in name for name in names), os.environ.get("NPROC"), os.environ["XLA_FLAGS"], sep="|")
+"""
+
+
+def start(tmp_path, **environment: str) -> list[str]:
+    inherited = {key: value for key, value in os.environ.items() if key not in ("NPROC", "XLA_FLAGS")}
+    result = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        env=inherited | {"CACHE": str(tmp_path)} | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert result.stdout.count("\n") == 1
+    return result.stdout.strip().split("|")
+
+
+def test_one_worker_thread_computes_and_children_do_not_inherit_that(tmp_path):
+    workers, inherited, _ = start(tmp_path)
+    assert workers == "1"
+    assert inherited == "None"
+
+
+def test_what_the_user_has_set_stays(tmp_path):
+    _, inherited, flags = start(tmp_path, NPROC="2", XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")
+    assert inherited == "2"
+    assert flags == "--xla_cpu_multi_thread_eigen=true"
+    _, _, flags = start(tmp_path, XLA_FLAGS="--xla_dump_max_hlo_modules=1")
+    assert flags.startswith("--xla_dump_max_hlo_modules=1 ")
+
+
+def test_compiled_programs_are_kept(tmp_path):
+    start(tmp_path)
+    assert any(tmp_path.iterdir())
