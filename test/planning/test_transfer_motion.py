@@ -73,15 +73,3 @@ def test_flange_position_is_predicted_within_a_millimetre(flange_errors):
 def test_flange_rotation_is_predicted_within_half_a_degree(flange_errors):
     _, rotation = flange_errors
     assert rotation.max() < np.radians(0.5)
-
-
-def test_motion_stays_bounded_at_a_singularity(roll_out):
-    """Arm straight up, and wrist straight, with the strongest actions that a plan may ask for."""
-    random = np.random.default_rng(1)
-    starts = np.zeros((7, LANES))
-    starts[1::2, LANES // 2 :] = np.array([0.6, -1.2, 0.0])[:, None]
-    actions = random.choice([-1.0, 1.0], (3, 13, LANES)) * np.array([0.01] * 3 + [0.2] * 10)[None, :, None]
-    rollout, _ = roll_out(make_problem(starts, np.zeros(3), ball(FAR_BALL)), actions)
-    q = np.asarray(rollout.q)
-    assert np.isfinite(q).all()
-    assert np.abs(np.diff(q, axis=0)).max() < 1.0

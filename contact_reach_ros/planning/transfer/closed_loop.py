@@ -30,7 +30,7 @@ TASK_DAMPING_FLOOR = 1e-4
 """Added to the diagonal of J M⁻¹ Jᵀ, 1/kg, so that the factorisation survives a singularity.
 
 The controller bounds Λ by lifting small eigenvalues instead; that needs an eigenvalue decomposition of every candidate
-and differs only next to singularities.
+and differs only next to singularities, where rollouts may become non-finite; the solver ranks those last.
 """
 
 
