@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from contact_reach_ros.errors import InputError
 
@@ -47,12 +49,16 @@ class Goal:
 
 @dataclass(frozen=True)
 class Spheres:
-    """Obstacle spheres, each held to its rest position by a spring and slowed by a damper, in the base frame.
+    """Obstacle spheres in the base frame, each slowed by a damper and held to its rest position by a spring.
+
+    Edges join the spheres of a deformable body. An edge pulls the difference of its ends' displacements from rest back
+    to zero, in all directions alike. A sphere without a spring of its own must be joined to one that has.
 
     Raises
     ------
     InputError
-        If a value is not finite, the shapes disagree, or a radius, stiffness or damping is not positive.
+        If a value is not finite, the shapes disagree, a radius, damping or edge stiffness is not positive, a stiffness
+        is negative, an edge names a sphere that is not there, or a group of joined spheres has no spring to hold it.
     """
 
     center: Array
@@ -65,19 +71,44 @@ class Spheres:
     """(K,) of the spring to the rest position, N/m."""
     damping: Array
     """(K,) of the motion through the surroundings, N s/m."""
+    edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    """(E, 2) indices of the spheres that each edge joins."""
+    edge_stiffness: Array = field(default_factory=lambda: np.zeros(0))
+    """(E,) N/m."""
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.radius))
         for name, shape in (("center", (count, 3)), ("rest", (count, 3))):
             object.__setattr__(self, name, _checked(f"sphere {name}", getattr(self, name), shape))
-        for name in ("radius", "stiffness", "damping"):
-            values = _checked(f"sphere {name}", getattr(self, name), (count,))
-            if (values <= 0.0).any():
+        edges = np.array(self.edges, dtype=np.intp).reshape(-1, 2)
+        object.__setattr__(self, "edges", edges)
+        sizes = {"radius": count, "stiffness": count, "damping": count, "edge_stiffness": len(edges)}
+        for name, size in sizes.items():
+            values = _checked(f"sphere {name}", getattr(self, name), (size,))
+            if (values < 0.0).any() or (name != "stiffness" and (values == 0.0).any()):
                 raise InputError(f"sphere {name}: expected positive values, got {values.min():g}")
             object.__setattr__(self, name, values)
+        if edges.size and not (0 <= edges.min() and edges.max() < count):
+            raise InputError(f"sphere edges: expected indices from 0 to {count - 1}, got {edges.min()} to {edges.max()}")
+        self._check_held()
 
     def __len__(self) -> int:
         return len(self.radius)
+
+    def _check_held(self) -> None:
+        if (self.stiffness > 0.0).all():
+            return
+        count = len(self)
+        graph = coo_array((np.ones(len(self.edges)), self.edges.T), shape=(count, count))
+        groups, group = connected_components(graph, directed=False)
+        held = np.zeros(groups, bool)
+        held[group[self.stiffness > 0.0]] = True
+        if not held.all():
+            loose = int(np.flatnonzero(~held[group])[0])
+            raise InputError(
+                f"sphere stiffness: nothing holds sphere {loose}; expected a positive stiffness of it or of a sphere "
+                "that edges join it to"
+            )
 
     @classmethod
     def none(cls) -> Spheres:
