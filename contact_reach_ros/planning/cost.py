@@ -2,8 +2,8 @@
 
 The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − ε) and not
 the literal λ3 (contact − ε), which would reward every newton below ε as much as it punishes one above. A small weight
-on any contact keeps permitted forces low. Joint limits, absent from (5), are soft costs; so are a goal's orientation
-and the null-space motion, which nothing else would restrain.
+on any contact keeps permitted forces low. The joints' limits of position and speed, absent from (5), are soft costs; so
+are a goal's orientation and the null-space motion, which nothing else would restrain.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class Weights(NamedTuple):
     orientation: Number
     joint_limit: Number
     joint_limit_margin: Number
+    joint_speed: Number
     null_motion: Number
 
     @classmethod
@@ -56,6 +57,7 @@ class Weights(NamedTuple):
             orientation=settings.orientation_weight,
             joint_limit=settings.joint_limit_weight,
             joint_limit_margin=settings.joint_limit_margin,
+            joint_speed=settings.joint_speed_weight,
             null_motion=settings.null_motion_weight,
         )
 
@@ -147,6 +149,8 @@ class Objective:
         limit = self.system.arm.position_limit[:, None, None]
         intrusion = jnp.maximum(jnp.abs(q) - limit + weights.joint_limit_margin, 0.0)
         excess = jnp.maximum(rollout.contact - weights.permitted_force, 0.0)
+        speed = jnp.abs(q - jnp.moveaxis(rollout.q[:-1], 1, 0)) / (self.system.timestep * self.substeps)
+        speeding = jnp.maximum(speed - self.system.arm.velocity_limit[:, None, None], 0.0)
         null_motion = jnp.moveaxis(actions[:, 6:], 1, 0)
         parts = {
             "goal": weights.goal * to_goal,
@@ -155,6 +159,7 @@ class Objective:
             "contact": weights.contact * rollout.contact,
             "orientation": weights.orientation * turned,
             "joint_limit": weights.joint_limit * sum_over(intrusion * intrusion, 0),
+            "joint_speed": weights.joint_speed * sum_over(speeding * speeding, 0),
             "null_motion": weights.null_motion * sum_over(null_motion * null_motion, 0),
         }
         return {name: sum_over(part, 0) for name, part in parts.items()}

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
 
 from contact_reach_ros.planning.problem import Array, Spheres
 from contact_reach_ros.planning.transfer.contact import Obstacles
@@ -29,32 +33,103 @@ def clearances(q: Array, spheres: Spheres) -> Array:
     return nearest - spheres.radius
 
 
-def fit_to_capacity(q: Array, spheres: Spheres, capacity: int) -> tuple[Obstacles | None, int]:
-    """The spheres as the transfer model takes them, with one lane, and how many were left out.
+class ObstacleReader:
+    """Makes of the spheres in sight what the transfer model takes; to be used from one thread.
 
-    The spheres nearest to the arm at joint angles `q` (7,) are kept; far-away ones fill up the rest.
+    Only the spheres nearest to the arm are kept. Those they are joined to are condensed away: without contact forces
+    of their own they follow the kept ones, and the network that is left has the very stiffness that the kept spheres
+    feel (static condensation, Guyan 1965).
+
+    Parameters
+    ----------
+    capacity
+        Number of spheres that the transfer model is compiled for; far-away ones fill up what is missing.
     """
-    count = len(spheres)
-    if capacity == 0:
-        return None, count
-    kept = np.arange(count)
-    if count > capacity:
-        # Sorted, so that a sphere keeps its place for as long as it is kept.
-        kept = np.sort(np.argsort(clearances(q, spheres), kind="stable")[:capacity])
-    missing = capacity - len(kept)
-    far_away = np.tile(_FAR_AWAY, (missing, 1))
 
-    def points(values: Array) -> jax.Array:
-        return single(np.concatenate([values[kept], far_away]).T[:, :, None])
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._network: Network | None = None
+        self._kept: NDArray[np.intp] = np.zeros(0, np.intp)
+        self._modes: Modes | None = None
 
-    def column(values: Array, filler: float) -> jax.Array:
-        return single(np.concatenate([values[kept], np.full(missing, filler)])[:, None])
+    def read(self, q: Array, spheres: Spheres) -> tuple[Obstacles | None, int]:
+        """The spheres as the transfer model takes them, with one lane, and how many were left out.
 
-    obstacles = Obstacles(
-        center=points(spheres.center),
-        rest=points(spheres.rest),
-        radius=column(spheres.radius, 0.0),
-        stiffness=column(spheres.stiffness, 1.0),
-        damping=column(spheres.damping, 1.0),
-    )
-    return obstacles, count - len(kept)
+        Parameters
+        ----------
+        q
+            (7,) joint angles, rad, to which the kept spheres are near.
+        spheres
+            Any number of them.
+        """
+        count = len(spheres)
+        if self._capacity == 0:
+            return None, count
+        kept = np.arange(count)
+        if count > self._capacity:
+            # Sorted, so that a sphere keeps its place for as long as it is kept.
+            kept = np.sort(np.argsort(clearances(q, spheres), kind="stable")[: self._capacity])
+        if self._network is None or not self._network.same_as(spheres):
+            self._network, self._modes = Network(spheres), None
+        if self._modes is None or not np.array_equal(kept, self._kept):
+            self._kept, self._modes = kept, self._network.modes(kept, self._capacity)
+        missing = self._capacity - len(kept)
+        far_away = np.tile(_FAR_AWAY, (missing, 1))
+
+        def points(values: Array) -> jax.Array:
+            return single(np.concatenate([values[kept], far_away]).T[:, :, None])
+
+        obstacles = Obstacles(
+            center=points(spheres.center),
+            rest=points(spheres.rest),
+            radius=single(np.concatenate([spheres.radius[kept], np.zeros(missing)])[:, None]),
+            shapes=single(self._modes.shapes),
+            amplitudes=single(self._modes.amplitudes),
+            rates=single(self._modes.rates),
+        )
+        return obstacles, count - len(kept)
+
+
+class Modes(NamedTuple):
+    """Shapes W (K, K) in which displacements decay, W⁻¹ (K, K) and the rates (K,) of that, 1/s."""
+
+    shapes: Array
+    amplitudes: Array
+    rates: Array
+
+
+class Network:
+    """The springs and dampers of spheres: D u̇ = f − L u along each axis."""
+
+    def __init__(self, spheres: Spheres) -> None:
+        self._spheres = spheres
+        stiffness = np.diag(spheres.stiffness)
+        first, second = spheres.edges.T
+        np.add.at(stiffness, (first, first), spheres.edge_stiffness)
+        np.add.at(stiffness, (second, second), spheres.edge_stiffness)
+        np.add.at(stiffness, (first, second), -spheres.edge_stiffness)
+        np.add.at(stiffness, (second, first), -spheres.edge_stiffness)
+        self.stiffness = stiffness
+        """(K, K) L, N/m."""
+        self._compliance = np.linalg.inv(stiffness)
+
+    def same_as(self, spheres: Spheres) -> bool:
+        """Whether the spheres, wherever they are, have this network."""
+        return self._spheres is spheres or all(
+            np.array_equal(getattr(self._spheres, name), getattr(spheres, name))
+            for name in ("stiffness", "damping", "edges", "edge_stiffness")
+        )
+
+    def modes(self, kept: NDArray[np.intp], capacity: int) -> Modes:
+        """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with spheres on their own."""
+        # Where all spheres go when the kept ones are displaced and forces act on those alone.
+        stiffness = np.linalg.inv(self._compliance[np.ix_(kept, kept)])
+        followers = self._compliance[:, kept] @ stiffness
+        damping = followers.T @ (self._spheres.damping[:, None] * followers)
+        rates, shapes = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), 0.5 * (damping + damping.T))
+        missing = capacity - len(kept)
+        return Modes(
+            shapes=scipy.linalg.block_diag(shapes, np.eye(missing)),
+            amplitudes=scipy.linalg.block_diag(shapes.T @ damping, np.eye(missing)),
+            rates=np.concatenate([rates, np.ones(missing)]),
+        )

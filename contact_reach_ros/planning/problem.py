@@ -88,8 +88,10 @@ class Spheres:
             if (values < 0.0).any() or (name != "stiffness" and (values == 0.0).any()):
                 raise InputError(f"sphere {name}: expected positive values, got {values.min():g}")
             object.__setattr__(self, name, values)
-        if edges.size and not (0 <= edges.min() and edges.max() < count):
-            raise InputError(f"sphere edges: expected indices from 0 to {count - 1}, got {edges.min()} to {edges.max()}")
+        if edges.size and not (edges.min() >= 0 and edges.max() < count):
+            raise InputError(
+                f"sphere edges: expected indices from 0 to {count - 1}, got {edges.min()} to {edges.max()}"
+            )
         self._check_held()
 
     def __len__(self) -> int:

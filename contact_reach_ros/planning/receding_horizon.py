@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
-from contact_reach_ros.planning.obstacles import fit_to_capacity
+from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.prediction import MAX_PIECES, HeldReference, Predictor, pieces_between
 from contact_reach_ros.planning.problem import Array, Goal, Plan, Spheres
 from contact_reach_ros.planning.runtime import configure_jax
@@ -74,7 +74,7 @@ class RecedingHorizonPlanner:
     ) -> None:
         configure_jax(cache_directory() / "jax")
         self._settings = settings
-        self._capacity = capacity
+        self._obstacles = ObstacleReader(capacity)
         timestep = settings.knot_duration / settings.substeps
         system = System(default_arm(), gains, settings.contact_stiffness, timestep)
         self._objective = Objective(system, settings.horizon, settings.substeps, settings.contact_measure)
@@ -98,7 +98,7 @@ class RecedingHorizonPlanner:
         begin = time.perf_counter()
         q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
         goal = Goal(np.array([0.5, 0.0, 0.4]))
-        obstacles, _ = fit_to_capacity(q, Spheres.none(), self._capacity)
+        obstacles, _ = self._obstacles.read(q, Spheres.none())
         pieces = pieces_between((), _hold(q), 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
         self._predictor.predict(q, v, obstacles, pieces)
@@ -156,7 +156,7 @@ class RecedingHorizonPlanner:
         q, v = _joints("q", q), _joints("v", v)
         self._check_times(state_ns, effect_ns)
         self._reset_if_jumped(q, state_ns)
-        obstacles, left_out = fit_to_capacity(q, spheres, self._capacity)
+        obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         pieces = pieces_between(self._plans, _hold(q), state_ns, effect_ns, timestep)
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal)

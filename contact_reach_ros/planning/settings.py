@@ -40,6 +40,13 @@ class PlanningSettings(Settings):
     joint_limit_margin: float = setting(
         0.15, "where the cost of a joint limit starts", unit="rad", minimum=0.0, maximum=1.0
     )
+    joint_speed_weight: float = setting(
+        0.3,
+        "squared excess of a joint's mean speed over a knot above its limit",
+        unit="s²/rad²",
+        minimum=0.0,
+        maximum=100.0,
+    )
     null_motion_weight: float = setting(
         0.003,
         "squared Δq, so that the elbow rests when nothing asks it to move",

@@ -2,11 +2,15 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from arm_simulation import HOME
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, Problem, Weights
+from contact_reach_ros.planning.obstacles import ObstacleReader
+from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.contact import Obstacles
@@ -23,15 +27,17 @@ LANES = 60
 FAR_BALL = np.array([0.0, 0.0, -100.0])
 
 
-def ball(center: np.ndarray, stiffness: float = 100.0, rest: np.ndarray | None = None) -> Obstacles:
+def ball(center: np.ndarray, stiffness: float = 100.0, damping: float = 30.0) -> Obstacles:
     """One sphere of 0.1 m radius, as the transfer model takes it."""
-    return Obstacles(
-        center=jnp.asarray(center)[:, None, None],
-        rest=jnp.asarray(center if rest is None else rest)[:, None, None],
-        radius=jnp.full((1, 1), 0.1),
-        stiffness=jnp.full((1, 1), stiffness),
-        damping=jnp.full((1, 1), 30.0),
+    return obstacles_of(
+        Spheres(center[None], center[None], np.full(1, 0.1), np.full(1, stiffness), np.full(1, damping))
     )
+
+
+def obstacles_of(spheres: Spheres, capacity: int | None = None) -> Obstacles:
+    """Spheres as the transfer model takes them, all of them unless a capacity says otherwise."""
+    obstacles, _ = ObstacleReader(len(spheres) if capacity is None else capacity).read(HOME, spheres)
+    return jax.tree.map(jnp.asarray, obstacles)
 
 
 def make_problem(

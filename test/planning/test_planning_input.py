@@ -5,7 +5,7 @@ import pytest
 from arm_simulation import HOME
 
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.planning.obstacles import clearances, fit_to_capacity
+from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
 from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.robot.kinematics import link_frames, rotation_about
@@ -44,6 +44,8 @@ def test_goals_are_compared_with_their_orientation():
         ("rest", np.full((2, 3), np.inf), "sphere rest: expected finite"),
         ("radius", np.array([0.1, 0.0]), "sphere radius: expected positive"),
         ("stiffness", np.array([-1.0, 1.0]), "sphere stiffness: expected positive"),
+        ("stiffness", np.array([0.0, 1.0]), "sphere stiffness: nothing holds sphere 0"),
+        ("edges", np.array([[0, 2]]), "sphere edge_stiffness: expected shape"),
     ],
 )
 def test_spheres_that_make_no_sense_are_refused(name, value, message):
@@ -69,7 +71,7 @@ def test_clearance_is_the_gap_between_surfaces():
 
 
 def test_missing_spheres_are_filled_up_out_of_reach():
-    obstacles, left_out = fit_to_capacity(HOME, row_of_spheres(1), 3)
+    obstacles, left_out = ObstacleReader(3).read(HOME, row_of_spheres(1))
     assert left_out == 0
     assert obstacles.center.shape == (3, 3, 1)
     np.testing.assert_allclose(obstacles.center[:, 0, 0], [0.9, 0.0, 0.5], rtol=0, atol=1e-6)
@@ -82,11 +84,23 @@ def test_nearest_spheres_are_kept_and_the_others_counted():
     shuffled = Spheres(
         *(getattr(spheres, name)[order] for name in ("center", "rest", "radius", "stiffness", "damping"))
     )
-    obstacles, left_out = fit_to_capacity(HOME, shuffled, 2)
+    obstacles, left_out = ObstacleReader(2).read(HOME, shuffled)
     assert left_out == 3
     np.testing.assert_allclose(sorted(np.asarray(obstacles.center[0, :, 0])), [0.9, 1.2], rtol=0, atol=1e-6)
     np.testing.assert_allclose(obstacles.rest - obstacles.center, 0.01, rtol=0, atol=1e-6)
 
 
 def test_planner_without_capacity_leaves_all_spheres_out():
-    assert fit_to_capacity(HOME, row_of_spheres(4), 0) == (None, 4)
+    assert ObstacleReader(0).read(HOME, row_of_spheres(4)) == (None, 4)
+
+
+def test_joined_spheres_need_one_spring_among_them():
+    center = np.zeros((3, 3))
+    held = np.array([100.0, 0.0, 0.0])
+    ones = np.ones(3)
+    spheres = Spheres(center, center, ones, held, ones, np.array([[0, 1], [1, 2]]), np.ones(2))
+    assert len(spheres) == 3
+    with pytest.raises(InputError, match="nothing holds sphere 2"):
+        Spheres(center, center, ones, held, ones, np.array([[0, 1]]), np.ones(1))
+    with pytest.raises(InputError, match="sphere edges: expected indices from 0 to 2, got 0 to 3"):
+        Spheres(center, center, ones, held, ones, np.array([[0, 3]]), np.ones(1))

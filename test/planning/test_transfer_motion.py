@@ -9,6 +9,7 @@ from planning_helpers import FAR_BALL, LANES, ball, make_problem
 
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.mjcf import build_mjcf
 from contact_reach_ros.robot.model import RobotModel
 
@@ -73,3 +74,22 @@ def test_flange_position_is_predicted_within_a_millimetre(flange_errors):
 def test_flange_rotation_is_predicted_within_half_a_degree(flange_errors):
     _, rotation = flange_errors
     assert rotation.max() < np.radians(0.5)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [np.zeros(7), HOME * (1, 1, 1, 1, 1, 0, 1), HOME * (1, 1, 1, 0, 1, 1, 1)],
+    ids=["straight", "wrist", "elbow"],
+)
+def test_motion_stays_bounded_at_a_singularity(roll_out, pose):
+    random = np.random.default_rng(1)
+    starts = pose[:, None] + random.uniform(-0.02, 0.02, (7, LANES))
+    actions = random.choice([-1.0, 1.0], (3, 13, LANES)) * (BOUNDS * (1, 1, 1, 2, 2, 2, *[1] * 7))[None, :, None]
+    rollout, terms = roll_out(make_problem(starts, np.zeros(3), ball(FAR_BALL)), actions)
+    moved = np.abs(np.diff(np.asarray(rollout.q), axis=0))
+    assert moved.max() <= 1.0 + 1e-5
+    assert all(np.isfinite(term).all() for term in terms.values())
+    # What the arm could not do costs.
+    fastest = (moved / 0.1 / np.array(iiwa14.VELOCITY_LIMITS)[:, None]).max(axis=(0, 1))
+    assert ((fastest > 1.0) == (np.asarray(terms["joint_speed"]) > 0.0)).all()
+    assert (fastest > 1.0).any()

@@ -7,6 +7,10 @@ With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the 
 
 where a is the task acceleration that law (1) asks for; C + g cancel, because the controller knows them. M, J and the
 torques go through one Cholesky factorisation each of M and of J M⁻¹ Jᵀ.
+
+Next to singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ, which would need an eigenvalue decomposition
+of every candidate. Here the pivots of its factorisation are lifted, by the same rule. A pivot is never below the
+smallest eigenvalue, so that both leave the matrix alone in the same places, and Λ is bounded in both.
 """
 
 from __future__ import annotations
@@ -25,13 +29,6 @@ from contact_reach_ros.planning.transfer.lanes import cross, dot, ratio, root
 from contact_reach_ros.planning.transfer.model import N_LINKS
 
 N_TASK = 6
-
-TASK_DAMPING_FLOOR = 1e-4
-"""Added to the diagonal of J M⁻¹ Jᵀ, 1/kg, so that the factorisation survives a singularity.
-
-The controller bounds Λ by lifting small eigenvalues instead; that needs an eigenvalue decomposition of every candidate
-and differs only next to singularities, where rollouts may become non-finite; the solver ranks those last.
-"""
 
 
 class Reference(NamedTuple):
@@ -87,7 +84,7 @@ def joint_acceleration(
     torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
 
     factor, solved, pivots = _factorise_mass(mass_matrix, jnp.concatenate([jacobian, jnp.stack(torques)]))
-    wrench = _task_wrench(solved, desired, implicit)
+    wrench = _task_wrench(solved, desired, implicit, gains.singularity_floor)
     # q̈ = L⁻ᵀ (L⁻¹ Jᵀ f + L⁻¹ τ₀ + L⁻¹ τ_contact), from the last joint to the first.
     acceleration: list[jax.Array] = [wrench[0]] * N_LINKS
     for joint in reversed(range(N_LINKS)):
@@ -142,7 +139,9 @@ def _factorise_mass(
     return below, appended, pivots
 
 
-def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array) -> list[jax.Array]:
+def _task_wrench(
+    solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array, floor: float
+) -> list[jax.Array]:
     """The wrench f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as six rows (B,), by the same recursion.
 
     `solved` holds for each joint the entries of L⁻¹ [Jᵀ τ₀ τ_contact], the last only if there is contact.
@@ -162,7 +161,7 @@ def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | 
         for earlier in range(axis):
             passed = columns[earlier][axis - earlier :]
             column = column - passed * passed[0][None]
-        pivot = root(column[0] + TASK_DAMPING_FLOOR)
+        pivot = root(_lifted(column[0], floor))
         pivots.append(pivot)
         columns.append(ratio(column, pivot[None]))
     wrench: list[jax.Array] = [desired[0]] * N_TASK
@@ -172,3 +171,9 @@ def _task_wrench(solved: list[jax.Array], desired: jax.Array, implicit: float | 
             total = total - columns[axis][later - axis] * wrench[later]
         wrench[axis] = ratio(total, pivots[axis])
     return wrench
+
+
+def _lifted(pivot: jax.Array, floor: float) -> jax.Array:
+    """The pivot, or where it is below the floor, floor/2 · (1 + (pivot/floor)²), as in the controller."""
+    share = jnp.clip(pivot * (1.0 / floor), 0.0, 1.0)
+    return jnp.maximum(pivot, (0.5 * floor) * (1.0 + share * share))

@@ -1,8 +1,10 @@
 """Soft, frictionless contact between the link capsules and spheres, for all lanes at once.
 
 A capsule and a sphere push each other apart along the line through the sphere's centre and the nearest point of the
-capsule's segment, with a force of contact stiffness times penetration. Spheres are held by a spring and a damper and
-have no mass: what they weigh does not matter at the speeds of this arm.
+capsule's segment, with a force of contact stiffness times penetration. The spheres, alone or joined to deformable
+bodies, are a linear network of springs and dampers without mass: D u̇ = f − L u with u their displacements from rest, f
+the contact forces and L the stiffness of the network, the same along each axis. What they weigh does not matter at the
+speeds of this arm.
 """
 
 from __future__ import annotations
@@ -19,9 +21,12 @@ from contact_reach_ros.planning.transfer.model import N_CAPSULES, N_LINKS, ArmMo
 _FIRST_LINK = N_LINKS - N_CAPSULES
 """The capsules belong to the last links, one each and in order."""
 
+_TOUCH = 1e-9
+"""A depth that makes no difference, m."""
+
 
 class Obstacles(NamedTuple):
-    """Obstacle spheres in the base frame."""
+    """Obstacle spheres in the base frame, with their network in modal form: L W = D W diag(rates), Wᵀ D W = I."""
 
     center: jax.Array
     """(3, K, B), m."""
@@ -29,10 +34,21 @@ class Obstacles(NamedTuple):
     """(3, K, 1), m."""
     radius: jax.Array
     """(K, 1), m."""
-    stiffness: jax.Array
-    """(K, 1) of the spring to the rest position, N/m."""
-    damping: jax.Array
-    """(K, 1), N s/m."""
+    shapes: jax.Array
+    """(K, K) W, whose columns are the shapes in which displacements decay."""
+    amplitudes: jax.Array
+    """(K, K) W⁻¹."""
+    rates: jax.Array
+    """(K,) with which they decay, 1/s."""
+
+
+class Response(NamedTuple):
+    """What a network does in one step: u⁺ = relaxation u + compliance f for a force f that stays the same."""
+
+    relaxation: jax.Array
+    """(K, K)."""
+    compliance: jax.Array
+    """(K, K), m/N."""
 
 
 class Contact(NamedTuple):
@@ -42,29 +58,51 @@ class Contact(NamedTuple):
     """(7, B) on the arm, N m."""
     link_force: jax.Array
     """(6, B) sum over the spheres of the (positive) normal forces on each capsule, N."""
-    sphere_force: jax.Array
-    """(3, K, B) on the spheres, N; the arm feels the opposite."""
-    touching: jax.Array
-    """(K, B) number of capsules that each sphere touches."""
+    center: jax.Array
+    """(3, K, B) sphere centres at the end of the step, m."""
 
 
-def contact_forces(
-    arm: ArmModel, frames: Frames, obstacles: Obstacles, contact_stiffness: float, keep: Keep
+def response(obstacles: Obstacles, timestep: float | jax.Array) -> Response:
+    """Exact over any time, so that stiff networks with little damping need no shorter steps than others."""
+    decay = jnp.exp(-timestep * obstacles.rates)
+    grown = -jnp.expm1(-timestep * obstacles.rates) / obstacles.rates
+    return Response(
+        relaxation=(obstacles.shapes * decay) @ obstacles.amplitudes,
+        compliance=(obstacles.shapes * grown) @ obstacles.shapes.T,
+    )
+
+
+def contact_step(
+    arm: ArmModel,
+    frames: Frames,
+    obstacles: Obstacles,
+    contact_stiffness: float,
+    timestep: float | jax.Array,
+    keep: Keep,
 ) -> Contact:
-    """Contact at the given link frames; `contact_stiffness` in N/m."""
+    """Contact over a step of `timestep` seconds with the links at the given frames; `contact_stiffness` in N/m.
+
+    The forces belong to the end of the step, where the spheres have given way to them: explicit ones would throw light
+    spheres off. A sphere gives way to its own force and to those on the touched spheres that it is joined to, taken in
+    proportion to how deep they are entered. That is exact where one sphere is touched, and never gives way too much.
+    """
     axes = (frames.x[:, _FIRST_LINK:], frames.y[:, _FIRST_LINK:], frames.z[:, _FIRST_LINK:])
     start = keep(frames.origin[:, _FIRST_LINK:] + combine(axes, per_link(arm.capsule_start)))
     segment = keep(combine(axes, per_link(arm.capsule_axis)))
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
+    network = response(obstacles, timestep)
+    relaxed = keep(obstacles.rest + _joined(network.relaxation, obstacles.center - obstacles.rest))
     # From here on (3, capsule, sphere, B).
-    to_sphere = obstacles.center[:, None] - start[:, :, None]
+    to_sphere = relaxed[:, None] - start[:, :, None]
     share = keep(jnp.clip(dot(to_sphere, segment[:, :, None]) * inverse_square, 0.0, 1.0))
     gap = share[None] * segment[:, :, None] - to_sphere
     square = keep(dot(gap, gap) + 1e-9)  # keeps the derivative finite where axis and centre meet
     inverse_distance = jax.lax.rsqrt(square)
     reach = arm.capsule_radius[:, None, None] + obstacles.radius[None]
-    depth = jnp.maximum(reach - square * inverse_distance, 0.0)
-    force = contact_stiffness * depth
+    depth = keep(jnp.maximum(reach - square * inverse_distance, 0.0))
+    entered = sum_over(depth, 0)[None]
+    yielding = (_joined(network.compliance, entered) / (entered + _TOUCH))[0]
+    force = keep(depth * (contact_stiffness / (1.0 + contact_stiffness * yielding)))
     on_capsule = keep(gap * keep(force * inverse_distance)[None])
     total = keep(sum_over(on_capsule, 2))
     # Σ (start + share * segment) x force, with the sum taken before any cross product.
@@ -73,9 +111,16 @@ def contact_forces(
     return Contact(
         joint_torque=_joint_torque(frames, total, moment, keep),
         link_force=sum_over(force, 1),
-        sphere_force=-sum_over(on_capsule, 1),
-        touching=sum_over((depth > 0.0).astype(depth.dtype), 0),
+        center=relaxed - _joined(network.compliance, sum_over(on_capsule, 1)),
     )
+
+
+def _joined(matrix: jax.Array, values: jax.Array) -> jax.Array:
+    """The product (C, K, B) of a matrix (K, K) with values (C, K, B), in the form that fuses."""
+    total = matrix[:, 0, None] * values[:, 0][:, None]
+    for column in range(1, matrix.shape[1]):
+        total = total + matrix[:, column, None] * values[:, column][:, None]
+    return total
 
 
 def _joint_torque(frames: Frames, force: jax.Array, moment: jax.Array, keep: Keep) -> jax.Array:
@@ -84,15 +129,3 @@ def _joint_torque(frames: Frames, force: jax.Array, moment: jax.Array, keep: Kee
     nothing = jnp.zeros_like(wrench[:, :_FIRST_LINK])
     beyond = keep(suffix_sum(keep(jnp.concatenate([nothing, wrench], axis=1))))
     return dot(frames.z, beyond[3:] - cross(frames.origin, beyond[:3]))
-
-
-def pushed(obstacles: Obstacles, contact: Contact, contact_stiffness: float, timestep: float | jax.Array) -> jax.Array:
-    """Sphere centres (3, K, B) after `timestep` seconds under the contact and the spring to the rest position.
-
-    A sphere relaxes exponentially towards where contact and spring balance; following that exactly for the stiffness at
-    hand keeps any stiffness and damping stable.
-    """
-    force = contact.sphere_force + obstacles.stiffness * (obstacles.rest - obstacles.center)
-    total_stiffness = obstacles.stiffness + contact_stiffness * contact.touching
-    relaxed = -jnp.expm1(-timestep * total_stiffness / obstacles.damping)
-    return obstacles.center + force * (relaxed / total_stiffness)[None]

@@ -46,6 +46,8 @@ class ArmModel:
     """(7,), kg m²."""
     position_limit: Array
     """(7,) symmetric, rad."""
+    velocity_limit: Array
+    """(7,), rad/s."""
     capsule_link: NDArray[np.intp]
     """(6,) link of each capsule, counted from 0."""
     capsule_start: Array
@@ -88,6 +90,7 @@ def arm_model(system: brax.System) -> ArmModel:
         inertia=np.array([_tidy(tensor) for tensor in tensors]),
         armature=_double(system.dof.armature),
         position_limit=_double(system.dof.limit[1]),
+        velocity_limit=np.array(iiwa14.VELOCITY_LIMITS),
         capsule_link=np.array([capsule.link - 1 for capsule in capsules]),
         capsule_start=np.array([capsule.start for capsule in capsules], dtype=float),
         capsule_axis=np.array([np.subtract(capsule.end, capsule.start) for capsule in capsules]),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
-from contact_reach_ros.planning.transfer.contact import Obstacles, contact_forces, pushed
+from contact_reach_ros.planning.transfer.contact import Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep, rotate
@@ -23,6 +23,13 @@ from contact_reach_ros.planning.transfer.model import N_CAPSULES, ArmModel
 
 N_ACTION = 13
 """Size of one knot's action: Δx (translation, rotation) and Δq."""
+
+MAX_JOINT_SPEED = 10.0
+"""Joint speeds are cut off here, rad/s, four times what the fastest joint may do.
+
+At a singularity the laws ask for joint speeds that 25 ms steps cannot follow; cut off, such rollouts stay finite, and
+the cost of joint speeds keeps plans away from them.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +100,9 @@ def step(sys: System, state: State, act: Reference) -> State:
     contact = None
     obstacles, link_force = state.obstacles, state.link_force
     if obstacles is not None:
-        contact = contact_forces(sys.arm, frames, obstacles, sys.contact_stiffness, keep)
-        obstacles = obstacles._replace(center=pushed(obstacles, contact, sys.contact_stiffness, timestep))
+        contact = contact_step(sys.arm, frames, obstacles, sys.contact_stiffness, timestep, keep)
+        obstacles = obstacles._replace(center=contact.center)
         link_force = contact.link_force
     acceleration = joint_acceleration(sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep)
-    qd = state.qd + timestep * acceleration
+    qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
     return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
