@@ -1,0 +1,313 @@
+"""`contact-reach bench model`: the planner's transfer model against the simulated robot, which it knows nothing of.
+
+Both start from the same states and follow the same actions under the same control law. The simulated robot is MuJoCo at
+1 ms with its own contacts and the controller's own law; joint friction, sensor noise and torque ramps are left out.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
+from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
+from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.planning.runtime import configure_jax
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.model import default_arm
+from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
+from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Actuation, Plant
+from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.resources import cache_directory
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene
+
+Array = NDArray[np.float64]
+
+HORIZON = 3
+SUBSTEPS = (2, 3, 4, 5, 6, 8)
+MIN_EIGENVALUE = 0.05
+"""Of J M⁻¹ Jᵀ in a start state, 1/kg: what scenes keep away from singularities."""
+MAX_SPEED = 1.5 * max(iiwa14.VELOCITY_LIMITS)
+"""Faster motions, rad/s, are reported apart: no arm can follow them."""
+MIN_FORCE = 1.0
+"""Contacts below this are not compared, N."""
+
+_LIMIT_MARGIN = 0.3
+_START_SPEED = 0.2
+_GAP = 0.001
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One start state with its actions and, unless it is None, a ball."""
+
+    q: Array
+    """(7,), rad."""
+    v: Array
+    """(7,), rad/s."""
+    actions: Array
+    """(H, 13)."""
+    ball: Ball | None
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What became of the arm: flange at the knot boundaries, fastest joint, force on each link within each knot."""
+
+    positions: Array
+    """(H, 3), m."""
+    rotations: Array
+    """(H, 3, 3)."""
+    speed: float
+    """rad/s."""
+    forces: Array
+    """(H, 6) sum of the normal forces on each capsule, largest value within the knot, N."""
+
+
+def simulate(case: Case) -> Motion:
+    """The simulated robot under the actions, latched as the controller latches them."""
+    scene = Scene("case", 0, case.q, np.zeros(3), () if case.ball is None else (case.ball,))
+    joints = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
+    plant = Plant(scene, SensorSettings(), joints, MismatchSettings())
+    plant.set_actuation(Actuation.COMMANDED)
+    data = plant.data
+    data.qvel[: iiwa14.N_JOINTS] = case.v
+    law, model = ImpedanceLaw(ImpedanceSettings()), RobotModel()
+    positions, rotations, forces = [], [], []
+    speed = 0.0
+    for action in case.actions:
+        q, v = data.qpos[: iiwa14.N_JOINTS], data.qvel[: iiwa14.N_JOINTS]
+        model.update(q, v)
+        rotation = pin.exp3(action[3:6]) @ model.rotation
+        reference = Reference(model.position + action[:3], rotation, q + action[6:])
+        force = np.zeros(len(iiwa14.CAPSULES))
+        for _ in range(round(PlanningSettings().knot_duration / TICK)):
+            model.update(q, v)
+            error = pose_error(model.position, model.rotation, reference)
+            plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
+            force = np.maximum(force, normal_forces(plant))
+            speed = max(speed, float(np.abs(v).max()))
+        model.update(q, v)
+        positions.append(model.position.copy())
+        rotations.append(model.rotation.copy())
+        forces.append(force)
+    return Motion(np.array(positions), np.array(rotations), speed, np.array(forces))
+
+
+def normal_forces(plant: Plant) -> Array:
+    """Sum (6,) of the normal forces that MuJoCo's contacts put on each link with a capsule, N."""
+    total, wrench = np.zeros(len(CONTACT_BODIES)), np.zeros(6)
+    for index in range(plant.data.ncon):
+        contact = plant.data.contact[index]
+        mujoco.mj_contactForce(plant.model, plant.data, index, wrench)
+        for geom in (contact.geom1, contact.geom2):
+            name = plant.model.body(plant.model.geom_bodyid[geom]).name
+            if name in CONTACT_BODIES:
+                total[CONTACT_BODIES.index(name)] += wrench[0]
+    return total
+
+
+def predict(cases: Sequence[Case], substeps: int) -> Rollout:
+    """The transfer model on all cases at once, with as many substeps per knot; one sphere each, or none in all."""
+    settings = PlanningSettings()
+    system = System(default_arm(), ImpedanceSettings(), settings.contact_stiffness, settings.knot_duration / substeps)
+    objective = Objective(system, HORIZON, substeps, settings.contact_measure)
+    return jax.tree.map(np.asarray, jax.jit(objective.roll_out)(_problem(cases), _stacked([c.actions for c in cases])))
+
+
+def _problem(cases: Sequence[Case]) -> Problem:
+    obstacles = None
+    balls = [case.ball for case in cases if case.ball is not None]
+    if balls:
+        reader = ObstacleReader(1)
+        each = [reader.read(case.q, _spheres(ball))[0] for case, ball in zip(cases, balls, strict=True)]
+        obstacles = each[0]
+        assert obstacles is not None
+        centers = np.concatenate([one.center for one in each if one is not None], axis=-1)
+        obstacles = obstacles._replace(center=centers, rest=centers)
+    return Problem(
+        q=_stacked([case.q for case in cases]),
+        v=_stacked([case.v for case in cases]),
+        obstacles=obstacles,
+        goal_position=single(np.zeros((3, 1))),
+        goal_rotation=single(np.eye(3)[:, :, None]),
+        weights=Weights.of(PlanningSettings(), 0.0),
+    )
+
+
+def _spheres(ball: Ball) -> Spheres:
+    center, settings = ball.center[None], ball.settings
+    return Spheres(
+        center, center, np.full(1, settings.radius), np.full(1, settings.stiffness), np.full(1, settings.damping)
+    )
+
+
+def _stacked(values: Sequence[Array]) -> jax.Array:
+    return single(np.stack(values, axis=-1))
+
+
+def draw_free(random: np.random.Generator, count: int) -> list[Case]:
+    """States away from singularities and joint limits, actions anywhere within their bounds."""
+    return [_draw(random) for _ in range(count)]
+
+
+def _draw(random: np.random.Generator) -> Case:
+    settings = PlanningSettings()
+    limits = np.array(iiwa14.POSITION_LIMITS) - _LIMIT_MARGIN
+    bounds = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
+    model = _model()
+    while True:
+        q = random.uniform(-limits, limits)
+        model.update(q, np.zeros_like(q))
+        mobility = model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T)
+        if np.linalg.eigvalsh(mobility)[0] >= MIN_EIGENVALUE:
+            break
+    v = random.normal(0.0, _START_SPEED, iiwa14.N_JOINTS)
+    return Case(q, v, random.uniform(-1.0, 1.0, (HORIZON, N_ACTION)) * bounds, None)
+
+
+@functools.cache
+def _model() -> RobotModel:
+    return RobotModel()
+
+
+def draw_contact(random: np.random.Generator, count: int, settings: BallSettings) -> list[Case]:
+    """The same with a ball next to a link, in the way of where the actions lead that link."""
+    cases: list[Case] = []
+    while len(cases) < count:
+        case = _draw(random)
+        ball = _ball_in_the_way(random, case, settings)
+        if ball is not None:
+            cases.append(Case(case.q, np.zeros(iiwa14.N_JOINTS), case.actions, ball))
+    return cases
+
+
+def _ball_in_the_way(random: np.random.Generator, case: Case, settings: BallSettings) -> Ball | None:
+    """A ball just off a middle link, on the side that the actions' posture change moves it to."""
+    capsule = iiwa14.CAPSULES[int(random.integers(1, 5))]
+    along = np.asarray(capsule.start) + random.uniform() * np.subtract(capsule.end, capsule.start)
+
+    def point(q: Array) -> tuple[Array, Array]:
+        rotations, origins = link_frames(q)
+        rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
+        return origin + rotation @ along, rotation @ np.subtract(capsule.end, capsule.start)
+
+    here, axis = point(case.q)
+    direction = point(case.q + 0.1 * case.actions[:, 6:].sum(axis=0))[0] - here
+    direction -= axis * (direction @ axis) / (axis @ axis)
+    length = float(np.linalg.norm(direction))
+    if length < 1e-3:
+        return None
+    ball = Ball(here + (capsule.radius + settings.radius + _GAP) * direction / length, settings)
+    return ball if clearances(case.q, _spheres(ball))[0] > 0.5 * _GAP else None
+
+
+@dataclass(frozen=True, eq=False)
+class MotionErrors:
+    """Largest errors over the horizon of each case, and the fastest joint of its motion in the simulation."""
+
+    position: Array
+    """(N,), m."""
+    rotation: Array
+    """(N,), rad."""
+    speed: Array
+    """(N,), rad/s."""
+
+    def within(self, speed: float) -> MotionErrors:
+        """Those of motions up to a joint speed."""
+        kept = self.speed <= speed
+        return MotionErrors(self.position[kept], self.rotation[kept], self.speed[kept])
+
+
+def motion_errors(rollout: Rollout, motions: Sequence[Motion]) -> MotionErrors:
+    """Flange of the transfer model against that of the simulation."""
+    positions = np.moveaxis(np.asarray(rollout.pose.position, float)[1:], -1, 0)
+    rotations = np.moveaxis(np.asarray(rollout.pose.rotation, float)[1:], -1, 0)
+    offset = positions - np.array([motion.positions for motion in motions])
+    turn = rotations @ np.swapaxes([motion.rotations for motion in motions], 2, 3)
+    # ‖R − I‖ / √2 = 2 sin(angle / 2), which also holds for matrices that are slightly off orthonormal.
+    chord = np.linalg.norm(turn - np.eye(3), axis=(2, 3)) / np.sqrt(2.0)
+    return MotionErrors(
+        position=np.linalg.norm(offset, axis=2).max(axis=1),
+        rotation=2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)).max(axis=1),
+        speed=np.array([motion.speed for motion in motions]),
+    )
+
+
+def force_errors(rollout: Rollout, motions: Sequence[Motion]) -> tuple[Array, Array]:
+    """Forces (M,), N, of the simulation where it says at least 1 N, and the relative errors (M,) of the model's.
+
+    One value per case: the largest force on a link over the horizon.
+    """
+    predicted = np.moveaxis(np.asarray(rollout.link_force, float), -1, 0).max(axis=(1, 2))
+    true = np.array([motion.forces.max() for motion in motions])
+    speed = np.array([motion.speed for motion in motions])
+    compared = (true >= MIN_FORCE) & (speed <= MAX_SPEED)
+    return true[compared], predicted[compared] / true[compared] - 1.0
+
+
+def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[str], None] = print) -> dict:
+    """Compare, print two tables in Markdown and write JSON to `file`."""
+    configure_jax(cache_directory() / "jax")
+    random = np.random.default_rng(seed)
+    free = draw_free(random, states)
+    progress(f"{states} free motions of {HORIZON} knots in MuJoCo ...")
+    truth = [simulate(case) for case in free]
+    report: dict = {"states": states, "seed": seed, "free": {}, "contact": {}}
+    progress("")
+    progress(f"Flange after 0.3 s; motions up to {MAX_SPEED:.2f} rad/s, and all\n")
+    progress("| substeps | motions | mm p50 | p95 | max | deg p50 | p95 | max | all: mm p95 | max | deg p95 | max |")
+    progress("|" + "---|" * 12)
+    for substeps in SUBSTEPS:
+        every = motion_errors(predict(free, substeps), truth)
+        slow = every.within(MAX_SPEED)
+        row = {
+            "motions": len(slow.position),
+            "position_mm": _summary(1e3 * slow.position),
+            "rotation_deg": _summary(np.degrees(slow.rotation)),
+            "all_position_mm": _summary(1e3 * every.position),
+            "all_rotation_deg": _summary(np.degrees(every.rotation)),
+        }
+        report["free"][substeps] = row
+        cells = [row["position_mm"], row["rotation_deg"]]
+        numbers = [f"{cell[key]:.2f}" for cell in cells for key in ("p50", "p95", "max")]
+        numbers += [
+            f"{row[name][key]:.2f}" for name in ("all_position_mm", "all_rotation_deg") for key in ("p95", "max")
+        ]
+        progress(f"| {substeps} | {row['motions']} | " + " | ".join(numbers) + " |")
+    settings = BallSettings(friction=0.0)
+    pushed = draw_contact(random, states, settings)
+    progress(f"\n{states} motions against a ball of {settings.contact_stiffness:g} N/m in MuJoCo ...")
+    truth = [simulate(case) for case in pushed]
+    progress(f"\nLargest force on a link over 0.3 s, where MuJoCo has {MIN_FORCE:g} N or more\n")
+    progress("| substeps | contacts | N p50 | N max | error p50 | p95 | max |")
+    progress("|" + "---|" * 7)
+    for substeps in SUBSTEPS:
+        force, error = force_errors(predict(pushed, substeps), truth)
+        row = {"contacts": len(force), "force_n": _summary(force), "relative_error": _summary(np.abs(error))}
+        row["bias"] = float(np.mean(error))
+        report["contact"][substeps] = row
+        errors = " | ".join(f"{100 * row['relative_error'][key]:.1f} %" for key in ("p50", "p95", "max"))
+        progress(f"| {substeps} | {len(force)} | {np.median(force):.1f} | {force.max():.1f} | {errors} |")
+    if file is not None:
+        file.write_text(json.dumps(report, indent=2) + "\n")
+    return report
+
+
+def _summary(values: Array) -> dict[str, float]:
+    return {"p50": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(values.max())}
