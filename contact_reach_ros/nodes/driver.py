@@ -200,7 +200,7 @@ class DriverNode(ManagedNode):
             self._publish_safety()
         if steps % _CONTACTS_EVERY == 0:
             self._publish_contacts(now_ns)
-        if steps % _OBSTACLES_EVERY == 0 and self._plant.balls:
+        if steps % _OBSTACLES_EVERY == 0 and self._scene.balls:
             self._publish_obstacles(now_ns)
         if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
             message = Clock()
@@ -226,7 +226,9 @@ class DriverNode(ManagedNode):
         self._peak_contact[:] = 0.0
 
     def _publish_obstacles(self, now_ns: int) -> None:
-        for marker, center in zip(self._obstacle_message.markers, self._plant.ball_centers().tolist(), strict=False):
+        for marker, center in zip(
+            self._obstacle_message.markers, self._plant.obstacle_positions().tolist(), strict=False
+        ):
             set_time(marker.header.stamp, now_ns)
             marker.pose.position = to_point(center)
         self._obstacles.publish(self._obstacle_message)
@@ -237,13 +239,13 @@ class DriverNode(ManagedNode):
         self._state_message.header.frame_id = iiwa14.BASE_NAME
         self._contact_message = JointState(name=[*CONTACT_BODIES, "sum", "max"])
         self._contact_message.header.frame_id = iiwa14.BASE_NAME
-        balls = self._plant.balls
+        balls = self._scene.balls
         markers = [self._ball_marker("obstacles", index, 1.0) for index in range(len(balls))]
         markers += [self._ball_marker("rest", index, 0.15) for index in range(len(balls))]
         self._obstacle_message = MarkerArray(markers=markers)
 
     def _ball_marker(self, namespace: str, index: int, opacity: float) -> Marker:
-        ball = self._plant.balls[index]
+        ball = self._scene.balls[index]
         diameter = 2.0 * ball.settings.radius
         marker = Marker(
             ns=namespace,
