@@ -26,7 +26,7 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -43,6 +43,7 @@ from contact_reach_ros.nodes.messages import (
     to_transform,
     vector,
 )
+from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleReader
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
@@ -92,6 +93,13 @@ class PlannerSettings(Settings):
     sphere_damping: float = setting(
         30.0, "damping of an obstacle sphere's motion", unit="N s/m", minimum=0.1, maximum=500.0
     )
+    node_stiffness: float = setting(
+        0.0, "spring that holds a movable node of a deformable body", unit="N/m", minimum=0.0, maximum=5000.0
+    )
+    node_damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
+    edge_stiffness: float = setting(
+        60.0, "spring between two nodes that an edge joins", unit="N/m", minimum=1.0, maximum=5000.0
+    )
 
 
 class PlannerNode(ManagedNode):
@@ -121,7 +129,15 @@ class PlannerNode(ManagedNode):
         self._goal: Goal | None = None
         self._early_goal: PoseStamped | None = None
         self._spheres = Spheres.none()
-        self._rests: dict[int, np.ndarray] = {}
+        self._obstacle_reader = ObstacleReader(
+            Material(
+                settings.sphere_stiffness,
+                settings.sphere_damping,
+                settings.node_stiffness,
+                settings.node_damping,
+                settings.edge_stiffness,
+            )
+        )
         self._state: tuple[np.ndarray, np.ndarray] | None = None
         self._due_ns = 0
         self._promised_ns = 0
@@ -284,38 +300,9 @@ class PlannerNode(ManagedNode):
 
     def _on_obstacles(self, message: MarkerArray) -> None:
         try:
-            self._spheres = self._read_spheres(message)
+            self._spheres = self._obstacle_reader.read(message)
         except InputError as error:
             self.refuse("obstacles", error)
-
-    def _read_spheres(self, message: MarkerArray) -> Spheres:
-        """Spheres of a marker array; namespace 'rest' says where their springs hold them, else where first seen."""
-        centers: dict[int, np.ndarray] = {}
-        radii: dict[int, float] = {}
-        for marker in message.markers:
-            if marker.header.frame_id != iiwa14.BASE_NAME:
-                raise InputError(
-                    f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{iiwa14.BASE_NAME}'"
-                )
-            if marker.action != Marker.ADD or marker.type != Marker.SPHERE:
-                raise InputError(f"obstacles: marker {marker.ns}/{marker.id} is no sphere to add; expected SPHERE, ADD")
-            position = vector(marker.pose.position)
-            if marker.ns == "rest":
-                self._rests[marker.id] = position
-            else:
-                centers[marker.id] = position
-                radii[marker.id] = 0.5 * marker.scale.x
-        for identifier, center in centers.items():
-            self._rests.setdefault(identifier, center)
-        count = len(centers)
-        settings = self.settings[""]
-        return Spheres(
-            center=np.array(list(centers.values())).reshape(-1, 3),
-            rest=np.array([self._rests[identifier] for identifier in centers]).reshape(-1, 3),
-            radius=np.array(list(radii.values())),
-            stiffness=np.full(count, settings.sphere_stiffness),
-            damping=np.full(count, settings.sphere_damping),
-        )
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if message.level >= DiagnosticStatus.ERROR and self._goal is not None:
