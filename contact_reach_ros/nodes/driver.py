@@ -24,7 +24,7 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import nanoseconds, set_time
-from contact_reach_ros.nodes.obstacle_markers import ObstacleWriter
+from contact_reach_ros.nodes.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
@@ -233,7 +233,7 @@ class DriverNode(ManagedNode):
         self._state_message.header.frame_id = iiwa14.BASE_NAME
         self._contact_message = JointState(name=[*CONTACT_BODIES, "sum", "max"])
         self._contact_message.header.frame_id = iiwa14.BASE_NAME
-        self._obstacle_writer = ObstacleWriter(self._scene)
+        self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
     def _on_command(self, message: Float64MultiArray) -> None:
         if not self._answered:

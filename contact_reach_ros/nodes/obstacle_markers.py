@@ -59,7 +59,7 @@ def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArr
     return MarkerArray(markers=markers)
 
 
-class ObstacleWriter:
+class ObstacleMarkerWriter:
     """Serialised obstacle messages, fast enough for a 1 kHz loop.
 
     Of the hundreds of points in a message only the coordinates change, and the stamps: the message is serialised once,
@@ -105,7 +105,7 @@ class Material:
     """N/m."""
 
 
-class ObstacleReader:
+class ObstacleMarkerReader:
     """Spheres, and the edges between them, from marker arrays."""
 
     def __init__(self, material: Material) -> None:

@@ -43,8 +43,9 @@ from contact_reach_ros.nodes.messages import (
     to_transform,
     vector,
 )
-from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleReader
+from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleMarkerReader
 from contact_reach_ros.nodes.parameters import Sections
+from contact_reach_ros.nodes.plan_markers import PlanMarkers
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
@@ -62,6 +63,7 @@ NAME = "planner"
 _IDLE_NS = 100_000_000
 _POLL_S = 0.003
 _RECENT = 8
+_MARKERS_EVERY_NS = 100_000_000
 _MAX_LATENCY_NS = NANOSECONDS // 4
 _TICK_NS = int(TICK * NANOSECONDS)
 
@@ -113,6 +115,7 @@ class PlannerNode(ManagedNode):
         self._poses = self.make_publisher(topics.REFERENCE_POSE)
         self._postures = self.make_publisher(topics.REFERENCE_POSTURE)
         self._path = self.make_publisher(topics.PLAN_PATH)
+        self._marker_publisher = self.make_publisher(topics.PLAN_MARKERS)
         self._lockstep: bool = self.get_parameter("use_sim_time").value
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
         self.inbox.add(topics.SAFETY_STATE, self._on_safety)
@@ -129,7 +132,7 @@ class PlannerNode(ManagedNode):
         self._goal: Goal | None = None
         self._early_goal: PoseStamped | None = None
         self._spheres = Spheres.none()
-        self._obstacle_reader = ObstacleReader(
+        self._obstacle_reader = ObstacleMarkerReader(
             Material(
                 settings.sphere_stiffness,
                 settings.sphere_damping,
@@ -142,6 +145,8 @@ class PlannerNode(ManagedNode):
         self._due_ns = 0
         self._promised_ns = 0
         self._plan: Plan | None = None
+        self._markers: PlanMarkers | None = None
+        self._markers_due_ns = 0
         self._goals = 0
         self._late = 0
         self._solve_times = Histogram(bucket_us=100)
@@ -155,6 +160,7 @@ class PlannerNode(ManagedNode):
             if self._lockstep:
                 # A deadline on the wall clock would let the result depend on how busy the machine is.
                 planning = dataclasses.replace(planning, deadline=0.0)
+            self._markers = PlanMarkers(budget.permitted_force)
             self._planner = RecedingHorizonPlanner(
                 planning, self.settings["impedance"], budget.permitted_force, settings.max_spheres
             )
@@ -243,6 +249,12 @@ class PlannerNode(ManagedNode):
         self._recent_ns.append(took_ns)
         self._late += took_ns > effect_ns - now_ns
         self._plan = plan
+        self._show(plan)
+
+    def _show(self, plan: Plan) -> None:
+        if self._markers is not None and plan.effect_ns >= self._markers_due_ns:
+            self._marker_publisher.publish(self._markers.show(plan))
+            self._markers_due_ns = plan.effect_ns + _MARKERS_EVERY_NS
 
     def _promise(self, until_ns: int) -> None:
         """In lockstep: no plan that takes effect up to then is still to come."""
@@ -311,6 +323,8 @@ class PlannerNode(ManagedNode):
 
     def _withdraw(self) -> None:
         """Forget the goal: after a stop the arm moves again only when somebody sends a new one."""
+        if self._markers is not None and self._plan is not None:
+            self._marker_publisher.publish(self._markers.clear())
         self._goal = None
         self._plan = None
         if self._planner is not None:

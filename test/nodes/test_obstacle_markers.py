@@ -8,7 +8,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes.messages import to_point
-from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleReader, ObstacleWriter, obstacle_markers
+from contact_reach_ros.nodes.obstacle_markers import (
+    Material,
+    ObstacleMarkerReader,
+    ObstacleMarkerWriter,
+    obstacle_markers,
+)
 from contact_reach_ros.scenes.lattice import make_walls
 from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettings
 from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
@@ -50,13 +55,13 @@ def as_set(spheres) -> set:
 
 def test_the_planner_reads_what_the_driver_writes():
     positions = displaced()
-    written = deserialize_message(ObstacleWriter(scene()).write(positions, STAMP_NS), MarkerArray)
-    spheres = ObstacleReader(MATERIAL).read(written)
+    written = deserialize_message(ObstacleMarkerWriter(scene()).write(positions, STAMP_NS), MarkerArray)
+    spheres = ObstacleMarkerReader(MATERIAL).read(written)
     assert as_set(spheres) == as_set(obstacle_spheres(scene(), positions))
 
 
 def test_fast_writing_is_the_same_as_building_the_message():
-    writer = ObstacleWriter(scene())
+    writer = ObstacleMarkerWriter(scene())
     for shift in (0.0, 0.1):
         positions = displaced() + shift
         written = writer.write(positions, STAMP_NS)
@@ -67,9 +72,9 @@ def test_fast_writing_is_the_same_as_building_the_message():
 
 def test_no_obstacles_make_an_empty_message():
     empty = Scene("free", 0, HOME, np.zeros(3))
-    message = deserialize_message(ObstacleWriter(empty).write(np.zeros((0, 3)), STAMP_NS), MarkerArray)
+    message = deserialize_message(ObstacleMarkerWriter(empty).write(np.zeros((0, 3)), STAMP_NS), MarkerArray)
     assert message.markers == []
-    assert len(ObstacleReader(MATERIAL).read(message)) == 0
+    assert len(ObstacleMarkerReader(MATERIAL).read(message)) == 0
 
 
 def test_movable_and_fixed_nodes_and_edges_are_told_apart():
@@ -83,7 +88,7 @@ def test_movable_and_fixed_nodes_and_edges_are_told_apart():
 
 
 def test_edges_follow_the_nodes_and_are_looked_up_again_when_they_change():
-    reader = ObstacleReader(MATERIAL)
+    reader = ObstacleMarkerReader(MATERIAL)
     first = reader.read(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS))
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     np.testing.assert_array_equal(reader.read(message).edges, first.edges)
@@ -98,12 +103,12 @@ def test_edges_follow_the_nodes_and_are_looked_up_again_when_they_change():
 
 
 def test_places_where_spheres_were_first_seen_are_their_rest():
-    reader = ObstacleReader(MATERIAL)
+    reader = ObstacleMarkerReader(MATERIAL)
     for positions in (rest_positions(scene()), displaced()):
         message = obstacle_markers(scene(), positions, STAMP_NS)
         message.markers = [one for one in message.markers if one.ns != "rest"]
         spheres = reader.read(message)
-    told = ObstacleReader(MATERIAL).read(obstacle_markers(scene(), displaced(), STAMP_NS))
+    told = ObstacleMarkerReader(MATERIAL).read(obstacle_markers(scene(), displaced(), STAMP_NS))
     np.testing.assert_array_equal(spheres.rest, told.rest)
 
 
@@ -111,7 +116,7 @@ def test_spheres_of_perception_may_be_in_any_namespace():
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     message.markers = [marker(message, "obstacles", 0)]
     message.markers[0].ns = "balls"
-    assert len(ObstacleReader(MATERIAL).read(message)) == 1
+    assert len(ObstacleMarkerReader(MATERIAL).read(message)) == 1
 
 
 def spoil_frame(message):
@@ -181,7 +186,7 @@ def spoil_fixture(message):
     ],
 )
 def test_bad_message_is_refused_by_name(spoil, said):
-    reader = ObstacleReader(MATERIAL)
+    reader = ObstacleMarkerReader(MATERIAL)
     reader.read(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS))
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     spoil(message)
