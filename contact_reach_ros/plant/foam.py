@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from contact_reach_ros.scenes.scene import Wall
 
@@ -21,27 +22,28 @@ class Foam:
     """
 
     def __init__(self, walls: Sequence[Wall]) -> None:
-        lengths, stiffnesses, hardenings, rows = [], [], [], []
+        lengths, stiffnesses, hardenings, entries = [], [], [], []
         self._count = sum(int((~wall.fixed).sum()) for wall in walls)
-        first = 0
+        first = row = 0
         for wall in walls:
             settings = wall.settings
             free = ~wall.fixed
             # An edge between two fixed nodes has no effect.
             edges = wall.edges[free[wall.edges].any(axis=1)]
             column = np.where(free, first + np.cumsum(free) - 1, -1)
-            for start, end in edges:
-                row = np.zeros(self._count)
-                for node, sign in ((start, 1.0), (end, -1.0)):
-                    if free[node]:
-                        row[column[node]] = sign
-                rows.append(row)
+            ends = column[edges]
+            for end, sign in ((0, 1.0), (1, -1.0)):
+                kept = np.flatnonzero(ends[:, end] >= 0)
+                entries.append((np.full(len(kept), sign), row + kept, ends[kept, end]))
+            row += len(edges)
             lengths.append(np.linalg.norm(wall.rest[edges[:, 0]] - wall.rest[edges[:, 1]], axis=1))
             stiffnesses.append(np.full(len(edges), settings.edge_stiffness))
             hardenings.append(np.full(len(edges), settings.hardening))
             first += int(free.sum())
-        self._stretch = np.array(rows)
+        values, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
+        self._stretch = csr_array((values, (rows, columns)), shape=(row, self._count))
         """(E, M) from displacements of the nodes that can move to the change of each edge's vector."""
+        self._gather = csr_array(self._stretch.T)
         self._stiffness = np.concatenate(stiffnesses)[:, None]
         self._slope = self._stiffness * (np.concatenate(hardenings) / np.concatenate(lengths) ** 2)[:, None]
 
@@ -49,4 +51,4 @@ class Foam:
         """Forces on the nodes that can move, (3 M,) N, at their displacements from rest, (3 M,) m."""
         change = self._stretch @ displacements.reshape(self._count, 3)
         square = np.einsum("ij,ij->i", change, change)[:, None]
-        return -(self._stretch.T @ ((self._stiffness + self._slope * square) * change)).ravel()
+        return -(self._gather @ ((self._stiffness + self._slope * square) * change)).ravel()
