@@ -33,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     demo = commands.add_parser("demo", help="bring the stack up, send a goal, record a bag and judge the result")
-    demo.add_argument("--scene", default="ball", help="scene: a name (free, ball) or a YAML file (default: ball)")
+    demo.add_argument("--scene", default="ball", help="scene: a name (free, ball, wall) or a YAML file (default: ball)")
     demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
     demo.add_argument("--seed", type=int, default=0, help="seed of the scene and the sensor noise (default: 0)")
     demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
@@ -50,6 +50,13 @@ def _parser() -> argparse.ArgumentParser:
     control.add_argument("--ticks", type=int, default=20000, help="ticks to measure (default: 20000)")
     control.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     control.set_defaults(run=_bench_control)
+    foam = benches.add_parser(
+        "foam", help="stiffness of the walls in plant and planner, and what simulating them costs"
+    )
+    foam.add_argument("--scene", default="wall", help="scene with walls: a name or a YAML file (default: wall)")
+    foam.add_argument("--seed", type=int, default=0, help="seed of the scene (default: 0)")
+    foam.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    foam.set_defaults(run=_bench_foam)
     return parser
 
 
@@ -76,6 +83,13 @@ def _bench_control(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_control import bench_control
 
     bench_control(options.ticks, options.json)
+    return 0
+
+
+def _bench_foam(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_foam import bench_foam
+
+    bench_foam(options.scene, options.seed, options.json)
     return 0
 
 

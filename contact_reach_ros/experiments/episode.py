@@ -16,13 +16,14 @@ from contact_reach_ros.control.reference import PoseKnots, PostureKnots
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
-from contact_reach_ros.planning.problem import Goal, Plan, Spheres
+from contact_reach_ros.planning.problem import Goal, Plan
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import TICK, Plant, Reading
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.scene import Scene
+from contact_reach_ros.scenes.spheres import obstacle_spheres
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
@@ -123,8 +124,6 @@ def run_episode(
     controller.start(reading.position, reading.velocity, 0)
     _, rotation = controller.model.flange_pose(reading.position)
     goal = Goal(scene.target, rotation if options.hold_orientation else None)
-    rests = np.array([ball.center for ball in scene.balls]).reshape(-1, 3)
-    settings = [ball.settings for ball in scene.balls]
 
     settle_ticks, period_ticks = round(options.settle / TICK), round(options.period / TICK)
     latency_ns = round(options.latency * NANOSECONDS)
@@ -134,13 +133,7 @@ def run_episode(
     for tick in range(settle_ticks + round(options.timeout / TICK)):
         now_ns = tick * _TICK_NS
         if tick >= settle_ticks and (tick - settle_ticks) % period_ticks == 0:
-            spheres = Spheres(
-                center=plant.ball_centers(),
-                rest=rests,
-                radius=np.array([ball.radius for ball in settings]),
-                stiffness=np.array([ball.stiffness for ball in settings]),
-                damping=np.array([ball.damping for ball in settings]),
-            )
+            spheres = obstacle_spheres(scene, plant.obstacle_positions())
             plan = planner.plan(reading.position, reading.velocity, now_ns, now_ns + latency_ns, goal, spheres)
             plans.append(plan)
             _offer(controller, plan, now_ns)

@@ -13,19 +13,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Vector3
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, String
+from std_msgs.msg import Float64MultiArray, Header, String
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
-from contact_reach_ros.nodes.messages import nanoseconds, set_time, to_point
+from contact_reach_ros.nodes.messages import nanoseconds, set_time
+from contact_reach_ros.nodes.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
@@ -44,6 +43,8 @@ _TICK_NS = int(TICK * NANOSECONDS)
 _MAX_CATCH_UP = 20
 _CONTACTS_EVERY = 5
 _OBSTACLES_EVERY = 20
+_WALLS_EVERY = 40
+"""Ticks between obstacle messages; those of walls are large."""
 _CLOCK_EVERY = 10
 _LOCKSTEP_START_NS = 1000 * NANOSECONDS
 """Simulated time begins well after zero, which ROS takes for 'not set'."""
@@ -94,6 +95,7 @@ class DriverNode(ManagedNode):
         self._scene = make_scene(read_scene(chosen.scene), chosen.seed, parse_target(chosen.target))
         self._plant = Plant(self._scene, settings["sensors"], settings["joints"], settings["mismatch"])
         self._drive = Drive(self._plant, settings["watchdog"])
+        self._obstacles_every = _WALLS_EVERY if self._scene.walls else _OBSTACLES_EVERY
         self._start_ns = 0
         self._next_ns = 0
         self._published_ns = 0
@@ -108,8 +110,8 @@ class DriverNode(ManagedNode):
         self._prepare_messages()
         scene = self._scene
         self.get_logger().info(
-            f"scene {scene.name}, seed {scene.seed}, {len(scene.balls)} ball(s); a goal for it: "
-            f"{np.round(scene.target, 3).tolist()} m"
+            f"scene {scene.name}, seed {scene.seed}, {len(scene.balls)} ball(s), {len(scene.walls)} wall(s); "
+            f"a goal for it: {np.round(scene.target, 3).tolist()} m"
         )
         return super().on_configure(state)
 
@@ -200,8 +202,8 @@ class DriverNode(ManagedNode):
             self._publish_safety()
         if steps % _CONTACTS_EVERY == 0:
             self._publish_contacts(now_ns)
-        if steps % _OBSTACLES_EVERY == 0 and self._plant.balls:
-            self._publish_obstacles(now_ns)
+        if steps % self._obstacles_every == 0 and (self._scene.balls or self._scene.walls):
+            self._obstacles.publish(self._obstacle_writer.write(self._plant.obstacle_positions(), now_ns))
         if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
             message = Clock()
             set_time(message.clock, now_ns)
@@ -225,37 +227,13 @@ class DriverNode(ManagedNode):
         self._contacts.publish(message)
         self._peak_contact[:] = 0.0
 
-    def _publish_obstacles(self, now_ns: int) -> None:
-        for marker, center in zip(self._obstacle_message.markers, self._plant.ball_centers().tolist(), strict=False):
-            set_time(marker.header.stamp, now_ns)
-            marker.pose.position = to_point(center)
-        self._obstacles.publish(self._obstacle_message)
-
     def _prepare_messages(self) -> None:
         """Messages that are filled again each time."""
         self._state_message = JointState(name=list(iiwa14.JOINT_NAMES))
         self._state_message.header.frame_id = iiwa14.BASE_NAME
         self._contact_message = JointState(name=[*CONTACT_BODIES, "sum", "max"])
         self._contact_message.header.frame_id = iiwa14.BASE_NAME
-        balls = self._plant.balls
-        markers = [self._ball_marker("obstacles", index, 1.0) for index in range(len(balls))]
-        markers += [self._ball_marker("rest", index, 0.15) for index in range(len(balls))]
-        self._obstacle_message = MarkerArray(markers=markers)
-
-    def _ball_marker(self, namespace: str, index: int, opacity: float) -> Marker:
-        ball = self._plant.balls[index]
-        diameter = 2.0 * ball.settings.radius
-        marker = Marker(
-            ns=namespace,
-            id=index,
-            type=Marker.SPHERE,
-            scale=Vector3(x=diameter, y=diameter, z=diameter),
-            color=ColorRGBA(r=0.35, g=0.7, b=0.35, a=opacity),
-        )
-        marker.header.frame_id = iiwa14.BASE_NAME
-        marker.pose.position = to_point(ball.center.tolist())
-        marker.pose.orientation.w = 1.0
-        return marker
+        self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
     def _on_command(self, message: Float64MultiArray) -> None:
         if not self._answered:

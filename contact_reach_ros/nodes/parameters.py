@@ -91,7 +91,7 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     known = {full_name(prefix, entry.name): entry for prefix, cls in sections.items() for entry in cls.declared()}
     for option, value in itertools.pairwise(arguments):
         if option == "--params-file":
-            for key, item in _parameters_in(Path(value), node_name).items():
+            for key, item in parameters_in(Path(value), node_name).items():
                 _check(known, key, item, value)
         elif option in ("-p", "--param"):
             key = value.partition(":=")[0].rpartition(":")[2]
@@ -107,8 +107,14 @@ def _check(known: Mapping[str, Setting], key: str, value: Any, source: str) -> N
     known[key].check(value, f"{source}: {key}")
 
 
-def _parameters_in(file: Path, node_name: str) -> dict[str, Any]:
-    """The parameters of a file that concern a node, flattened to dotted names."""
+def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
+    """The parameters of a file that concern a node, flattened to dotted names.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read or is no parameter file.
+    """
     found: dict[str, Any] = {}
     for pattern, content in read_yaml(file).items():
         if not isinstance(content, dict) or "ros__parameters" not in content:

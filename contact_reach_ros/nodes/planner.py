@@ -26,7 +26,7 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -43,7 +43,9 @@ from contact_reach_ros.nodes.messages import (
     to_transform,
     vector,
 )
+from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleMarkerReader
 from contact_reach_ros.nodes.parameters import Sections
+from contact_reach_ros.nodes.plan_markers import PlanMarkers
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
@@ -61,6 +63,7 @@ NAME = "planner"
 _IDLE_NS = 100_000_000
 _POLL_S = 0.003
 _RECENT = 8
+_MARKERS_EVERY_NS = 100_000_000
 _MAX_LATENCY_NS = NANOSECONDS // 4
 _TICK_NS = int(TICK * NANOSECONDS)
 
@@ -92,6 +95,13 @@ class PlannerSettings(Settings):
     sphere_damping: float = setting(
         30.0, "damping of an obstacle sphere's motion", unit="N s/m", minimum=0.1, maximum=500.0
     )
+    node_stiffness: float = setting(
+        0.0, "spring that holds a movable node of a deformable body", unit="N/m", minimum=0.0, maximum=5000.0
+    )
+    node_damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
+    edge_stiffness: float = setting(
+        60.0, "spring between two nodes that an edge joins", unit="N/m", minimum=1.0, maximum=5000.0
+    )
 
 
 class PlannerNode(ManagedNode):
@@ -105,6 +115,7 @@ class PlannerNode(ManagedNode):
         self._poses = self.make_publisher(topics.REFERENCE_POSE)
         self._postures = self.make_publisher(topics.REFERENCE_POSTURE)
         self._path = self.make_publisher(topics.PLAN_PATH)
+        self._marker_publisher = self.make_publisher(topics.PLAN_MARKERS)
         self._lockstep: bool = self.get_parameter("use_sim_time").value
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
         self.inbox.add(topics.SAFETY_STATE, self._on_safety)
@@ -121,11 +132,21 @@ class PlannerNode(ManagedNode):
         self._goal: Goal | None = None
         self._early_goal: PoseStamped | None = None
         self._spheres = Spheres.none()
-        self._rests: dict[int, np.ndarray] = {}
+        self._obstacle_reader = ObstacleMarkerReader(
+            Material(
+                settings.sphere_stiffness,
+                settings.sphere_damping,
+                settings.node_stiffness,
+                settings.node_damping,
+                settings.edge_stiffness,
+            )
+        )
         self._state: tuple[np.ndarray, np.ndarray] | None = None
         self._due_ns = 0
         self._promised_ns = 0
         self._plan: Plan | None = None
+        self._markers: PlanMarkers | None = None
+        self._markers_due_ns = 0
         self._goals = 0
         self._late = 0
         self._solve_times = Histogram(bucket_us=100)
@@ -139,6 +160,7 @@ class PlannerNode(ManagedNode):
             if self._lockstep:
                 # A deadline on the wall clock would let the result depend on how busy the machine is.
                 planning = dataclasses.replace(planning, deadline=0.0)
+            self._markers = PlanMarkers(budget.permitted_force)
             self._planner = RecedingHorizonPlanner(
                 planning, self.settings["impedance"], budget.permitted_force, settings.max_spheres
             )
@@ -227,6 +249,12 @@ class PlannerNode(ManagedNode):
         self._recent_ns.append(took_ns)
         self._late += took_ns > effect_ns - now_ns
         self._plan = plan
+        self._show(plan)
+
+    def _show(self, plan: Plan) -> None:
+        if self._markers is not None and plan.effect_ns >= self._markers_due_ns:
+            self._marker_publisher.publish(self._markers.show(plan))
+            self._markers_due_ns = plan.effect_ns + _MARKERS_EVERY_NS
 
     def _promise(self, until_ns: int) -> None:
         """In lockstep: no plan that takes effect up to then is still to come."""
@@ -284,38 +312,9 @@ class PlannerNode(ManagedNode):
 
     def _on_obstacles(self, message: MarkerArray) -> None:
         try:
-            self._spheres = self._read_spheres(message)
+            self._spheres = self._obstacle_reader.read(message)
         except InputError as error:
             self.refuse("obstacles", error)
-
-    def _read_spheres(self, message: MarkerArray) -> Spheres:
-        """Spheres of a marker array; namespace 'rest' says where their springs hold them, else where first seen."""
-        centers: dict[int, np.ndarray] = {}
-        radii: dict[int, float] = {}
-        for marker in message.markers:
-            if marker.header.frame_id != iiwa14.BASE_NAME:
-                raise InputError(
-                    f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{iiwa14.BASE_NAME}'"
-                )
-            if marker.action != Marker.ADD or marker.type != Marker.SPHERE:
-                raise InputError(f"obstacles: marker {marker.ns}/{marker.id} is no sphere to add; expected SPHERE, ADD")
-            position = vector(marker.pose.position)
-            if marker.ns == "rest":
-                self._rests[marker.id] = position
-            else:
-                centers[marker.id] = position
-                radii[marker.id] = 0.5 * marker.scale.x
-        for identifier, center in centers.items():
-            self._rests.setdefault(identifier, center)
-        count = len(centers)
-        settings = self.settings[""]
-        return Spheres(
-            center=np.array(list(centers.values())).reshape(-1, 3),
-            rest=np.array([self._rests[identifier] for identifier in centers]).reshape(-1, 3),
-            radius=np.array(list(radii.values())),
-            stiffness=np.full(count, settings.sphere_stiffness),
-            damping=np.full(count, settings.sphere_damping),
-        )
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if message.level >= DiagnosticStatus.ERROR and self._goal is not None:
@@ -324,6 +323,8 @@ class PlannerNode(ManagedNode):
 
     def _withdraw(self) -> None:
         """Forget the goal: after a stop the arm moves again only when somebody sends a new one."""
+        if self._markers is not None and self._plan is not None:
+            self._marker_publisher.publish(self._markers.clear())
         self._goal = None
         self._plan = None
         if self._planner is not None:

@@ -6,13 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from contact_reach_ros.nodes.parameters import parameters_in
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.scenes.scene import SceneFile, read_scene
 
 ParameterValue = bool | int | float | str | list[str]
 
 PACKAGE = "contact_reach_ros"
 DEFAULT_PARAMETERS = "default.yaml"
+
+WALL_SPHERES = 12
+"""Nodes of the walls that a plan looks at, the nearest ones."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +72,9 @@ def processes(options: StackOptions) -> list[Process]:
     Raises
     ------
     SceneError, SettingsError
-        If the scene is unknown or its file is wrong.
+        If the scene is unknown, or its file or the parameter file is wrong.
     """
-    ball = read_scene(options.scene).ball
+    scene = read_scene(options.scene)
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep}
     simulation: dict[str, ParameterValue] = {
         "scene": options.scene,
@@ -79,9 +83,6 @@ def processes(options: StackOptions) -> list[Process]:
         "lockstep": options.lockstep,
         "mismatch.enabled": options.mismatch,
     }
-    obstacles: dict[str, ParameterValue] = {"max_spheres": 0}
-    if ball is not None:
-        obstacles = {"max_spheres": 1, "sphere_stiffness": ball.stiffness, "sphere_damping": ball.damping}
     table = []
     if options.bag:
         origin = [f"scene={options.scene}", f"seed={options.seed}"]
@@ -90,5 +91,26 @@ def processes(options: StackOptions) -> list[Process]:
         table.append(Process("driver", simulation))
     table.append(Process("observer", time))
     table.append(Process("controller", time))
-    table.append(Process("planner", {**time, **obstacles}, first=True))
+    table.append(Process("planner", {**time, **_obstacles(scene, options.parameter_file)}, first=True))
     return table
+
+
+def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
+    """What the planner is told about the obstacles of a scene, besides what its parameter file says."""
+    values: dict[str, ParameterValue] = {"max_spheres": 0}
+    if scene.ball is not None:
+        values = {
+            "max_spheres": 1,
+            "sphere_stiffness": scene.ball.stiffness,
+            "sphere_damping": scene.ball.damping,
+        }
+    elif scene.wall is not None:
+        values = {
+            "max_spheres": WALL_SPHERES,
+            "node_stiffness": scene.wall.anchor_stiffness,
+            "node_damping": scene.wall.damping,
+            "edge_stiffness": scene.wall.edge_stiffness,
+        }
+    # What the user's file says holds.
+    chosen = parameters_in(parameter_file, "planner")
+    return {name: value for name, value in values.items() if name not in chosen}

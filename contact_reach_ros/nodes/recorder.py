@@ -36,6 +36,7 @@ RECORDED = (
     topics.SAFETY_STATE,
     topics.DIAGNOSTICS,
     topics.PLAN_PATH,
+    topics.PLAN_MARKERS,
     topics.SIM_CONTACTS,
     topics.ROBOT_DESCRIPTION,
     topics.CLOCK,

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.plant.foam import Foam
+from contact_reach_ros.plant.obstacles import ball_body, wall_bodies
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf, numbers
-from contact_reach_ros.scenes.scene import Ball, Scene
+from contact_reach_ros.robot.mjcf import build_mjcf
+from contact_reach_ros.scenes.scene import Scene
+from contact_reach_ros.scenes.spheres import rest_positions
 
 Array = NDArray[np.float64]
 
@@ -53,6 +55,8 @@ class Plant:
         What moves the joints; braked at first.
     steps
         Steps taken.
+    scene
+        What stands around the arm.
     """
 
     def __init__(
@@ -65,7 +69,9 @@ class Plant:
         """Build the simulation at the scene's start; `scene.seed` seeds the sensor noise."""
         inertia_set = "alternative" if mismatch.enabled else "nominal"
         payload = mismatch.payload if mismatch.enabled else 0.0
-        bodies = [_ball_body(index, ball) for index, ball in enumerate(scene.balls)]
+        bodies = [ball_body(index, ball) for index, ball in enumerate(scene.balls)]
+        for index, wall in enumerate(scene.walls):
+            bodies += wall_bodies(index, wall)
         self.model = mujoco.MjModel.from_xml_string(build_mjcf(inertia_set, bodies, payload))
         self.model.opt.timestep = TICK
         # With a pyramidal friction cone the contact's stiffness would depend on the friction, 20-fold at the default.
@@ -73,7 +79,7 @@ class Plant:
         self.data = mujoco.MjData(self.model)
         self.actuation = Actuation.BRAKED
         self.steps = 0
-        self.balls = scene.balls
+        self.scene = scene
         self._sensors = sensors
         self._joints = joints
         self._friction_scale = mismatch.friction_scale if mismatch.enabled else 1.0
@@ -82,7 +88,12 @@ class Plant:
         self._torque_limits = np.array(iiwa14.TORQUE_LIMITS)
         self._torque = np.full(iiwa14.N_JOINTS, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "flange")
-        self._rests = np.array([ball.center for ball in scene.balls]).reshape(-1, 3)
+        self._first_obstacle = self.model.nbody - len(bodies)
+        self._rests = rest_positions(scene)
+        movable = [np.ones(len(scene.balls), bool)] + [~wall.fixed for wall in scene.walls]
+        self._movable = np.flatnonzero(np.concatenate(movable))
+        self._foam = Foam(scene.walls) if scene.walls else None
+        self._foam_dofs = slice(iiwa14.N_JOINTS + 3 * len(scene.balls), self.model.nv)
         self._body_of_geom = self._contact_body_indices()
         self._wrench = np.zeros(6)
         self.data.qpos[self._arm] = scene.start
@@ -125,6 +136,9 @@ class Plant:
             data.ctrl[:] = 0.0
             data.qfrc_applied[self._arm] = data.qfrc_bias[self._arm]
             self._torque = np.full(iiwa14.N_JOINTS, np.nan)
+        if self._foam is not None:
+            dofs = self._foam_dofs
+            data.qfrc_applied[dofs] = self._foam.forces(data.qpos[dofs])
         mujoco.mj_step(self.model, data)
         self.steps += 1
 
@@ -151,9 +165,15 @@ class Plant:
                 total[body] += self._wrench[:3] @ contact.frame.reshape(3, 3)
         return np.sqrt(np.sum(total * total, axis=1))
 
-    def ball_centers(self) -> Array:
-        """Where the balls are, (K, 3), m, base frame."""
-        return self._rests + self.data.qpos[iiwa14.N_JOINTS :].reshape(-1, 3)
+    def obstacle_positions(self) -> Array:
+        """Where the obstacles are, (K, 3), m, base frame, in the order of `rest_positions`."""
+        positions = self._rests.copy()
+        positions[self._movable] += self.data.qpos[iiwa14.N_JOINTS :].reshape(-1, 3)
+        return positions
+
+    def obstacle_body(self, index: int) -> int:
+        """The simulation's body of an obstacle, counted in the order of `obstacle_positions`."""
+        return self._first_obstacle + index
 
     def _apply_joint_settings(self) -> None:
         joints, scale = self._joints, self._friction_scale
@@ -180,41 +200,5 @@ class Plant:
 
 
 _IMPEDANCE = 0.9
+"""MuJoCo's own."""
 _BRAKE_IMPEDANCE = 0.9999
-_CONTACT_DAMPING = 10.0
-"""N s/m."""
-
-
-def _ball_body(index: int, ball: Ball) -> Element:
-    """A sphere on three sprung sliders."""
-    settings = ball.settings
-    body = Element("body", name=f"ball_{index}", pos=numbers(ball.center))
-    for axis in ("1 0 0", "0 1 0", "0 0 1"):
-        attributes = {
-            "type": "slide",
-            "axis": axis,
-            "stiffness": repr(settings.stiffness),
-            "damping": repr(settings.damping),
-        }
-        SubElement(body, "joint", attributes)
-    # MuJoCo multiplies a contact's stiffness by its effective mass and divides it by 1 - d; the ball's mass dominates
-    # the former.
-    scale = (1.0 - _IMPEDANCE) / settings.mass
-    SubElement(
-        body,
-        "geom",
-        name=f"ball_{index}",
-        type="sphere",
-        size=repr(settings.radius),
-        mass=repr(settings.mass),
-        contype=str(OBSTACLE_CONTACT_TYPE),
-        conaffinity=str(ROBOT_CONTACT_TYPE),
-        condim="3" if settings.friction > 0.0 else "1",
-        friction=numbers((max(settings.friction, 1e-5), 0.005, 0.0001)),
-        priority="1",
-        solref=numbers((-settings.contact_stiffness * scale, -_CONTACT_DAMPING * scale)),
-        solimp=numbers((_IMPEDANCE, _IMPEDANCE, 0.001, 0.5, 2)),
-    )
-    # The spring stands for what carries the ball, so gravity is not simulated on it.
-    body.set("gravcomp", "1")
-    return body

@@ -31,13 +31,23 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     return np.cos(angle) * np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * np.outer(axis, axis)
 
 
+_OFFSETS = np.array([joint.offset for joint in iiwa14.JOINTS])
+_ROTATIONS = np.array([rotation_from_quaternion(joint.rotation) for joint in iiwa14.JOINTS])
+
+
 def link_frames(q: ArrayLike) -> tuple[list[Array], list[Array]]:
     """Rotations (3, 3) and origins (3,) of the seven link frames, then the flange, in the base frame."""
+    angles = np.asarray(q, dtype=float)
+    turns = np.zeros((iiwa14.N_JOINTS, 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
+    turns[:, 1, 0] = np.sin(angles)
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    turns[:, 2, 2] = 1.0
     rotation, origin = np.eye(3), np.zeros(3)
     rotations, origins = [], []
-    for joint, angle in zip(iiwa14.JOINTS, np.asarray(q, dtype=float), strict=True):
-        origin = origin + rotation @ joint.offset
-        rotation = rotation @ rotation_from_quaternion(joint.rotation) @ rotation_about((0, 0, 1), angle)
+    for offset, step in zip(_OFFSETS, _ROTATIONS @ turns, strict=True):
+        origin = origin + rotation @ offset
+        rotation = rotation @ step
         rotations.append(rotation)
         origins.append(origin)
     return [*rotations, rotation], [*origins, origin + rotation @ iiwa14.FLANGE_OFFSET]

@@ -63,6 +63,80 @@ class Ball:
 
 
 @dataclass(frozen=True)
+class WallSettings(Settings):
+    """Two deformable walls, one above the other, with a gap that the arm cannot pass without pushing.
+
+    Each is a lattice of small spheres, the nodes, joined by springs along the lattice. The row of nodes farthest from
+    the gap is fixed. A spring resists any change of the vector between its ends, as the spring joints of the paper do.
+    """
+
+    size: tuple[float, ...] = setting((0.1, 1.0, 0.2), "of one wall along x, y, z", unit="m", minimum=0.02, maximum=3.0)
+    nodes: tuple[int, ...] = setting((2, 11, 3), "of one wall along x, y, z", minimum=2, maximum=50)
+    node_radius: float = setting(0.025, "radius of a node", unit="m", minimum=0.005, maximum=0.2)
+    node_mass: float = setting(0.01, "mass of a node", unit="kg", minimum=0.001, maximum=1.0)
+    edge_stiffness: float = setting(
+        60.0, "of a spring between two nodes, when hardly deformed", unit="N/m", minimum=1.0, maximum=5000.0
+    )
+    hardening: float = setting(
+        0.3, "share by which a spring is stiffer when its ends moved apart by its length", minimum=0.0, maximum=10.0
+    )
+    anchor_stiffness: float = setting(
+        0.0, "spring from each node to its place, besides the fixed row", unit="N/m", minimum=0.0, maximum=5000.0
+    )
+    damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
+    contact_stiffness: float = setting(1000.0, "of the foam itself", unit="N/m", minimum=50.0, maximum=50000.0)
+    friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
+    gap: float = setting(0.17, "between the walls", unit="m", minimum=0.0, maximum=1.0)
+    min_overlap: float = setting(
+        0.04,
+        "least depth at which links 3 to 5 would enter a node on the free path",
+        unit="m",
+        minimum=0.0,
+        maximum=0.2,
+    )
+    max_overlap: float = setting(
+        0.1,
+        "greatest depth at which links 3 to 5 would enter a node on the free path",
+        unit="m",
+        minimum=0.0,
+        maximum=0.2,
+    )
+    max_hand_overlap: float = setting(
+        0.05,
+        "greatest depth at which links 6 and 7 would enter a node on the free path",
+        unit="m",
+        minimum=0.0,
+        maximum=0.2,
+    )
+    min_squeeze: float = setting(
+        0.005,
+        "least depth at which the arm enters a node in every posture that holds the target pose",
+        unit="m",
+        minimum=0.0,
+        maximum=0.2,
+    )
+    start_clearance: float = setting(
+        0.01, "least distance of the arm from the walls at the start", unit="m", minimum=0.0, maximum=0.5
+    )
+    target_clearance: float = setting(
+        0.06, "least distance of the target behind the walls", unit="m", minimum=0.0, maximum=1.0
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """One wall of a concrete scene: a lattice of nodes joined by edges."""
+
+    rest: Array
+    """(N, 3) where the nodes are when nothing pushes them, m, base frame."""
+    edges: NDArray[np.intp]
+    """(E, 2) indices of the nodes that each edge joins."""
+    fixed: NDArray[np.bool_]
+    """(N,) whether a node cannot move."""
+    settings: WallSettings
+
+
+@dataclass(frozen=True)
 class Scene:
     """A concrete scene.
 
@@ -76,15 +150,16 @@ class Scene:
         Joint angles, (7,), rad.
     target
         Flange position to reach, (3,), m, base frame.
-    balls
-        Obstacles.
+    balls, walls
+        Obstacles. Where they are listed by sphere, balls come first, then the nodes of one wall after the other.
     """
 
     name: str
     seed: int
     start: Array
     target: Array
-    balls: tuple[Ball, ...]
+    balls: tuple[Ball, ...] = ()
+    walls: tuple[Wall, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,10 +168,11 @@ class SceneFile:
 
     name: str
     target: TargetSettings
-    ball: BallSettings | None
+    ball: BallSettings | None = None
+    wall: WallSettings | None = None
 
 
-_SECTIONS = {"target": TargetSettings, "ball": BallSettings}
+_SECTIONS = {"target": TargetSettings, "ball": BallSettings, "wall": WallSettings}
 
 
 def scene_names() -> list[str]:
@@ -125,6 +201,9 @@ def read_scene(name: str) -> SceneFile:
             raise SettingsError(f"{file}: {key} = {section!r}; expected a mapping of keys to values")
     target = TargetSettings.from_mapping(content.get("target", {}), f"{file}: target")
     ball = BallSettings.from_mapping(content["ball"], f"{file}: ball") if "ball" in content else None
+    wall = WallSettings.from_mapping(content["wall"], f"{file}: wall") if "wall" in content else None
+    if ball is not None and wall is not None:
+        raise SettingsError(f"{file}: has both ball and wall; expected at most one of them")
     if any(low > high for low, high in zip(target.minimum, target.maximum, strict=True)):
         raise SettingsError(f"{file}: target: minimum = {target.minimum}: expected at most maximum = {target.maximum}")
     for name, angle, limit in zip(iiwa14.JOINT_NAMES, target.start, iiwa14.POSITION_LIMITS, strict=True):
@@ -132,11 +211,13 @@ def read_scene(name: str) -> SceneFile:
             raise SettingsError(
                 f"{file}: target: start = {target.start}: expected {name} in [{-limit:.3f}, {limit:.3f}] rad"
             )
-    if ball is not None and ball.min_overlap > ball.max_overlap:
-        raise SettingsError(
-            f"{file}: ball: min_overlap = {ball.min_overlap:g}: expected at most max_overlap = {ball.max_overlap:g} m"
-        )
-    return SceneFile(file.stem, target, ball)
+    for section, obstacle in (("ball", ball), ("wall", wall)):
+        if obstacle is not None and obstacle.min_overlap > obstacle.max_overlap:
+            raise SettingsError(
+                f"{file}: {section}: min_overlap = {obstacle.min_overlap:g}: expected at most max_overlap = "
+                f"{obstacle.max_overlap:g} m"
+            )
+    return SceneFile(file.stem, target, ball, wall)
 
 
 def parse_target(text: str) -> Array | None:

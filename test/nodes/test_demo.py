@@ -24,6 +24,7 @@ TYPES = {
     "/safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/plan/path": "nav_msgs/msg/Path",
+    "/plan/markers": "visualization_msgs/msg/MarkerArray",
     "/sim/contacts": "sensor_msgs/msg/JointState",
     "/robot_description": "std_msgs/msg/String",
     "/clock": "rosgraph_msgs/msg/Clock",

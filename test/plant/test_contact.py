@@ -9,7 +9,7 @@ from contact_reach_ros.control.law import Reference
 from contact_reach_ros.plant.plant import CONTACT_BODIES, Plant
 from contact_reach_ros.plant.settings import JointSettings
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.scenes.generate import capsule_segments
+from contact_reach_ros.scenes.overlap import capsule_segments
 from contact_reach_ros.scenes.scene import Ball, BallSettings
 
 ELBOW = 4
@@ -40,8 +40,8 @@ def settle(plant: Plant, seconds: float = 3.0) -> None:
 
 def spring_force(plant: Plant, index: int = 0) -> np.ndarray:
     """What the spring of a ball pulls with, N."""
-    ball = plant.balls[index]
-    return ball.settings.stiffness * (plant.ball_centers()[index] - ball.center)
+    ball = plant.scene.balls[index]
+    return ball.settings.stiffness * (plant.obstacle_positions()[index] - ball.center)
 
 
 def depth(plant: Plant) -> float:
@@ -55,7 +55,7 @@ def test_no_force_while_apart():
     for _ in range(200):
         plant.step()
         assert not plant.contact_forces().any()
-    np.testing.assert_allclose(plant.ball_centers(), [plant.balls[0].center], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(plant.obstacle_positions(), [plant.scene.balls[0].center], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("stiffness", [50.0, 500.0])
@@ -94,7 +94,9 @@ def test_balls_do_not_fall_and_do_not_touch_each_other():
     ball = ball_beside(ELBOW, 0.3)
     plant = braked(ball, Ball(ball.center + np.array([0.05, 0.0, 0.0]), ball.settings))
     settle(plant, 0.5)
-    np.testing.assert_allclose(plant.ball_centers(), [ball.center for ball in plant.balls], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        plant.obstacle_positions(), [ball.center for ball in plant.scene.balls], rtol=0, atol=1e-9
+    )
 
 
 def test_arm_that_pushes_a_ball_slowly_feels_its_spring():

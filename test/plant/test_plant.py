@@ -216,7 +216,13 @@ def recording(seed: int) -> np.ndarray:
     for _ in range(300):
         reading = plant.read()
         plant.step(model.gravity_at(reading.position) + np.array([0, 8, 0, 4, 0, 0, 0]))
-        values = (reading.position, reading.velocity, reading.torque, plant.contact_forces(), plant.ball_centers()[0])
+        values = (
+            reading.position,
+            reading.velocity,
+            reading.torque,
+            plant.contact_forces(),
+            plant.obstacle_positions()[0],
+        )
         rows.append(np.concatenate(values))
     return np.array(rows)
 

@@ -17,7 +17,8 @@ from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes import generate
 from contact_reach_ros.scenes.free_path import free_path
-from contact_reach_ros.scenes.generate import capsule_segments, make_scene, overlap_depths
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.overlap import capsule_segments, overlap_depths
 from contact_reach_ros.scenes.scene import Scene, TargetSettings, read_scene
 
 SEEDS = range(31)
@@ -190,7 +191,7 @@ def test_capsules_are_where_mujoco_has_them():
     (ball,) = scene_of("ball", 0).balls
     for q in path_of("ball", 0)[::10]:
         by_mujoco = depths.at(q)
-        ours = overlap_depths(*capsule_segments(q), ball.center, ball.settings.radius)
+        ours = overlap_depths(*capsule_segments(q), ball.center[None], ball.settings.radius)[:, 0]
         expected = [by_mujoco[f"capsule_{capsule.link}"] for capsule in iiwa14.CAPSULES]
         np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-9)
 

@@ -1,0 +1,77 @@
+"""What an episode hands to the planner, and what it reports of the walls."""
+
+import numpy as np
+import pytest
+
+from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.planning.problem import Plan
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.scenes.spheres import rest_positions
+
+
+class StraightPlanner:
+    """Leads the arm along its free path, whatever stands in the way, and keeps the spheres it was shown."""
+
+    def __init__(self, scene):
+        self.model = RobotModel()
+        self.path = free_path(self.model, scene.start, scene.target)
+        self.positions = np.array([self.model.flange_pose(q)[0] for q in self.path])
+        self.spheres = []
+        self.number = 0
+
+    def reset(self):
+        self.number = 0
+
+    def plan(self, q, v, now_ns, effect_ns, goal, spheres):
+        self.spheres.append(spheres)
+        self.number += 1
+        nearest = np.linalg.norm(self.positions - self.model.flange_pose(q)[0], axis=1).argmin()
+        knots = self.path[np.minimum(nearest + 6 * np.arange(1, 4), len(self.path) - 1)]
+        poses = [self.model.flange_pose(knot) for knot in knots]
+        return Plan(
+            number=self.number,
+            effect_ns=effect_ns,
+            knot_duration_s=0.1,
+            positions=np.array([position for position, _ in poses]),
+            rotations=np.array([rotation for _, rotation in poses]),
+            postures=knots,
+            predicted_q=np.zeros((4, 7)),
+            predicted_positions=np.zeros((4, 3)),
+            predicted_contact_forces=np.zeros((3, 6)),
+            cost=0.0,
+            cost_terms={},
+            steps=1,
+            stop_reason="stagnated",
+            solve_s=0.0,
+            rejected=0,
+            left_out=0,
+        )
+
+
+@pytest.fixture(scope="module")
+def episode():
+    scene = make_scene(read_scene("wall"), 0)
+    planner = StraightPlanner(scene)
+    options = EpisodeOptions(period=0.1, settle=0.6, timeout=3.0)
+    return scene, planner, run_episode(scene, planner, options)
+
+
+def test_the_planner_sees_the_walls_give_way(episode):
+    scene, planner, _ = episode
+    first, last = planner.spheres[0], planner.spheres[-1]
+    np.testing.assert_allclose(first.center, rest_positions(scene), rtol=0, atol=1e-6)
+    moved = np.linalg.norm(last.center - last.rest, axis=1)
+    assert moved.max() > 0.01
+    fixed = np.concatenate([wall.fixed for wall in scene.walls])
+    assert not moved[fixed].any()
+    assert len(last.edges) == sum(len(wall.edges) for wall in scene.walls)
+
+
+def test_pushing_through_is_felt(episode):
+    _, _, result = episode
+    assert result.contact_forces.max() > 2.0
+    assert result.distances[-1] < 0.8 * result.distances[0]
+    assert not result.contact_forces[:100].any()

@@ -1,0 +1,194 @@
+"""Obstacles survive the way into markers and back, and what is no obstacle is refused by name."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME
+from rclpy.serialization import deserialize_message, serialize_message
+from visualization_msgs.msg import Marker, MarkerArray
+
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes.messages import to_point
+from contact_reach_ros.nodes.obstacle_markers import (
+    Material,
+    ObstacleMarkerReader,
+    ObstacleMarkerWriter,
+    obstacle_markers,
+)
+from contact_reach_ros.scenes.lattice import make_walls
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettings
+from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
+
+MATERIAL = Material(
+    sphere_stiffness=100.0, sphere_damping=30.0, node_stiffness=0.0, node_damping=5.0, edge_stiffness=60.0
+)
+STAMP_NS = 1_795_233_693_122_143_135
+
+
+def scene() -> Scene:
+    """Two balls and two walls, made of what `MATERIAL` says."""
+    balls = tuple(Ball(np.array([0.1 * k, 0.2, 0.9]), BallSettings(radius=0.05 * (k + 1))) for k in range(2))
+    return Scene("test", 0, HOME, np.zeros(3), balls, make_walls(WallSettings(), np.array([0.5, 0.0, 0.3])))
+
+
+def displaced() -> np.ndarray:
+    rests = rest_positions(scene())
+    fixed = np.concatenate([np.zeros(2, bool), *(wall.fixed for wall in scene().walls)])
+    return rests + np.where(fixed[:, None], 0.0, np.random.default_rng(0).normal(0.0, 0.02, rests.shape))
+
+
+def marker(message: MarkerArray, namespace: str, identifier: int = 2) -> Marker:
+    (found,) = (one for one in message.markers if one.ns == namespace and one.id == identifier)
+    return found
+
+
+def as_set(spheres) -> set:
+    """What a planner makes of spheres, whatever their order."""
+    columns = (spheres.radius, spheres.stiffness, spheres.damping)
+    nodes = [tuple(row) for row in np.round(np.column_stack([spheres.center, spheres.rest, *columns]), 9).tolist()]
+    edges = {
+        (frozenset((nodes[start], nodes[end])), stiffness)
+        for (start, end), stiffness in zip(spheres.edges.tolist(), spheres.edge_stiffness, strict=True)
+    }
+    assert len(edges) == len(spheres.edges)
+    return set(nodes) | edges
+
+
+def test_the_planner_reads_what_the_driver_writes():
+    positions = displaced()
+    written = deserialize_message(ObstacleMarkerWriter(scene()).write(positions, STAMP_NS), MarkerArray)
+    spheres = ObstacleMarkerReader(MATERIAL).read(written)
+    assert as_set(spheres) == as_set(obstacle_spheres(scene(), positions))
+
+
+def test_fast_writing_is_the_same_as_building_the_message():
+    writer = ObstacleMarkerWriter(scene())
+    for shift in (0.0, 0.1):
+        positions = displaced() + shift
+        written = writer.write(positions, STAMP_NS)
+        expected = serialize_message(obstacle_markers(scene(), positions, STAMP_NS))
+        # Not compared as bytes, since what fills the gaps between fields may be anything.
+        assert deserialize_message(written, MarkerArray) == deserialize_message(expected, MarkerArray)
+
+
+def test_no_obstacles_make_an_empty_message():
+    empty = Scene("free", 0, HOME, np.zeros(3))
+    message = deserialize_message(ObstacleMarkerWriter(empty).write(np.zeros((0, 3)), STAMP_NS), MarkerArray)
+    assert message.markers == []
+    assert len(ObstacleMarkerReader(MATERIAL).read(message)) == 0
+
+
+def test_movable_and_fixed_nodes_and_edges_are_told_apart():
+    message = obstacle_markers(scene(), displaced(), STAMP_NS)
+    wall = scene().walls[0]
+    assert len(marker(message, "obstacles").points) == (~wall.fixed).sum()
+    assert len(marker(message, "fixed").points) == wall.fixed.sum()
+    assert len(marker(message, "edges").points) == 2 * len(wall.edges)
+    assert marker(message, "fixed").color != marker(message, "obstacles").color
+    assert {one.type for one in message.markers if one.id < 2} == {Marker.SPHERE}
+
+
+def test_edges_follow_the_nodes_and_are_looked_up_again_when_they_change():
+    reader = ObstacleMarkerReader(MATERIAL)
+    first = reader.read(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS))
+    message = obstacle_markers(scene(), displaced(), STAMP_NS)
+    np.testing.assert_array_equal(reader.read(message).edges, first.edges)
+    # One edge now joins other nodes.
+    edges = marker(message, "edges")
+    edges.points[0] = marker(message, "obstacles").points[7]
+    edges.points[1] = marker(message, "fixed").points[3]
+    changed = reader.read(message).edges
+    expected = first.edges.copy()
+    expected[0] = (2 + 7, 2 + 44 + 3)
+    np.testing.assert_array_equal(changed, expected)
+
+
+def test_places_where_spheres_were_first_seen_are_their_rest():
+    reader = ObstacleMarkerReader(MATERIAL)
+    for positions in (rest_positions(scene()), displaced()):
+        message = obstacle_markers(scene(), positions, STAMP_NS)
+        message.markers = [one for one in message.markers if one.ns != "rest"]
+        spheres = reader.read(message)
+    told = ObstacleMarkerReader(MATERIAL).read(obstacle_markers(scene(), displaced(), STAMP_NS))
+    np.testing.assert_array_equal(spheres.rest, told.rest)
+
+
+def test_spheres_of_perception_may_be_in_any_namespace():
+    message = obstacle_markers(scene(), displaced(), STAMP_NS)
+    message.markers = [marker(message, "obstacles", 0)]
+    message.markers[0].ns = "balls"
+    assert len(ObstacleMarkerReader(MATERIAL).read(message)) == 1
+
+
+def spoil_frame(message):
+    marker(message, "edges").header.frame_id = "world"
+
+
+def spoil_type(message):
+    marker(message, "fixed").type = Marker.CUBE_LIST
+
+
+def spoil_action(message):
+    marker(message, "obstacles").action = Marker.DELETE
+
+
+def spoil_point(message):
+    marker(message, "obstacles").points[5].y = float("nan")
+
+
+def spoil_edge(message):
+    marker(message, "edges").points[9] = to_point((0.0, 0.0, 5.0))
+
+
+def spoil_edge_count(message):
+    marker(message, "edges").points.pop()
+
+
+def spoil_nodes(message):
+    message.markers = [marker(message, "edges")]
+    message.markers[0].id = 9
+
+
+def spoil_rest(message):
+    marker(message, "rest").points.pop()
+
+
+def spoil_size(message):
+    marker(message, "fixed").scale.x = 0.0
+
+
+def spoil_pose(message):
+    marker(message, "obstacles").pose.position.x = 0.1
+
+
+def spoil_twice(message):
+    message.markers.append(marker(message, "obstacles"))
+
+
+def spoil_fixture(message):
+    marker(message, "edges").points.clear()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (spoil_frame, "frame_id is 'world'; expected 'lbr_link_0'"),
+        (spoil_type, "fixed/2 has type 6 and action 0; expected SPHERE_LIST, to ADD"),
+        (spoil_action, "obstacles/2 has type 7 and action 2; expected SPHERE or SPHERE_LIST, to ADD"),
+        (spoil_point, r"obstacles/2: point 5 is \[.*nan.*\]; expected finite values"),
+        (spoil_edge, r"edges/2: edge 4 ends at \[0.0, 0.0, 5.0\] m, where no node is; expected a point of obstacles/2"),
+        (spoil_edge_count, "edges/2 has 273 points; expected an even number"),
+        (spoil_nodes, "edges/9: edge .* where no node is"),
+        (spoil_rest, "rest/2 has 43 points; expected 44"),
+        (spoil_size, "fixed/2: scale.x = 0.0; expected a diameter"),
+        (spoil_pose, "obstacles/2 has a pose; expected none"),
+        (spoil_twice, "obstacles/2 comes twice"),
+        (spoil_fixture, "nothing holds sphere"),
+    ],
+)
+def test_bad_message_is_refused_by_name(spoil, said):
+    reader = ObstacleMarkerReader(MATERIAL)
+    reader.read(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS))
+    message = obstacle_markers(scene(), displaced(), STAMP_NS)
+    spoil(message)
+    with pytest.raises(InputError, match=said):
+        reader.read(message)

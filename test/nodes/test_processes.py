@@ -1,0 +1,30 @@
+"""What the bring-up table tells the planner about the obstacles."""
+
+import pytest
+from stack_helpers import parameter_file
+
+from contact_reach_ros.nodes.processes import WALL_SPHERES, StackOptions, processes
+from contact_reach_ros.scenes.scene import read_scene
+
+
+def planner_parameters(**options):
+    (planner,) = (process for process in processes(StackOptions(**options)) if process.name == "planner")
+    return planner.parameters
+
+
+@pytest.mark.parametrize(("scene", "spheres"), [("free", 0), ("ball", 1), ("wall", WALL_SPHERES)])
+def test_the_planner_looks_at_as_many_spheres_as_the_scene_needs(scene, spheres):
+    assert planner_parameters(scene=scene)["max_spheres"] == spheres
+
+
+def test_the_planner_is_told_what_walls_are_made_of():
+    wall, told = read_scene("wall").wall, planner_parameters(scene="wall")
+    assert told["edge_stiffness"] == wall.edge_stiffness
+    assert told["node_damping"] == wall.damping
+    assert told["node_stiffness"] == wall.anchor_stiffness
+
+
+def test_what_the_parameter_file_says_holds(tmp_path):
+    file = parameter_file(tmp_path / "own.yaml", planner={"max_spheres": 5, "period": 0.1})
+    told = planner_parameters(scene="wall", parameters=str(file))
+    assert "max_spheres" not in told and "edge_stiffness" in told
