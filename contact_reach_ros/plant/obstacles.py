@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from contact_reach_ros.robot.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, numbers
 from contact_reach_ros.scenes.scene import Ball, BallSettings, Wall, WallSettings
 
-_IMPEDANCE = 0.9
+_IMPEDANCE = 0.2
+"""Of MuJoCo's contact constraints. They act like a spring that has to move a mass of d / (1 - d) times the effective
+one besides: nine times that of the obstacle with the default of 0.9, so that forces lag behind the penetration."""
 _CONTACT_DAMPING = 10.0
 """N s/m."""
 _ARM_MASS = 3.0

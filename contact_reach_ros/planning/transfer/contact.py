@@ -90,8 +90,9 @@ def contact_step(
     """Contact over a step of `timestep` seconds with the links at the given frames; `contact_stiffness` in N/m.
 
     The forces belong to a later instant of the step, when the spheres have given way to them: those at its beginning
-    would throw light spheres off. A sphere gives way to its own force and to those on the touched spheres that it is joined to, taken in
-    proportion to how deep they are entered. That is exact where one sphere is touched, and never gives way too much.
+    would throw light spheres off. A sphere gives way to its own force and to those on the touched spheres that it is
+    joined to, whose shares are estimated from how deep they are entered. That is exact where one sphere is touched, and
+    never too much altogether.
     """
     axes = (frames.x[:, _FIRST_LINK:], frames.y[:, _FIRST_LINK:], frames.z[:, _FIRST_LINK:])
     start = keep(frames.origin[:, _FIRST_LINK:] + combine(axes, per_link(arm.capsule_start)))
@@ -108,8 +109,11 @@ def contact_step(
     inverse_distance = jax.lax.rsqrt(square)
     reach = arm.capsule_radius[:, None, None] + obstacles.radius[None]
     depth = keep(jnp.maximum(reach - square * inverse_distance, 0.0))
+    # How far a sphere yields per force on it, from shares of the force that are corrected once.
     entered = sum_over(depth, 0)[None]
-    yielding = (_joined(touched.compliance, entered) / (entered + _TOUCH))[0]
+    yielding = _joined(touched.compliance, entered) / (entered + _TOUCH)
+    shares = keep(entered / (1.0 + contact_stiffness * yielding))
+    yielding = (_joined(touched.compliance, shares) / (shares + _TOUCH))[0]
     force = keep(depth * (contact_stiffness / (1.0 + contact_stiffness * yielding)))
     on_capsule = keep(gap * keep(force * inverse_distance)[None])
     total = keep(sum_over(on_capsule, 2))
