@@ -95,7 +95,10 @@ class Rollout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Cost (5) over H knots of a system in closed loop."""
+    """Cost (5) over H knots of a system in closed loop.
+
+    Another transfer function T is a subclass that overrides `roll_out`; the cost sees nothing else of it.
+    """
 
     system: System
     """Its time step is the knot duration divided by `substeps`."""

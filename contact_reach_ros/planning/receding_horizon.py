@@ -14,18 +14,17 @@ from numpy.typing import ArrayLike
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
+from contact_reach_ros.planning.cost import Problem, Rollout, Weights
+from contact_reach_ros.planning.objectives import action_bounds, actions_of, make_objective, scaled_cost
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.prediction import MAX_PIECES, HeldReference, Predictor, pieces_between
 from contact_reach_ros.planning.problem import Array, Goal, Plan, Spheres
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, fresh
-from contact_reach_ros.planning.solver.hybrid import HybridSolver, Solution
+from contact_reach_ros.planning.solver.hybrid import CostFunction, HybridSolver, Solution
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.transfer.model import default_arm
-from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
 from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.robot import iiwa14
@@ -75,17 +74,14 @@ class RecedingHorizonPlanner:
         configure_jax(cache_directory() / "jax")
         self._settings = settings
         self._obstacles = ObstacleReader(capacity)
-        timestep = settings.knot_duration / settings.substeps
-        system = System(default_arm(), gains, settings.contact_stiffness, timestep)
-        self._objective = Objective(system, settings.horizon, settings.substeps, settings.contact_measure)
+        self._objective = make_objective(settings, gains)
         self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
-        knot = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
-        self._bounds = np.tile(knot, settings.horizon)
+        self._bounds = action_bounds(settings)
         self._spread = _PAPER_SIGMA / self._bounds
         if settings.sampling == "bounds":
             self._spread = np.full_like(self._bounds, settings.sigma)
-        self._predictor = Predictor(system)
-        self._solver: HybridSolver[Problem] = HybridSolver(self._cost, len(self._bounds), settings)
+        self._predictor = Predictor(self._objective.system)
+        self._solver = self._make_solver(scaled_cost(self._objective, self._bounds))
         self._evaluate = jax.jit(self._roll_out)
         self._plans: deque[Plan] = deque(maxlen=16)
         self._memory: _Memory | None = None
@@ -241,15 +237,11 @@ class RecedingHorizonPlanner:
         """Two points (n, 2) for the evaluation, the first one twice if there is no second."""
         return np.stack([first, first if second is None else second], axis=1).astype(np.float32)
 
-    def _actions(self, points: jax.Array) -> jax.Array:
-        """Actions (H, 13, B) of points (n, B) in units of the bounds."""
-        return (points * self._bounds[:, None]).reshape(self._settings.horizon, N_ACTION, -1)
-
-    def _cost(self, problem: Problem, points: jax.Array) -> jax.Array:
-        return self._objective.cost(problem, self._actions(points))
+    def _make_solver(self, cost: CostFunction[Problem]) -> HybridSolver[Problem]:
+        return HybridSolver(cost, len(self._bounds), self._settings)
 
     def _roll_out(self, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
-        actions = self._actions(points)
+        actions = actions_of(points, self._bounds)
         rollout = self._objective.roll_out(problem, actions)
         return rollout, self._objective.terms(problem, actions, rollout)
 

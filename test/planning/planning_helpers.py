@@ -8,14 +8,13 @@ import numpy as np
 from arm_simulation import HOME
 
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning import objectives
 from contact_reach_ros.planning.cost import Objective, Problem, Weights
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.model import default_arm
-from contact_reach_ros.planning.transfer.pipeline import System
 
 PERMITTED_FORCE = 10.0
 SMALL = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64)
@@ -56,8 +55,7 @@ def make_problem(
 
 
 def make_objective(measure: str = "largest") -> Objective:
-    system = System(default_arm(), ImpedanceSettings(), SMALL.contact_stiffness, SMALL.knot_duration / SMALL.substeps)
-    return Objective(system, SMALL.horizon, SMALL.substeps, measure)
+    return objectives.make_objective(dataclasses.replace(SMALL, contact_measure=measure), ImpedanceSettings())
 
 
 def make_planner(**changes: object) -> RecedingHorizonPlanner:
