@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import subprocess
 from collections import Counter
 from pathlib import Path
@@ -11,6 +12,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
+
+from contact_reach_ros.nodes.processes import WALL_SPHERES
+from contact_reach_ros.scenes.scene import WallSettings
 
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
@@ -105,6 +109,34 @@ def test_the_bag_opens_with_rosbags_and_the_counts_agree(ball):
         assert counted == {name: topic.msgcount for name, topic in reader.topics.items()}
         for connection, _, data in reader.messages():
             reader.deserialize(data, connection.msgtype)
+
+
+def test_walls_are_shown_and_planned_with(tmp_path):
+    """The start of a reach is enough to see what driver and planner tell each other."""
+    result = demo(tmp_path, "--scene", "wall", "--timeout", "0.4")
+    assert result.returncode == 1 and "not reached" in result.stdout, result.stdout + result.stderr
+    report = json.loads((tmp_path / "r.json").read_text())
+    (file,) = Path(report["bag"]).glob("*.mcap")
+    obstacles, pictures, diagnostics = [], [], {}
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            if channel.topic == "/obstacles":
+                obstacles.append({(marker.ns, marker.id): len(marker.points) for marker in message.markers})
+            elif channel.topic == "/plan/markers":
+                pictures.append({marker.ns for marker in message.markers})
+            elif channel.topic == "/diagnostics" and message.status[0].name == "planner":
+                diagnostics |= {entry.key: entry.value for entry in message.status[0].values}
+    wall = WallSettings()
+    nodes = math.prod(wall.nodes)
+    assert obstacles and all(shown == obstacles[0] for shown in obstacles)
+    for index in range(2):
+        movable, fixed = obstacles[0]["obstacles", index], obstacles[0]["fixed", index]
+        assert movable + fixed == nodes and obstacles[0]["rest", index] == movable
+        assert obstacles[0]["edges", index] > 2 * nodes
+    assert pictures and {"flange", "elbow", "arm"} <= pictures[0]
+    assert "refused obstacles" not in diagnostics
+    assert int(diagnostics["spheres left out"]) == 2 * nodes - WALL_SPHERES
 
 
 def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):
