@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import Problem, Rollout, Weights
 from contact_reach_ros.planning.objectives import action_bounds, actions_of, make_objective, scaled_cost
 from contact_reach_ros.planning.obstacles import ObstacleReader
@@ -71,11 +71,11 @@ class RecedingHorizonPlanner:
         permitted_force: float,
         capacity: int,
     ) -> None:
-        configure_jax(cache_directory() / "jax")
+        configure_jax(cache_directory() / "jax", settings.device)
         self._settings = settings
         self._obstacles = ObstacleReader(capacity)
         self._objective = make_objective(settings, gains)
-        self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
+        self.change_weights(settings, permitted_force)
         self._bounds = action_bounds(settings)
         self._spread = _PAPER_SIGMA / self._bounds
         if settings.sampling == "bounds":
@@ -89,8 +89,18 @@ class RecedingHorizonPlanner:
         self._number = 0
         self._since_reset = 0
 
+    def change_weights(self, settings: PlanningSettings, permitted_force: float) -> None:
+        """Take the weights of the cost from these settings, and ε in N, from the next plan on; nothing is compiled."""
+        self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
+
     def warm_up(self, progress: Callable[[str], None]) -> None:
-        """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage."""
+        """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.
+
+        Raises
+        ------
+        SettingsError
+            If the deadline is too short for one step of the solver on this machine.
+        """
         begin = time.perf_counter()
         q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
         goal = Goal(np.array([0.5, 0.0, 0.4]))
@@ -102,8 +112,13 @@ class RecedingHorizonPlanner:
         problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal)
         jax.block_until_ready(self._evaluate(problem, self._points(np.zeros_like(self._bounds))))
         progress("planner: preparing the solver, the longest part (up to a minute the first time)")
-        self._solver.warm_up(problem, self._fresh(np.zeros_like(self._bounds)))
-        progress(f"planner: ready after {time.perf_counter() - begin:.1f} s")
+        step = self._solver.warm_up(problem, self._fresh(np.zeros_like(self._bounds)))
+        progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
+        if 0.0 < self._settings.deadline < step:
+            raise SettingsError(
+                f"planning.deadline = {self._settings.deadline:g} s: one solver step takes {step:.4f} s here; "
+                "expected a deadline of several steps, 0 for none, or fewer candidates"
+            )
 
     def reset(self) -> None:
         """Forget the plans made so far: the goal was withdrawn, or the arm moved in a way no plan asked for.

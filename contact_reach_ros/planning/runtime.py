@@ -1,14 +1,21 @@
-"""How JAX runs here: on one thread of the CPU, with compiled programs kept between processes."""
+"""How JAX runs here: on one thread of the CPU or on a GPU, with compiled programs kept between processes."""
 
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
+from contact_reach_ros.errors import SettingsError
+
+DEVICES = ("auto", "cpu", "gpu")
+"""What may compute: 'auto' takes a GPU where JAX has one, else the CPU."""
+
+_GPU_PLUGINS = ("jax_cuda13_plugin", "jax_cuda12_plugin", "jax_rocm7_plugin", "jax_rocm60_plugin")
 _SINGLE_THREAD = "--xla_cpu_multi_thread_eigen=false"
 
 
-def configure_jax(cache: Path | None = None) -> None:
+def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
     """Start JAX's backend on one worker thread; call it before the first computation.
 
     XLA's default of one worker per core costs more than it brings for arrays of this size: idle workers spin, on the
@@ -19,19 +26,36 @@ def configure_jax(cache: Path | None = None) -> None:
     ----------
     cache
         Folder for compiled programs; None leaves JAX's own setting.
+    device
+        One of `DEVICES`; the first call of a process decides.
+
+    Raises
+    ------
+    SettingsError
+        If a GPU is asked for and JAX has none.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_cpu_multi_thread_eigen" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_SINGLE_THREAD}".strip()
     import jax  # not before the flags are set
 
-    if "JAX_PLATFORMS" not in os.environ:
+    if "JAX_PLATFORMS" not in os.environ and (device == "cpu" or (device == "auto" and not _gpu_support())):
         jax.config.update("jax_platforms", "cpu")
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         # The programs are few, and even the quick ones are worth keeping.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     _start_backend_with_one_worker()
+    if device == "gpu" and jax.default_backend() != "gpu":
+        raise SettingsError(
+            f"device = 'gpu': JAX computes on '{jax.default_backend()}' here; expected a GPU and a JAX built for it "
+            "(pip install 'jax[cuda13]'), or device 'cpu' or 'auto'"
+        )
+
+
+def _gpu_support() -> bool:
+    """Whether JAX was installed with support for a GPU; without, it would only complain."""
+    return any(find_spec(package) is not None for package in _GPU_PLUGINS)
 
 
 def _start_backend_with_one_worker() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.runtime import DEVICES
 from contact_reach_ros.settings import Settings, setting
 
 SOLVER_METHODS = ("hybrid", "cma", "gradient")
@@ -95,6 +96,9 @@ class PlanningSettings(Settings):
         unit="s",
         minimum=0.0,
         maximum=10.0,
+    )
+    device: str = setting(
+        "auto", "what computes plans; 'auto' is a GPU where JAX has one, else the CPU", choices=DEVICES
     )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 

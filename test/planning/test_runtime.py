@@ -47,3 +47,13 @@ def test_what_the_user_has_set_stays(tmp_path):
 def test_compiled_programs_are_kept(tmp_path):
     start(tmp_path)
     assert any(tmp_path.iterdir())
+
+
+def test_gpu_that_is_not_there_is_refused(tmp_path):
+    script = SCRIPT.replace('Path(os.environ["CACHE"])', 'Path(os.environ["CACHE"]), "gpu"')
+    environment = os.environ | {"CACHE": str(tmp_path), "JAX_PLATFORMS": "cpu"}
+    result = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 1
+    assert "device = 'gpu': JAX computes on 'cpu' here; expected a GPU" in result.stderr

@@ -26,6 +26,9 @@ GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this, from one side of its bounds to the other."""
 
 
+_REPETITIONS = 5
+
+
 class Search(NamedTuple):
     """Where the solver stands after a step."""
 
@@ -154,10 +157,15 @@ class HybridSolver(Generic[ProblemT]):
             costs=tuple(costs),
         )
 
-    def warm_up(self, problem: ProblemT, distribution: Distribution) -> None:
-        """Compile what `solve` needs for problems of this shape."""
+    def warm_up(self, problem: ProblemT, distribution: Distribution) -> float:
+        """Compile what `solve` needs for problems of this shape; returns the time that one step then takes, s."""
         search = _search_from(distribution, 0.0)
-        jax.block_until_ready(self._advance(problem, search, (self._settings.seed, 0, 0)))
+        times = []
+        for repetition in range(1 + _REPETITIONS):
+            begin = time.perf_counter()
+            jax.block_until_ready(self._advance(problem, search, (self._settings.seed, 0, repetition)))
+            times.append(time.perf_counter() - begin)
+        return min(times[1:])
 
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18."""
