@@ -139,7 +139,7 @@ def _problem(cases: Sequence[Case]) -> Problem:
         each = [reader.read(case.q, _spheres(ball))[0] for case, ball in zip(cases, balls, strict=True)]
         obstacles = each[0]
         assert obstacles is not None
-        centers = np.concatenate([one.center for one in each if one is not None], axis=-1)
+        centers = single(np.concatenate([one.center for one in each if one is not None], axis=-1))
         obstacles = obstacles._replace(center=centers, rest=centers)
     return Problem(
         q=_stacked([case.q for case in cases]),
