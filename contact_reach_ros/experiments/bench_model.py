@@ -21,21 +21,26 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
+from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.cost import Problem, Rollout, Weights
+from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
 from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.transfer.model import default_arm
-from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
+from contact_reach_ros.planning.transfer.pipeline import N_ACTION
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Actuation, Plant
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, read_scene
+from contact_reach_ros.scenes.spheres import obstacle_spheres
 
 Array = NDArray[np.float64]
 
@@ -48,9 +53,13 @@ MAX_SPEED = 1.5 * max(iiwa14.VELOCITY_LIMITS)
 MIN_FORCE = 1.0
 """Contacts below this are not compared, N."""
 
+WALL = "wall"
+CAPACITIES = (6, 8, 12, 16, 24, 40)
+
 _LIMIT_MARGIN = 0.3
 _START_SPEED = 0.2
 _GAP = 0.001
+_PLANNED_SPHERES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +134,8 @@ def normal_forces(plant: Plant) -> Array:
 
 def predict(cases: Sequence[Case], substeps: int) -> Rollout:
     """The transfer model on all cases at once, with as many substeps per knot; one sphere each, or none in all."""
-    settings = PlanningSettings()
-    system = System(default_arm(), ImpedanceSettings(), settings.contact_stiffness, settings.knot_duration / substeps)
-    objective = Objective(system, HORIZON, substeps, settings.contact_measure)
+    settings = PlanningSettings(substeps=substeps)
+    objective = make_objective(settings, ImpedanceSettings())
     return jax.tree.map(np.asarray, jax.jit(objective.roll_out)(_problem(cases), _stacked([c.actions for c in cases])))
 
 
@@ -263,7 +271,7 @@ def force_errors(rollout: Rollout, motions: Sequence[Motion]) -> tuple[Array, Ar
 
 
 def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[str], None] = print) -> dict:
-    """Compare, print two tables in Markdown and write JSON to `file`."""
+    """Compare, print three tables in Markdown and write JSON to `file`."""
     configure_jax(cache_directory() / "jax")
     random = np.random.default_rng(seed)
     free = draw_free(random, states)
@@ -313,6 +321,13 @@ def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[s
             f"| {substeps} | {len(force)} | {np.median(force):.1f} | {force.max():.1f} | {errors} | "
             f"{100 * row['bias']:+.1f} % | {100 * row['within_15_percent']:.0f} % |"
         )
+    progress(f"\nScene '{WALL}' with the nearest spheres only, against the nearest {CAPACITIES[-1]}\n")
+    progress("| spheres | the last one is away, mm | flange, mm max | force, N p50 | p95 | max |")
+    progress("|" + "---|" * 6)
+    report["nearest"] = culling_errors(make_scene(read_scene(WALL), seed), CAPACITIES, max(states // 10, 1), seed)
+    for capacity, row in report["nearest"].items():
+        numbers = " | ".join(f"{row['force_n'][key]:.2f}" for key in ("p50", "p95", "max"))
+        progress(f"| {capacity} | {row['last_distance_mm']:.0f} | {row['flange_mm']:.2f} | {numbers} |")
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return report
@@ -320,3 +335,63 @@ def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[s
 
 def _summary(values: Array) -> dict[str, float]:
     return {"p50": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(values.max())}
+
+
+def culling_errors(scene: Scene, capacities: Sequence[int], actions: int, seed: int) -> dict[int, dict[str, Any]]:
+    """What is lost by looking at the nearest spheres only, against as many as the last of the capacities.
+
+    From states along an episode in the scene, each with random `actions`: largest differences of the flange, m, and of
+    the largest force on a link, N.
+    """
+    random = np.random.default_rng(seed)
+    states = _states_in_contact(scene, _PLANNED_SPHERES)
+    settings = PlanningSettings()
+    bounds = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
+    samples = random.uniform(-1.0, 1.0, (len(states), HORIZON, N_ACTION, actions)) * np.array(bounds)[:, None]
+    flanges: dict[int, Array] = {}
+    forces: dict[int, Array] = {}
+    distances: dict[int, Array] = {}
+    objective = make_objective(settings, ImpedanceSettings())
+    for capacity in capacities:
+        reader = ObstacleReader(capacity)
+        roll_out = jax.jit(objective.roll_out)
+        rollouts = []
+        for (q, v, spheres), drawn in zip(states, samples, strict=True):
+            problem = Problem(
+                q=single(q[:, None]),
+                v=single(v[:, None]),
+                obstacles=reader.read(q, spheres)[0],
+                goal_position=single(np.zeros((3, 1))),
+                goal_rotation=single(np.eye(3)[:, :, None]),
+                weights=Weights.of(settings, 0.0),
+            )
+            rollouts.append(jax.tree.map(np.asarray, roll_out(problem, single(drawn))))
+        flanges[capacity] = np.array([rollout.pose.position for rollout in rollouts])
+        forces[capacity] = np.array([rollout.link_force.max(axis=(0, 1)) for rollout in rollouts])
+        distances[capacity] = np.array([np.sort(clearances(q, spheres))[capacity - 1] for q, _, spheres in states])
+    most = capacities[-1]
+    return {
+        capacity: {
+            "last_distance_mm": 1e3 * float(distances[capacity].min()),
+            "flange_mm": 1e3 * float(np.linalg.norm(flanges[capacity] - flanges[most], axis=2).max()),
+            "force_n": _summary(np.abs(forces[capacity] - forces[most]).ravel()),
+            "largest_force_n": float(forces[most].max()),
+        }
+        for capacity in capacities
+    }
+
+
+def _states_in_contact(scene: Scene, capacity: int) -> list[tuple[Array, Array, Spheres]]:
+    """Joint angles, speeds and spheres every 0.2 s of an episode while something touches the arm."""
+    states: list[tuple[Array, Array, Spheres]] = []
+
+    def watch(tick: int, plant: Plant) -> None:
+        if tick % 200 == 0 and plant.data.ncon > 0:
+            q, v = plant.data.qpos[: iiwa14.N_JOINTS].copy(), plant.data.qvel[: iiwa14.N_JOINTS].copy()
+            states.append((q, v, obstacle_spheres(scene, plant.obstacle_positions())))
+
+    settings = PlanningSettings(deadline=0.0)
+    permitted = load_budget("").permitted_force
+    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, capacity)
+    run_episode(scene, planner, EpisodeOptions(), watch)
+    return states
