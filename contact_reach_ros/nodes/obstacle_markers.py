@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from geometry_msgs.msg import Vector3
 from numpy.typing import NDArray
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial import cKDTree
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -39,7 +39,7 @@ _EDGE_WIDTH = 0.004
 _MATCH = 1e-4
 """How far the end of an edge may be from its node, m."""
 _FIRST_MARK = 1e6
-_STAMP_MARK = (0x51EC51EC, 0x1A2B3C4D)
+_STAMP_NS = 0x51EC51EC * NANOSECONDS + 0x1A2B3C4D
 
 
 def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArray:
@@ -67,19 +67,12 @@ class ObstacleMarkerWriter:
     """
 
     def __init__(self, scene: Scene) -> None:
-        size = 3 * len(rest_positions(scene))
-        marks = _FIRST_MARK + np.arange(size, dtype=float)
-        seconds, nanoseconds = _STAMP_MARK
-        message = obstacle_markers(scene, marks.reshape(-1, 3), seconds * NANOSECONDS + nanoseconds)
-        self._buffer = bytearray(serialize_message(message))
-        # CDR aligns numbers to their size, counted from behind its header of four bytes.
-        body = len(self._buffer) - 4
-        self._numbers = np.frombuffer(self._buffer, "<f8", body // 8, 4)
-        words = np.frombuffer(self._buffer, "<u4", body // 4, 4)
-        self._slots = np.flatnonzero(np.isin(self._numbers, marks))
+        marks = _FIRST_MARK + np.arange(3 * len(rest_positions(scene)), dtype=float)
+        self._buffer = bytearray(serialize_message(obstacle_markers(scene, marks.reshape(-1, 3), _STAMP_NS)))
+        self._numbers, self._words = _numbers(self._buffer), _words(self._buffer)
+        self._slots = _marked_numbers(self._buffer, marks)
         self._sources = (self._numbers[self._slots] - _FIRST_MARK).astype(int)
-        self._words = words
-        self._stamps = np.flatnonzero((words[:-1] == seconds) & (words[1:] == nanoseconds))
+        self._stamps = _marked_stamps(self._buffer)
 
     def write(self, positions: Array, stamp_ns: int) -> bytes:
         """A serialised MarkerArray with the obstacles at `positions` (K, 3), m."""
@@ -112,6 +105,32 @@ class ObstacleMarkerReader:
         self._material = material
         self._rests: dict[int, Array] = {}
         self._edges: dict[int, NDArray[np.intp]] = {}
+        self._layout: _Layout | None = None
+
+    def read_serialized(self, data: bytes) -> Spheres:
+        """The same as `read` for a serialised message.
+
+        Turning hundreds of points into Python objects takes milliseconds. So where they lie in the message is kept, and
+        the next one is read without that as long as nothing but points and stamps has changed.
+
+        Raises
+        ------
+        InputError
+            As `read`, or if the bytes are no message.
+        """
+        if self._layout is None or not self._layout.fits(data):
+            try:
+                message = deserialize_message(data, MarkerArray)
+            except Exception as error:  # whatever the middleware raises
+                raise InputError(f"obstacles: {len(data)} bytes that are no MarkerArray: {error}") from error
+            spheres = self.read(message)
+            shapes = _shapes(message)
+            if self._layout is not None and self._layout.describes(data, shapes):
+                self._layout.ignore_differences(data)
+            else:
+                self._layout = _Layout(data, message, shapes)
+            return spheres
+        return self._spheres(self._layout.read(data))
 
     def read(self, message: MarkerArray) -> Spheres:
         """The spheres of a message: in the order of their ids, and of each body the nodes that can move first.
@@ -124,19 +143,19 @@ class ObstacleMarkerReader:
             If a marker is in another frame, of another type than its namespace asks for, has no size or a value that
             is not finite, or an edge ends where no node is; the marker is named.
         """
-        bodies: dict[int, dict[str, Marker]] = {}
-        for marker in message.markers:
-            # Spheres may be in any other namespace too, as perception calls them.
-            kind = marker.ns if marker.ns in (REST, FIXED, EDGES) else OBSTACLES
-            _check(marker, kind)
-            if kind in bodies.setdefault(marker.id, {}):
+        return self._spheres(list(zip(_shapes(message), map(_points, message.markers), strict=True)))
+
+    def _spheres(self, shapes: list[tuple[_Shape, Array]]) -> Spheres:
+        bodies: dict[int, dict[str, tuple[_Shape, Array]]] = {}
+        for shape, points in shapes:
+            if not np.isfinite(points).all():
+                index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
                 raise InputError(
-                    f"obstacles: marker {_name(marker)} comes twice; expected one of each namespace and id"
+                    f"obstacles: marker {shape.name}: point {index} is {points[index].tolist()}; expected finite values"
                 )
-            bodies[marker.id][kind] = marker
-        rests = self._rests | {
-            identifier: _positions(body[REST]) for identifier, body in bodies.items() if REST in body
-        }
+            bodies.setdefault(shape.id, {})[shape.kind] = (shape, points)
+        told = {identifier: body[REST][1] for identifier, body in bodies.items() if REST in body}
+        rests = self._rests | told
         parts: list[_Part] = []
         for identifier, body in sorted(bodies.items()):
             if body.keys() != {REST}:
@@ -144,10 +163,12 @@ class ObstacleMarkerReader:
         self._rests = rests
         return Spheres(*(np.concatenate(columns) for columns in zip(_EMPTY, *parts, strict=True)))
 
-    def _part(self, identifier: int, body: dict[str, Marker], rests: dict[int, Array], first: int) -> _Part:
+    def _part(
+        self, identifier: int, body: dict[str, tuple[_Shape, Array]], rests: dict[int, Array], first: int
+    ) -> _Part:
         """One body, whose first sphere has the number `first`; where it rests is added to `rests` if not known."""
         material = self._material
-        movable, fixed = _body_positions(body, OBSTACLES), _body_positions(body, FIXED)
+        (ball, movable), (fixture, fixed) = body.get(OBSTACLES, _NOTHING), body.get(FIXED, _NOTHING)
         rest = rests.setdefault(identifier, movable)
         if len(rest) != len(movable):
             raise InputError(
@@ -155,13 +176,13 @@ class ObstacleMarkerReader:
                 "node that can move"
             )
         nodes = np.concatenate([movable, fixed])
-        is_ball = OBSTACLES in body and body[OBSTACLES].type == Marker.SPHERE
+        is_ball = ball.type == Marker.SPHERE
         stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
-        edges = self._match(identifier, _positions(body[EDGES]), nodes) if EDGES in body else _EMPTY.edges
+        edges = self._match(identifier, body[EDGES][1], nodes) if EDGES in body else _EMPTY.edges
         return _Part(
             center=nodes,
             rest=np.concatenate([rest, fixed]),
-            radius=np.repeat([_radius(body, OBSTACLES), _radius(body, FIXED)], [len(movable), len(fixed)]),
+            radius=np.repeat([ball.radius, fixture.radius], [len(movable), len(fixed)]),
             stiffness=np.repeat([stiffness, FIXED_STIFFNESS], [len(movable), len(fixed)]),
             damping=np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
             edges=edges + first,
@@ -214,44 +235,122 @@ _TYPES = {
 }
 
 
-def _name(marker: Marker) -> str:
-    return f"{marker.ns}/{marker.id}"
+class _Shape(NamedTuple):
+    """What a marker is, without its points."""
+
+    name: str
+    kind: str
+    id: int
+    type: int
+    radius: float
+    points: int
+    """Their number."""
 
 
-def _check(marker: Marker, kind: str) -> None:
+_NOTHING = (_Shape("", OBSTACLES, 0, Marker.SPHERE_LIST, 0.0, 0), np.zeros((0, 3)))
+
+
+class _Layout:
+    """Where the points lie in a serialised message, and which of its bytes have to stay as they are."""
+
+    def __init__(self, data: bytes, message: MarkerArray, shapes: list[_Shape]) -> None:
+        self._data = np.frombuffer(data, np.uint8)
+        self._shapes = shapes
+        self._ends = np.cumsum([shape.points for shape in shapes])
+        count = int(self._ends[-1]) if shapes else 0
+        marks = _FIRST_MARK + np.arange(3 * count, dtype=float)
+        points = iter(marks.reshape(-1, 3).tolist())
+        for marker in message.markers:
+            if marker.type == Marker.SPHERE:
+                marker.pose.position = to_point(next(points))
+            else:
+                marker.points = [to_point(next(points)) for _ in marker.points]
+            set_time(marker.header.stamp, _STAMP_NS)
+        marked = bytearray(serialize_message(message))
+        self._slots = _marked_numbers(marked, marks)
+        is_same = np.ones(len(marked), bool)
+        is_same[4 + (8 * self._slots[:, None] + np.arange(8))] = False
+        is_same[4 + (4 * _marked_stamps(marked)[:, None] + np.arange(8))] = False
+        self._same = np.flatnonzero(is_same)
+        # A message in another byte order, for one, is always read in full.
+        self._usable = data[:2] == bytes(marked[:2]) and len(data) == len(marked) and len(self._slots) == 3 * count
+
+    def fits(self, data: bytes) -> bool:
+        """Whether nothing has changed but points and stamps."""
+        if not self._usable or len(data) != len(self._data):
+            return False
+        return bool((np.frombuffer(data, np.uint8)[self._same] == self._data[self._same]).all())
+
+    def describes(self, data: bytes, shapes: list[_Shape]) -> bool:
+        """Whether a message with these markers, which does not fit, is laid out alike."""
+        return self._usable and len(data) == len(self._data) and shapes == self._shapes
+
+    def ignore_differences(self, data: bytes) -> None:
+        """Where a message that says the same has other bytes, they mean nothing: gaps between fields, colours."""
+        self._same = self._same[np.frombuffer(data, np.uint8)[self._same] == self._data[self._same]]
+
+    def read(self, data: bytes) -> list[tuple[_Shape, Array]]:
+        """The points of a message that fits, by marker."""
+        points = np.split(_numbers(data)[self._slots].reshape(-1, 3), self._ends[:-1])
+        return list(zip(self._shapes, points, strict=False))
+
+
+def _marked_numbers(data: bytearray, marks: Array) -> NDArray[np.intp]:
+    """Which of the 8-byte numbers of a serialised message are among `marks`."""
+    return np.flatnonzero(np.isin(_numbers(data), marks))
+
+
+def _marked_stamps(data: bytearray) -> NDArray[np.intp]:
+    """Which of the 4-byte words of a serialised message begin a stamp of `_STAMP_NS`."""
+    words = _words(data)
+    seconds, nanoseconds = divmod(_STAMP_NS, NANOSECONDS)
+    return np.flatnonzero((words[:-1] == seconds) & (words[1:] == nanoseconds))
+
+
+def _numbers(data: bytes | bytearray) -> Array:
+    # CDR aligns numbers to their size, counted from behind its header of four bytes.
+    return np.frombuffer(data, "<f8", (len(data) - 4) // 8, 4)
+
+
+def _words(data: bytes | bytearray) -> NDArray[np.uint32]:
+    return np.frombuffer(data, "<u4", (len(data) - 4) // 4, 4)
+
+
+def _shapes(message: MarkerArray) -> list[_Shape]:
+    """The markers of a message; raises `InputError` if one is not as its namespace asks for, or comes twice."""
+    shapes: list[_Shape] = []
+    for marker in message.markers:
+        # Spheres may be in any other namespace too, as perception calls them.
+        kind = marker.ns if marker.ns in (REST, FIXED, EDGES) else OBSTACLES
+        name = f"{marker.ns}/{marker.id}"
+        _check(marker, kind, name)
+        if any((shape.kind, shape.id) == (kind, marker.id) for shape in shapes):
+            raise InputError(f"obstacles: marker {name} comes twice; expected each namespace and id once")
+        count = 1 if marker.type == Marker.SPHERE else len(marker.points)
+        shapes.append(_Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count))
+    return shapes
+
+
+def _check(marker: Marker, kind: str, name: str) -> None:
     if marker.header.frame_id != iiwa14.BASE_NAME:
         raise InputError(f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{iiwa14.BASE_NAME}'")
     types = _TYPES[kind]
     if marker.action != Marker.ADD or marker.type not in types:
         raise InputError(
-            f"obstacles: marker {_name(marker)} has type {marker.type} and action {marker.action}; expected "
+            f"obstacles: marker {name} has type {marker.type} and action {marker.action}; expected "
             f"{' or '.join(types.values())}, to ADD"
         )
     if kind in (OBSTACLES, FIXED) and not 0.0 < marker.scale.x < np.inf:
-        raise InputError(f"obstacles: marker {_name(marker)}: scale.x = {marker.scale.x}; expected a diameter in m")
+        raise InputError(f"obstacles: marker {name}: scale.x = {marker.scale.x}; expected a diameter in m")
     pose = marker.pose
     if marker.type != Marker.SPHERE and (vector(pose.position).any() or vector(pose.orientation).any()):
-        raise InputError(f"obstacles: marker {_name(marker)} has a pose; expected none, and its points in the frame")
+        raise InputError(f"obstacles: marker {name} has a pose; expected none, and its points in the frame")
 
 
-def _positions(marker: Marker) -> Array:
-    """Centre of a sphere or points of a list, (N, 3), m; raises `InputError` if they are not finite."""
+def _points(marker: Marker) -> Array:
+    """Centre of a sphere or points of a list, (N, 3), m."""
     points = [marker.pose.position] if marker.type == Marker.SPHERE else marker.points
-    positions = np.array([(point.x, point.y, point.z) for point in points]).reshape(-1, 3)
-    if not np.isfinite(positions).all():
-        index = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
-        raise InputError(
-            f"obstacles: marker {_name(marker)}: point {index} is {positions[index].tolist()}; expected finite values"
-        )
-    return positions
-
-
-def _body_positions(body: dict[str, Marker], kind: str) -> Array:
-    return _positions(body[kind]) if kind in body else np.zeros((0, 3))
-
-
-def _radius(body: dict[str, Marker], kind: str) -> float:
-    return 0.5 * body[kind].scale.x if kind in body else 0.0
+    return np.array([(point.x, point.y, point.z) for point in points]).reshape(-1, 3)
 
 
 def _ball_marker(namespace: str, index: int, ball: Ball, position: Array, opacity: float) -> Marker:

@@ -26,7 +26,6 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
-from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -119,7 +118,7 @@ class PlannerNode(ManagedNode):
         self._lockstep: bool = self.get_parameter("use_sim_time").value
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
         self.inbox.add(topics.SAFETY_STATE, self._on_safety)
-        self.inbox.add(topics.OBSTACLES, self._on_obstacles)
+        self.inbox.add(topics.OBSTACLES, self._on_obstacles, raw=True)
         self.inbox.add(topics.GOAL_POSE, self._on_goal)
         self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY if self._lockstep else topics.NEWEST)
         settings = self.settings[""]
@@ -310,9 +309,9 @@ class PlannerNode(ManagedNode):
         self._goals += 1
         self.get_logger().info(f"goal {self._goals}: {np.round(goal.position, 3).tolist()} m")
 
-    def _on_obstacles(self, message: MarkerArray) -> None:
+    def _on_obstacles(self, data: bytes) -> None:
         try:
-            self._spheres = self._obstacle_reader.read(message)
+            self._spheres = self._obstacle_reader.read_serialized(data)
         except InputError as error:
             self.refuse("obstacles", error)
 

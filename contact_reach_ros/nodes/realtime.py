@@ -104,10 +104,15 @@ class Inbox:
         self.received_ns = 0
         """When the message being handled came in, on the system clock: before this thread woke up for it."""
 
-    def add(self, topic: Topic, handle: Callable[[Any], None], qos: QoSProfile | None = None) -> None:
-        """Subscribe; `handle` is called in the loop thread, with `qos` instead of the topic's own when given."""
+    def add(
+        self, topic: Topic, handle: Callable[[Any], None], qos: QoSProfile | None = None, raw: bool = False
+    ) -> None:
+        """Subscribe; `handle` is called in the loop thread, with `qos` instead of the topic's own when given.
+
+        With `raw` it gets the serialised message.
+        """
         subscription = self._node.create_subscription(
-            topic.type, topic.name, handle, qos or topic.qos, callback_group=self._group
+            topic.type, topic.name, handle, qos or topic.qos, callback_group=self._group, raw=raw
         )
         self._subscriptions.append((subscription, handle))
         self._wait_set = None

@@ -7,6 +7,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes import obstacle_markers as obstacle_markers_module
 from contact_reach_ros.nodes.messages import to_point
 from contact_reach_ros.nodes.obstacle_markers import (
     Material,
@@ -192,3 +193,53 @@ def test_bad_message_is_refused_by_name(spoil, said):
     spoil(message)
     with pytest.raises(InputError, match=said):
         reader.read(message)
+    reader.read_serialized(serialize_message(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS)))
+    with pytest.raises(InputError, match=said):
+        reader.read_serialized(serialize_message(message))
+
+
+class TestSerialized:
+    def same(self, one, other) -> bool:
+        return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in vars(one))
+
+    def test_a_stream_of_messages_is_read_as_each_by_itself(self):
+        reader, writer = ObstacleMarkerReader(MATERIAL), ObstacleMarkerWriter(scene())
+        for index in range(5):
+            positions = displaced() + 0.01 * index
+            if index % 2:
+                # Serialised anew, with other bytes in the gaps.
+                data = serialize_message(obstacle_markers(scene(), positions, STAMP_NS + index))
+            else:
+                data = writer.write(positions, STAMP_NS + index)
+            expected = ObstacleMarkerReader(MATERIAL).read(deserialize_message(data, MarkerArray))
+            assert self.same(reader.read_serialized(data), expected)
+
+    def test_messages_that_fit_are_not_turned_into_objects(self, monkeypatch):
+        reader, writer = ObstacleMarkerReader(MATERIAL), ObstacleMarkerWriter(scene())
+        reader.read_serialized(writer.write(rest_positions(scene()), STAMP_NS))
+        monkeypatch.setattr(obstacle_markers_module, "deserialize_message", None)
+        spheres = reader.read_serialized(writer.write(displaced(), STAMP_NS + 1))
+        assert as_set(spheres) == as_set(obstacle_spheres(scene(), displaced()))
+
+    @pytest.mark.parametrize("change", ["scale", "id", "action"])
+    def test_what_else_changes_is_noticed(self, change):
+        reader = ObstacleMarkerReader(MATERIAL)
+        message = obstacle_markers(scene(), displaced(), STAMP_NS)
+        for _ in range(3):
+            reader.read_serialized(serialize_message(message))
+        ball = marker(message, "obstacles", 0)
+        if change == "scale":
+            ball.scale.x = 0.3
+            assert reader.read_serialized(serialize_message(message)).radius[0] == 0.15
+        elif change == "id":
+            ball.id = 7
+            assert len(reader.read_serialized(serialize_message(message))) == len(displaced())
+        else:
+            ball.action = Marker.DELETE
+            with pytest.raises(InputError, match="action 2"):
+                reader.read_serialized(serialize_message(message))
+
+    @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\xff\xff\xff\x7f"])
+    def test_bytes_that_are_no_message_are_refused(self, data):
+        with pytest.raises(InputError, match=r"obstacles: \d+ bytes that are no MarkerArray"):
+            ObstacleMarkerReader(MATERIAL).read_serialized(data)
