@@ -326,8 +326,8 @@ def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[s
     progress("|" + "---|" * 6)
     report["nearest"] = culling_errors(make_scene(read_scene(WALL), seed), CAPACITIES, max(states // 10, 1), seed)
     for capacity, row in report["nearest"].items():
-        numbers = " | ".join(f"{row['force_n'][key]:.2f}" for key in ("p50", "p95", "max"))
-        progress(f"| {capacity} | {row['last_distance_mm']:.0f} | {row['flange_mm']:.2f} | {numbers} |")
+        lost = " | ".join(f"{row['force_n'][key]:.2f}" for key in ("p50", "p95", "max"))
+        progress(f"| {capacity} | {row['last_distance_mm']:.0f} | {row['flange_mm']:.2f} | {lost} |")
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return report

@@ -12,8 +12,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
@@ -26,6 +24,8 @@ from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.observer import NAME as OBSERVER
 from contact_reach_ros.nodes.parameters import Sections
+from contact_reach_ros.nodes.realtime import Role
+from contact_reach_ros.nodes.serialized import CommandWriter, JointStateReader
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.robot.model import RobotModel
@@ -55,17 +55,18 @@ class ControllerNode(ManagedNode):
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
         lockstep = self.get_parameter("use_sim_time").value
-        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY if lockstep else topics.NEWEST)
+        qos = topics.EVERY if lockstep else topics.NEWEST
+        self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         self._lockstep = lockstep
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name)
+        self._writer = CommandWriter(iiwa14.N_JOINTS)
         settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
         self._controller = Controller(settings, RobotModel())
         self._started = False
         self._state_ns = 0
         self._state = (np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
-        self._command_message = Float64MultiArray()
         self._compute = Histogram()
         self._published_mode: tuple[Mode, str] | None = None
 
@@ -96,13 +97,11 @@ class ControllerNode(ManagedNode):
         """Clock of the watchdogs: the steady one, or simulated time in lockstep, where real time means nothing."""
         return self._state_ns if self._lockstep else time.monotonic_ns()
 
-    def _on_state(self, message: JointState) -> None:
+    def _on_state(self, data: bytes) -> None:
         began_ns = time.monotonic_ns()
         controller = self._controller
         try:
-            q = self._order.pick(message, "position", topics.JOINT_STATES.name)
-            v = self._order.pick(message, "velocity", topics.JOINT_STATES.name)
-            self._state_ns = nanoseconds(message.header.stamp)
+            self._state_ns, q, v, _ = self._reader.read(data)
             if not self._started:
                 controller.start(q, v, self._state_ns)
                 self._started = True
@@ -111,8 +110,7 @@ class ControllerNode(ManagedNode):
             self.refuse("joint states", error)
             return
         self._state = (q, v)
-        self._command_message.data = torque.tolist()
-        self._commands.publish(self._command_message)
+        self._commands.publish(self._writer.write(torque))
         self._compute.add(time.monotonic_ns() - began_ns)
         if (controller.mode, controller.stop_reason) != self._published_mode:
             self._publish_safety()
@@ -211,7 +209,7 @@ def _rotations(quaternions: list[np.ndarray]) -> np.ndarray:
 
 def main() -> None:
     """Run the controller."""
-    sys.exit(run(ControllerNode, PRIORITY, sys.argv))
+    sys.exit(run(ControllerNode, Role.LOOP, sys.argv, PRIORITY))
 
 
 if __name__ == "__main__":

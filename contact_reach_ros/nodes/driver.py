@@ -16,8 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header, String
+from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -26,6 +25,8 @@ from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import nanoseconds, set_time
 from contact_reach_ros.nodes.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.nodes.parameters import Sections
+from contact_reach_ros.nodes.realtime import Role
+from contact_reach_ros.nodes.serialized import JointStateWriter, read_command
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
@@ -86,7 +87,8 @@ class DriverNode(ManagedNode):
         self._clock_publisher = self.make_publisher(topics.CLOCK) if self._lockstep else None
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/stop", self._on_stop)
-        self.inbox.add(topics.COMMANDS, self._on_command, topics.EVERY if self._lockstep else topics.NEWEST)
+        qos = topics.EVERY if self._lockstep else topics.NEWEST
+        self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)
         self._horizons = {"observer": 0, "planner": 0}
         if self._lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
@@ -190,14 +192,10 @@ class DriverNode(ManagedNode):
     def _publish(self) -> None:
         now_ns, steps = self._now_ns, self._plant.steps
         reading = self._plant.read()
-        message = self._state_message
-        set_time(message.header.stamp, now_ns)
-        message.position = reading.position.tolist()
-        message.velocity = reading.velocity.tolist()
-        message.effort = reading.torque.tolist()
+        data = self._state_writer.write(now_ns, reading.position, reading.velocity, reading.torque)
         self._answered = False
         self._published_ns = time.time_ns()
-        self._joint_states.publish(message)
+        self._joint_states.publish(data)
         if (self._plant.actuation.value, self._drive.stop_reason) != self._published_safety:
             self._publish_safety()
         if steps % _CONTACTS_EVERY == 0:
@@ -221,27 +219,23 @@ class DriverNode(ManagedNode):
 
     def _publish_contacts(self, now_ns: int) -> None:
         forces = self._peak_contact.tolist()
-        message = self._contact_message
-        set_time(message.header.stamp, now_ns)
-        message.effort = [*forces, sum(forces), max(forces)]
-        self._contacts.publish(message)
+        self._contacts.publish(self._contact_writer.write(now_ns, [*forces, sum(forces), max(forces)]))
         self._peak_contact[:] = 0.0
 
     def _prepare_messages(self) -> None:
         """Messages that are filled again each time."""
-        self._state_message = JointState(name=list(iiwa14.JOINT_NAMES))
-        self._state_message.header.frame_id = iiwa14.BASE_NAME
-        self._contact_message = JointState(name=[*CONTACT_BODIES, "sum", "max"])
-        self._contact_message.header.frame_id = iiwa14.BASE_NAME
+        base = iiwa14.BASE_NAME
+        self._state_writer = JointStateWriter(iiwa14.JOINT_NAMES, base, ["position", "velocity", "effort"])
+        self._contact_writer = JointStateWriter([*CONTACT_BODIES, "sum", "max"], base, ["effort"])
         self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
-    def _on_command(self, message: Float64MultiArray) -> None:
+    def _on_command(self, data: bytes) -> None:
         if not self._answered:
             self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
         self._answered = True
         try:
             clock_ns = self._now_ns if self._lockstep else time.monotonic_ns()
-            self._drive.command(np.array(message.data), clock_ns)
+            self._drive.command(read_command(data), clock_ns)
         except InputError as error:
             self.refuse("commands", error)
 
@@ -262,7 +256,7 @@ class DriverNode(ManagedNode):
 
 def main() -> None:
     """Run the driver."""
-    sys.exit(run(DriverNode, PRIORITY, sys.argv))
+    sys.exit(run(DriverNode, Role.LOOP, sys.argv, PRIORITY))
 
 
 if __name__ == "__main__":

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
@@ -21,11 +22,17 @@ from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
-from contact_reach_ros.nodes.realtime import Inbox, prioritise_middleware, request_realtime
+from contact_reach_ros.nodes.realtime import (
+    Inbox,
+    Role,
+    choose_cpus,
+    prioritise_middleware,
+    request_realtime,
+    use_cpus,
+)
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
 from contact_reach_ros.resources import config_file
 
-_LOG_PERIOD_S = 0.1
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _IDLE_NS = 100_000_000
@@ -51,6 +58,7 @@ class ManagedNode(LifecycleNode):
         super().__init__(self.NAME)
         autostart = self.declare_parameter("autostart", True)
         self.autostart = bool(autostart.value)
+        self.cpus = str(self.declare_parameter("cpus", "auto").value)
         self.settings = declare(self, self.SECTIONS)
         self.inbox = Inbox(self)
         self.running = False
@@ -59,9 +67,8 @@ class ManagedNode(LifecycleNode):
         self._stop = threading.Event()
         self._refusals: dict[str, str] = {}
         self._lines: deque[tuple[LoggingSeverity, str]] = deque()
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_LOG_PERIOD_S, self.write_out, clock=clock)
-        self.create_timer(1.0, self._publish_diagnostics, clock=clock)
+        self._said = self.create_guard_condition(self.write_out)
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def turn(self) -> None:
         """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
@@ -97,8 +104,9 @@ class ManagedNode(LifecycleNode):
         self._refusals[what] = str(error)
 
     def say(self, severity: LoggingSeverity, line: str) -> None:
-        """Log a line from the loop thread, which must not wait for it: the main thread writes it a little later."""
+        """Log a line from the loop thread, which must not wait for it: another thread writes it a little later."""
         self._lines.append((severity, line))
+        self._said.trigger()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the loop's work."""
@@ -148,17 +156,19 @@ def _text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence[str]) -> int:
+def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], priority: int = 0) -> int:
     """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
 
     Parameters
     ----------
     node_class
         What to run; the arguments are checked against its settings.
-    priority
-        SCHED_FIFO priority, or None for a node that must not preempt others.
+    role
+        What the process is for.
     arguments
         Command line, program name first.
+    priority
+        SCHED_FIFO priority of a loop or monitor.
     """
     try:
         check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
@@ -170,7 +180,7 @@ def run(node_class: type[ManagedNode], priority: int | None, arguments: Sequence
     try:
         initialise(arguments)
         node = node_class()
-        return _serve(node, priority)
+        return _serve(node, role, priority)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
@@ -205,45 +215,55 @@ def stay_on_this_host() -> None:
         os.environ[_RANGE] = "SYSTEM_DEFAULT"
 
 
-def _serve(node: ManagedNode, priority: int | None) -> int:
-    """Loop in a thread of its own, executor in the main thread, where Python handles signals."""
-    failures: list[BaseException] = []
-    stop = threading.Event()
+def _serve(node: ManagedNode, role: Role, priority: int) -> int:
+    """Loop and executor in a thread each; the main thread sleeps until a signal, which wakes no other.
 
-    def work() -> None:
+    An executor that had to look for signals would be awake more often than all it serves needs.
+    """
+    failures: list[BaseException] = []
+    # Not an Event, which a signal handler may not set while the same thread waits for it.
+    ended: queue.SimpleQueue[None] = queue.SimpleQueue()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def work(task: Callable[[], None]) -> None:
         try:
-            node.loop()
+            task()
         except BaseException as error:  # handed to the main thread, which ends the process with it
             failures.append(error)
-        stop.set()
+        ended.put(None)
 
+    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0))
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     _on_signals(signal.SIG_DFL)
     if node.autostart and not _start(node):
         return 1
     # Also the first use of the logger, which takes long.
     node.get_logger().info("active" if node.running else "waiting to be configured")
-    warning = request_realtime(priority) if priority is not None else prioritise_middleware()
+    use_cpus(cpus)
+    warning = ""
+    if role in (Role.LOOP, Role.MONITOR):
+        warning = request_realtime(priority)
+    elif role is Role.COMPUTING:
+        warning = prioritise_middleware()
     if warning:
         node.get_logger().warning(warning)
-    _on_signals(lambda *_: stop.set())
-    thread = threading.Thread(target=work, name="loop")
-    thread.start()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    _on_signals(lambda *_: ended.put(None))
+    tasks = {"loop": node.loop, "services": executor.spin}
+    threads = [threading.Thread(target=work, args=[task], name=name) for name, task in tasks.items()]
+    for thread in threads:
+        thread.start()
     try:
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
-    except ExternalShutdownException:
-        pass
+        ended.get()
     finally:
         node.request_stop()
-        thread.join()
         executor.shutdown()
+        for thread in threads:
+            thread.join()
         node.close()
         node.write_out()
     if failures:
-        node.get_logger().fatal(f"the loop ended with {type(failures[0]).__name__}: {failures[0]}")
+        node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
     return 0
 

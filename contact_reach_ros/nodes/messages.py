@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Transform, Vector3
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.units import NANOSECONDS
@@ -45,7 +45,7 @@ def to_point(position: Sequence[float]) -> Point:
 
 def to_quaternion(rotation: Array) -> Quaternion:
     """Quaternion message of a rotation matrix (3, 3)."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    x, y, z, w = pin.Quaternion(rotation).coeffs().tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 
 

@@ -9,18 +9,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import WrenchStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, set_time
+from contact_reach_ros.nodes.messages import set_time
 from contact_reach_ros.nodes.parameters import Sections
+from contact_reach_ros.nodes.realtime import Role
+from contact_reach_ros.nodes.serialized import JointStateReader, JointStateWriter, WrenchWriter, read_command
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
@@ -66,21 +66,20 @@ class ObserverNode(ManagedNode):
         qos = topics.EVERY if self._lockstep else topics.NEWEST
         self._commanded: np.ndarray | None = None
         if self.settings[""].torque_source == "commanded":
-            self.inbox.add(topics.COMMANDS, self._on_command, qos)
-        self.inbox.add(topics.JOINT_STATES, self._on_state, qos)
+            self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)
+        self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        measured = self.settings[""].torque_source == "measured"
+        self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name, with_effort=measured)
         self._model = RobotModel()
         self._observer = MomentumObserver(self.settings["momentum"], self._model)
         self._monitor = SafetyMonitor(self.settings["safety"], load_budget(self.settings[""].contact_budget))
         self._ticks = 0
         self._last_ns = 0
         self._published_reason: str | None = None
-        self._torque_message = JointState(name=list(iiwa14.JOINT_NAMES))
-        self._torque_message.header.frame_id = iiwa14.BASE_NAME
-        self._wrench_message = WrenchStamped()
-        self._wrench_message.header.frame_id = iiwa14.BASE_NAME
+        self._torque_writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["effort"])
+        self._wrench_writer = WrenchWriter(iiwa14.BASE_NAME)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Warm everything up."""
@@ -97,20 +96,18 @@ class ObserverNode(ManagedNode):
         }
         return self._monitor.stop_reason, values
 
-    def _on_command(self, message: Float64MultiArray) -> None:
-        self._commanded = np.array(message.data)
+    def _on_command(self, data: bytes) -> None:
+        self._commanded = read_command(data)
 
-    def _on_state(self, message: JointState) -> None:
+    def _on_state(self, data: bytes) -> None:
         try:
-            q = self._order.pick(message, "position", topics.JOINT_STATES.name)
-            v = self._order.pick(message, "velocity", topics.JOINT_STATES.name)
-            torque = self._acting_torque(message)
+            stamp_ns, q, v, effort = self._reader.read(data)
+            torque = self._acting_torque(effort)
             if not np.isfinite(q.sum() + v.sum()):
                 raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
         except InputError as error:
             self.refuse("joint states", error)
             return
-        stamp_ns = nanoseconds(message.header.stamp)
         if stamp_ns != self._last_ns:
             self._last_ns = stamp_ns
             self._observer.update(q, v, torque, stamp_ns)
@@ -121,34 +118,25 @@ class ObserverNode(ManagedNode):
             set_time(header.stamp, stamp_ns + int(TICK * NANOSECONDS))
             self._horizon.publish(header)
 
-    def _acting_torque(self, message: JointState) -> np.ndarray | None:
+    def _acting_torque(self, effort: np.ndarray | None) -> np.ndarray | None:
         """Torque (7,) N m of the last step, None where it is not known, as while the brakes are closed."""
         if self.settings[""].torque_source == "commanded":
             torque, self._commanded = self._commanded, None
             return torque
-        if not message.effort:
+        if effort is None:
             raise InputError("joint_states: effort is empty; let the driver fill it, or set torque_source to commanded")
-        torque = self._order.pick(message, "effort", topics.JOINT_STATES.name)
-        return torque if np.isfinite(torque.sum()) else None
+        return effort if np.isfinite(effort.sum()) else None
 
     def _publish(self, stamp_ns: int) -> None:
         self._ticks += 1
-        message = self._torque_message
-        set_time(message.header.stamp, stamp_ns)
-        message.effort = self._observer.residual.tolist()
-        self._torque.publish(message)
+        self._torque.publish(self._torque_writer.write(stamp_ns, self._observer.residual))
         if self._monitor.stop_reason != self._published_reason or self._ticks % _HEARTBEAT_EVERY == 0:
             self._publish_safety()
         if self._ticks % _WRENCH_EVERY == 0:
             self._publish_wrench(stamp_ns)
 
     def _publish_wrench(self, stamp_ns: int) -> None:
-        values = self._observer.flange_wrench().tolist()
-        message = self._wrench_message
-        set_time(message.header.stamp, stamp_ns)
-        message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = values[:3]
-        message.wrench.torque.x, message.wrench.torque.y, message.wrench.torque.z = values[3:]
-        self._wrench.publish(message)
+        self._wrench.publish(self._wrench_writer.write(stamp_ns, self._observer.flange_wrench()))
 
     def _publish_safety(self) -> None:
         """The safety state, also as the sign of life that the controller waits for."""
@@ -191,7 +179,7 @@ def _rehearse(observer: MomentumObserver) -> None:
 
 def main() -> None:
     """Run the observer."""
-    sys.exit(run(ObserverNode, PRIORITY, sys.argv))
+    sys.exit(run(ObserverNode, Role.MONITOR, sys.argv, PRIORITY))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from contact_reach_ros.settings import Setting, Settings, read_yaml, unknown_key
 Sections = Mapping[str, type[Settings]]
 """Settings classes by parameter prefix; the prefix '' is the node itself."""
 
-_BUILT_IN = ("use_sim_time", "start_type_description_service", "autostart")
+_BUILT_IN = ("use_sim_time", "start_type_description_service", "autostart", "cpus")
 
 
 def full_name(prefix: str, name: str) -> str:

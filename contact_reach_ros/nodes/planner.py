@@ -1,6 +1,6 @@
 """The planner: goals in, paired references out, re-planned all the time.
 
-The loop thread is the worker that solves; the executor in the main thread goes on serving services meanwhile.
+The loop thread is the worker that solves; the executor in a thread of its own goes on serving services meanwhile.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import (
     JointTrajectory,
@@ -32,8 +31,6 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import (
-    JointOrder,
-    nanoseconds,
     quaternion,
     set_time,
     to_duration,
@@ -45,6 +42,8 @@ from contact_reach_ros.nodes.messages import (
 from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleMarkerReader
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.plan_markers import PlanMarkers
+from contact_reach_ros.nodes.realtime import Role
+from contact_reach_ros.nodes.serialized import JointStateReader
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
@@ -118,14 +117,15 @@ class PlannerNode(ManagedNode):
         self._lockstep: bool = self.get_parameter("use_sim_time").value
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
         self.inbox.add(topics.SAFETY_STATE, self._on_safety)
-        self.inbox.add(topics.OBSTACLES, self._on_obstacles, raw=True)
+        self.inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True)
         self.inbox.add(topics.GOAL_POSE, self._on_goal)
-        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY if self._lockstep else topics.NEWEST)
+        qos = topics.EVERY if self._lockstep else topics.NEWEST
+        self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         settings = self.settings[""]
         self._period_ns = int(settings.period * NANOSECONDS)
         self._min_latency_ns = int(settings.latency * NANOSECONDS)
         self._recent_ns: deque[int] = deque(maxlen=_RECENT)
-        self._order = JointOrder(iiwa14.JOINT_NAMES)
+        self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name)
         self._model = RobotModel()
         self._planner: RecedingHorizonPlanner | None = None
         self._goal: Goal | None = None
@@ -206,10 +206,9 @@ class PlannerNode(ManagedNode):
             self._stop.wait(_POLL_S)
         self.inbox.wait(_IDLE_NS)
 
-    def _on_state(self, message: JointState) -> None:
+    def _on_state(self, data: bytes) -> None:
         try:
-            q = self._order.pick(message, "position", topics.JOINT_STATES.name)
-            v = self._order.pick(message, "velocity", topics.JOINT_STATES.name)
+            now_ns, q, v, _ = self._reader.read(data)
             if not np.isfinite(q.sum() + v.sum()):
                 raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
         except InputError as error:
@@ -219,7 +218,6 @@ class PlannerNode(ManagedNode):
         if self._early_goal is not None:
             early, self._early_goal = self._early_goal, None
             self._on_goal(early)
-        now_ns = nanoseconds(message.header.stamp)
         if self._goal is not None and now_ns >= self._due_ns:
             effect_ns = now_ns + self._latency_ns()
             self._promise(effect_ns - _TICK_NS)
@@ -332,7 +330,7 @@ class PlannerNode(ManagedNode):
 
 def main() -> None:
     """Run the planner."""
-    sys.exit(run(PlannerNode, None, sys.argv))
+    sys.exit(run(PlannerNode, Role.COMPUTING, sys.argv))
 
 
 if __name__ == "__main__":

@@ -9,9 +9,10 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -19,12 +20,68 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes.topics import Topic
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
 _MIDDLEWARE_PRIORITY = 30
+_FEW_CPUS = 3
+
+
+class Role(Enum):
+    """What a process is for, which decides who may interrupt it, and where it runs."""
+
+    LOOP = "loop"
+    """Part of the control loop: all its threads have SCHED_FIFO priority."""
+    MONITOR = "monitor"
+    """Keeps pace with the loop, which does not wait for it: SCHED_FIFO priority, too."""
+    COMPUTING = "computing"
+    """Computes for long; its middleware's threads have priority below all loops, to pass messages on meanwhile."""
+    BACKGROUND = "background"
+    """Catches up when there is time."""
+
+
+def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]:
+    """CPUs for the threads of a process.
+
+    On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
+    another CPU, and whoever computes has the others, so that its threads are not stuck behind the loop while another
+    CPU is free. Monitors and what runs in the background go wherever there is time: one CPU would be too full of all.
+
+    Parameters
+    ----------
+    wanted
+        'auto' for the above, 'all', or numbers separated by commas.
+    role
+        Of the process.
+    permitted
+        CPUs that the process may use.
+
+    Raises
+    ------
+    SettingsError
+        If it is none of these, or names a CPU that may not be used.
+    """
+    if wanted == "auto" and 2 <= len(permitted) <= _FEW_CPUS:
+        last = max(permitted)
+        return {Role.LOOP: {last}, Role.COMPUTING: set(permitted) - {last}}.get(role, set(permitted))
+    if wanted in ("auto", "all"):
+        return set(permitted)
+    try:
+        chosen = {int(number) for number in wanted.split(",")}
+    except ValueError:
+        chosen = set()
+    if not chosen or not chosen <= set(permitted):
+        raise SettingsError(f"parameter cpus: '{wanted}'; expected auto, all, or numbers out of {sorted(permitted)}")
+    return chosen
+
+
+def use_cpus(cpus: Collection[int]) -> None:
+    """Let all threads of this process, and those started later, run on these CPUs only."""
+    for thread in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(thread), cpus)
 
 
 def request_realtime(priority: int) -> str:
@@ -88,6 +145,15 @@ class LoopGroup(CallbackGroup):
         """Never called, since nothing may be executed."""
 
 
+class _Listened(NamedTuple):
+    subscription: Subscription
+    type: Any
+    serialized: bool
+    handle: Callable[[Any], None]
+    single: bool
+    """Whether there is never more than one message to take."""
+
+
 class Inbox:
     """Subscriptions whose messages one loop thread waits for and handles.
 
@@ -98,23 +164,33 @@ class Inbox:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._group = LoopGroup()
-        self._subscriptions: list[tuple[Subscription, Callable[[Any], None]]] = []
+        self._subscriptions: list[_Listened] = []
         self._wake = node.create_guard_condition(lambda: None, callback_group=self._group)
         self._wait_set: Any = None
         self.received_ns = 0
         """When the message being handled came in, on the system clock: before this thread woke up for it."""
 
     def add(
-        self, topic: Topic, handle: Callable[[Any], None], qos: QoSProfile | None = None, raw: bool = False
+        self, topic: Topic, handle: Callable[[Any], None], qos: QoSProfile | None = None, serialized: bool = False
     ) -> None:
-        """Subscribe; `handle` is called in the loop thread, with `qos` instead of the topic's own when given.
+        """Subscribe; `handle` is called in the loop thread.
 
-        With `raw` it gets the serialised message.
+        Parameters
+        ----------
+        topic
+            What to listen to.
+        handle
+            Gets each message.
+        qos
+            Instead of the topic's own when given.
+        serialized
+            Whether `handle` gets the bytes instead of a message object, which takes most of the time to make.
         """
+        qos = qos or topic.qos
         subscription = self._node.create_subscription(
-            topic.type, topic.name, handle, qos or topic.qos, callback_group=self._group, raw=raw
+            topic.type, topic.name, handle, qos, callback_group=self._group, raw=serialized
         )
-        self._subscriptions.append((subscription, handle))
+        self._subscriptions.append(_Listened(subscription, topic.type, serialized, handle, qos.depth == 1))
         self._wait_set = None
 
     def wait(self, timeout_ns: int) -> None:
@@ -125,28 +201,31 @@ class Inbox:
             self._wait_set = rclpy_implementation.WaitSet(count, 1, 0, 0, 0, 0, context)
         wait_set = self._wait_set
         wait_set.clear_entities()
-        for subscription, _ in self._subscriptions:
-            wait_set.add_subscription(subscription.handle)
+        for listened in self._subscriptions:
+            wait_set.add_subscription(listened.subscription.handle)
         wait_set.add_guard_condition(self._wake.handle)
         wait_set.wait(max(timeout_ns, 0))
-        for index, (subscription, handle) in enumerate(self._subscriptions):
+        for index, listened in enumerate(self._subscriptions):
             if wait_set.is_ready("subscription", index):
-                self._handle_all(subscription, handle)
+                self._handle_all(listened)
 
     def poll(self) -> None:
         """Handle all messages that are there, without a wait: cheaper where the thread sleeps by the clock anyway."""
-        for subscription, handle in self._subscriptions:
-            self._handle_all(subscription, handle)
+        for listened in self._subscriptions:
+            self._handle_all(listened)
 
     def wake(self) -> None:
         """End a wait in the loop thread; may be called from any thread."""
         self._wake.trigger()
 
-    def _handle_all(self, subscription: Subscription, handle: Callable[[Any], None]) -> None:
+    def _handle_all(self, listened: _Listened) -> None:
         """Take all messages, then handle them: those that come meanwhile have to wait, or a slow handler never ends."""
+        take = listened.subscription.handle.take_message
         taken = []
-        while (pair := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+        while (pair := take(listened.type, listened.serialized)) is not None:
             taken.append(pair)
+            if listened.single:
+                break
         for message, information in taken:
             self.received_ns = information["received_timestamp"]
-            handle(message)
+            listened.handle(message)

@@ -17,12 +17,11 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.parameters import Sections
+from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.topic_recorder import TopicRecorder
 from contact_reach_ros.recording.bag_writer import COMPRESSIONS, BagWriter
 from contact_reach_ros.recording.topics import parse_topic
 from contact_reach_ros.settings import Settings, setting
-
-PRIORITY = 40
 
 RECORDED = (
     topics.JOINT_STATES,
@@ -157,7 +156,7 @@ class RecorderNode(ManagedNode):
 
 def main() -> None:
     """Run the recorder."""
-    sys.exit(run(RecorderNode, PRIORITY, sys.argv))
+    sys.exit(run(RecorderNode, Role.BACKGROUND, sys.argv))
 
 
 def _key_and_value(text: str) -> tuple[str, str]:

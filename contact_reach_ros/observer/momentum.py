@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
@@ -14,6 +15,8 @@ from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
+
+_IDENTITY = np.eye(6)
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class MomentumObserver:
         self._friction = np.array(settings.viscous_friction)
         self._max_gap_ns = int(settings.max_gap * NANOSECONDS)
         self._momentum: Array | None = None
+        self._q = np.zeros(iiwa14.N_JOINTS)
         self._stamp_ns = 0
 
     def reset(self) -> None:
@@ -82,8 +86,9 @@ class MomentumObserver:
             Time of the state.
         """
         model = self._model
-        model.update(q, v)
+        model.update_dynamics(q)
         momentum = model.mass_matrix.dot(v)
+        self._q = q
         elapsed_ns = stamp_ns - self._stamp_ns
         previous, self._momentum, self._stamp_ns = self._momentum, momentum, stamp_ns
         if torque is None or previous is None or elapsed_ns <= 0:
@@ -102,6 +107,7 @@ class MomentumObserver:
 
         A damped pseudo-inverse of Jᵀ for the last state; a contact elsewhere on the arm appears as its equivalent.
         """
-        jacobian = self._model.jacobian
-        damped = jacobian @ jacobian.T + damping**2 * np.eye(6)
-        return np.asarray(np.linalg.solve(damped, jacobian @ self.residual), dtype=np.float64)
+        jacobian = self._model.jacobian_at(self._q)
+        damped = jacobian.dot(jacobian.T) + damping**2 * _IDENTITY
+        _, wrench, _ = lapack.dposv(damped, jacobian.dot(self.residual))
+        return wrench

@@ -44,9 +44,10 @@ class SafetyMonitor:
         self.stop_reason = ""
         self.stops = 0
         self._thresholds = np.array(budget.torque_thresholds)
+        self._threshold_list = self._thresholds.tolist()
         self._above = 0
         self._last_residual = np.zeros(iiwa14.N_JOINTS)
-        self._last_speed = 0.0
+        self._last_velocity = np.zeros(iiwa14.N_JOINTS)
 
     @property
     def stopped(self) -> bool:
@@ -56,8 +57,12 @@ class SafetyMonitor:
     def update(self, residual: Array, v: Array) -> None:
         """Take the external torque (7,) in N m and the joint velocities (7,) in rad/s of one state."""
         self._last_residual = residual
-        self._last_speed = float(np.abs(v).max())
-        if (np.abs(residual) <= self._thresholds).all():
+        self._last_velocity = v
+        # For seven numbers a loop is faster than NumPy. A residual that is not a number is above, too.
+        for value, threshold in zip(residual.tolist(), self._threshold_list, strict=True):
+            if not -threshold <= value <= threshold:
+                break
+        else:
             self._above = 0
             return
         self._above += 1
@@ -80,9 +85,10 @@ class SafetyMonitor:
         InputError
             If the arm moves or is still pushed; the stop stays.
         """
-        if not self._last_speed <= self.settings.reset_velocity:
+        speed = float(np.abs(self._last_velocity).max())
+        if not speed <= self.settings.reset_velocity:
             raise InputError(
-                f"the arm moves with {self._last_speed:.3f} rad/s; reset needs at most "
+                f"the arm moves with {speed:.3f} rad/s; reset needs at most "
                 f"{self.settings.reset_velocity:g} rad/s: wait for it"
             )
         limits = self.settings.reset_share * self._thresholds

@@ -59,15 +59,14 @@ class RobotModel:
         self.data: pin.Data = self.pinocchio.createData()
         self.flange: int = self.pinocchio.getFrameId(iiwa14.FLANGE_NAME)
         self._no_acceleration = np.zeros(iiwa14.N_JOINTS)
+        # Views of Pinocchio's own memory, which stays where it is.
+        self.mass_matrix, self.bias, self.gravity = self.data.M, self.data.nle, self.data.g
         self.update(np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
 
     def update(self, q: Array, v: Array) -> None:
         """Compute all attributes for joint positions (7,) in rad and velocities (7,) in rad/s."""
         model, data, flange = self.pinocchio, self.data, self.flange
         pin.computeAllTerms(model, data, q, v)
-        self.mass_matrix = data.M
-        self.bias = data.nle
-        self.gravity = data.g
         self.jacobian = pin.getFrameJacobian(model, data, flange, _WORLD_ALIGNED)
         pin.forwardKinematics(model, data, q, v, self._no_acceleration)
         pose = pin.updateFramePlacement(model, data, flange)
@@ -76,9 +75,18 @@ class RobotModel:
         self.drift = pin.getFrameClassicalAcceleration(model, data, flange, _WORLD_ALIGNED).vector
         self.twist = self.jacobian.dot(v)
 
+    def update_dynamics(self, q: Array) -> None:
+        """Compute `mass_matrix` and `gravity` only; the other attributes stay those of the last `update`."""
+        pin.crba(self.pinocchio, self.data, q)
+        pin.computeGeneralizedGravity(self.pinocchio, self.data, q)
+
     def coriolis_matrix(self, q: Array, v: Array) -> Array:
         """C(q, q̇), (7, 7), with Ṁ = C + Cᵀ."""
         return pin.computeCoriolisMatrix(self.pinocchio, self.data, q, v)
+
+    def jacobian_at(self, q: Array) -> Array:
+        """J(q), (6, 7)."""
+        return pin.computeFrameJacobian(self.pinocchio, self.data, q, self.flange, _WORLD_ALIGNED)
 
     def gravity_at(self, q: Array) -> Array:
         """g(q), (7,), N m; leaves the attributes alone."""

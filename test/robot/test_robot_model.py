@@ -72,6 +72,16 @@ def test_coriolis_matrix_gives_bias_and_derivative_of_the_mass_matrix(model):
         np.testing.assert_allclose(coriolis + coriolis.T, (ahead - behind) / (2 * STEP), rtol=0, atol=1e-7)
 
 
+def test_parts_alone_are_those_of_the_whole_update(model):
+    parts = RobotModel()
+    for q, v in zip(*random_states(20), strict=True):
+        model.update(q, v)
+        parts.update_dynamics(q)
+        np.testing.assert_allclose(parts.mass_matrix, model.mass_matrix, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(parts.gravity, model.gravity, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(parts.jacobian_at(q), model.jacobian, rtol=0, atol=1e-12)
+
+
 def test_looking_elsewhere_leaves_the_attributes_alone(model):
     model.update(HOME, 0.1 * np.ones(7))
     names = ("mass_matrix", "bias", "gravity", "position", "rotation", "jacobian", "twist", "drift")

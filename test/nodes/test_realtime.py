@@ -1,0 +1,36 @@
+"""Which CPUs a process runs on."""
+
+import pytest
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.nodes.realtime import Role, choose_cpus
+
+
+def test_on_few_cpus_loop_and_computation_keep_apart():
+    for permitted in ({0, 1}, {2, 5}, {0, 1, 2}):
+        loop = choose_cpus("auto", Role.LOOP, permitted)
+        computing = choose_cpus("auto", Role.COMPUTING, permitted)
+        assert len(loop) == 1
+        assert loop | computing == permitted
+        assert not loop & computing
+        for role in (Role.MONITOR, Role.BACKGROUND):
+            assert choose_cpus("auto", role, permitted) == permitted
+
+
+@pytest.mark.parametrize("role", Role)
+@pytest.mark.parametrize("permitted", [{0}, {3}, set(range(4)), set(range(64))])
+def test_on_one_or_many_cpus_the_system_chooses(role, permitted):
+    assert choose_cpus("auto", role, permitted) == permitted
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_choice_of_the_user_is_kept(role):
+    assert choose_cpus("all", role, {0, 1}) == {0, 1}
+    assert choose_cpus("1", role, {0, 1}) == {1}
+    assert choose_cpus("0, 2", role, {0, 1, 2, 3}) == {0, 2}
+
+
+@pytest.mark.parametrize("wanted", ["", "2", "0,2", "some", "0-1", "-1"])
+def test_cpus_that_there_are_not_are_refused(wanted):
+    with pytest.raises(SettingsError, match=r"parameter cpus: '.*'; expected auto, all, or numbers out of \[0, 1\]"):
+        choose_cpus(wanted, Role.LOOP, {0, 1})

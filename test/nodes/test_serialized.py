@@ -1,0 +1,156 @@
+"""Serialised messages are read and written as rclpy would do it."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes.serialized import (
+    CommandWriter,
+    JointStateReader,
+    JointStateWriter,
+    WrenchWriter,
+    read_command,
+)
+from contact_reach_ros.robot import iiwa14
+
+NAMES = list(iiwa14.JOINT_NAMES)
+STAMP_NS = 1_700_000_000_123_456_789
+
+
+def joint_state(names, random, effort=True, frame_id="lbr_link_0", stamp_ns=STAMP_NS):
+    message = JointState(name=list(names))
+    message.header.frame_id = frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.position = random.standard_normal(len(names)).tolist()
+    message.velocity = random.standard_normal(len(names)).tolist()
+    message.effort = random.standard_normal(len(names)).tolist() if effort else []
+    return message
+
+
+def values_by_name(message, field):
+    return [getattr(message, field)[message.name.index(name)] for name in NAMES]
+
+
+@pytest.mark.parametrize("with_effort", [True, False])
+def test_joint_states_of_any_layout_are_read_like_decoded_ones(with_effort):
+    random = np.random.default_rng(0)
+    reader = JointStateReader(NAMES, "joint_states", with_effort)
+    layouts = [
+        {"names": NAMES},
+        {"names": NAMES, "effort": False},
+        {"names": NAMES[::-1]},
+        {"names": NAMES[::-1], "frame_id": ""},
+        {"names": ["gripper", *NAMES[2:], *NAMES[:2]], "effort": False},
+        {"names": [*NAMES[1:], "x", NAMES[0]], "frame_id": "some other frame"},
+    ]
+    for layout in layouts:
+        # From the second one on the numbers are taken from where they stood in the first.
+        for stamp_ns in (STAMP_NS, STAMP_NS + 1, 5):
+            message = joint_state(random=random, stamp_ns=stamp_ns, **layout)
+            sample = reader.read(serialize_message(message))
+            assert sample.stamp_ns == stamp_ns
+            assert sample.position.tolist() == values_by_name(message, "position")
+            assert sample.velocity.tolist() == values_by_name(message, "velocity")
+            if with_effort and message.effort:
+                assert sample.effort.tolist() == values_by_name(message, "effort")
+            else:
+                assert sample.effort is None
+
+
+def test_renamed_joints_are_refused_though_all_sizes_are_the_same():
+    random = np.random.default_rng(0)
+    reader = JointStateReader(NAMES, "joint_states")
+    for _ in range(2):
+        reader.read(serialize_message(joint_state(NAMES, random)))
+    with pytest.raises(InputError, match="field name lacks lbr_A7"):
+        reader.read(serialize_message(joint_state([*NAMES[:6], "lbr_A8"], random)))
+
+
+def test_values_that_moved_to_another_field_are_refused_though_the_size_is_the_same():
+    random = np.random.default_rng(0)
+    reader = JointStateReader(NAMES, "joint_states", with_effort=True)
+    message = joint_state(NAMES, random)
+    for _ in range(2):
+        reader.read(serialize_message(message))
+    message.velocity, message.effort = [0.0] * 6, [0.0] * 8
+    with pytest.raises(InputError, match="velocity has 6 values"):
+        reader.read(serialize_message(message))
+    assert reader.read(serialize_message(joint_state(NAMES, random))).position.shape == (7,)
+
+
+def test_an_effort_of_the_wrong_length_is_refused_only_by_who_reads_it():
+    message = joint_state(NAMES, np.random.default_rng(0))
+    message.effort = [1.0] * 3
+    data = serialize_message(message)
+    assert JointStateReader(NAMES, "joint_states").read(data).effort is None
+    with pytest.raises(InputError, match="effort has 3 values"):
+        JointStateReader(NAMES, "joint_states", with_effort=True).read(data)
+
+
+def test_samples_are_not_overwritten_by_later_messages():
+    random = np.random.default_rng(0)
+    reader = JointStateReader(NAMES, "joint_states")
+    first = joint_state(NAMES, random)
+    reader.read(serialize_message(first))
+    sample = reader.read(serialize_message(first))
+    reader.read(serialize_message(joint_state(NAMES, random)))
+    assert sample.position.tolist() == first.position.tolist()
+
+
+@pytest.mark.parametrize("fields", [("position", "velocity", "effort"), ("effort",), ("position", "effort")])
+@pytest.mark.parametrize("names", [NAMES, ["a", "bcdef", ""]])
+def test_written_joint_states_are_decoded_by_rclpy(fields, names):
+    random = np.random.default_rng(0)
+    writer = JointStateWriter(names, "lbr_link_0", fields)
+    for stamp_ns in (STAMP_NS, 1):
+        values = random.standard_normal((len(fields), len(names)))
+        data = writer.write(stamp_ns, *values)
+        assert data.endswith(values[-1].tobytes())
+        message = deserialize_message(data, JointState)
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+        assert message.header.frame_id == "lbr_link_0"
+        assert message.name == names
+        for field in ("position", "velocity", "effort"):
+            expected = values[fields.index(field)].tolist() if field in fields else []
+            assert getattr(message, field).tolist() == expected
+
+
+@pytest.mark.parametrize("frame_id", ["", "x", "lbr_link_0"])
+def test_written_wrenches_are_decoded_by_rclpy(frame_id):
+    values = np.random.default_rng(0).standard_normal(6)
+    data = WrenchWriter(frame_id).write(STAMP_NS, values)
+    assert data.endswith(values.tobytes())
+    message = deserialize_message(data, WrenchStamped)
+    force, torque = message.wrench.force, message.wrench.torque
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP_NS
+    assert message.header.frame_id == frame_id
+    assert [force.x, force.y, force.z, torque.x, torque.y, torque.z] == values.tolist()
+
+
+def test_a_wrong_number_of_values_is_not_written():
+    with pytest.raises(ValueError, match="broadcast"):
+        JointStateWriter(NAMES, "", ("effort",)).write(0, np.zeros(6))
+    with pytest.raises(ValueError, match="broadcast"):
+        CommandWriter(7).write(np.zeros(8))
+
+
+def test_commands_survive_the_way_to_bytes_and_back():
+    torque = np.random.default_rng(0).standard_normal(7)
+    data = CommandWriter(7).write(torque)
+    assert data.endswith(torque.tobytes())
+    assert deserialize_message(data, Float64MultiArray).data.tolist() == torque.tolist()
+    assert np.array_equal(read_command(data), torque)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8])
+@pytest.mark.parametrize("labelled", [False, True])
+def test_commands_of_any_layout_are_read(count, labelled):
+    message = Float64MultiArray(data=np.arange(count, dtype=float).tolist())
+    if labelled:
+        message.layout.dim = [MultiArrayDimension(label="joints", size=count, stride=count)]
+        message.layout.data_offset = 1
+    assert read_command(serialize_message(message)).tolist() == message.data.tolist()
