@@ -9,6 +9,7 @@ from pathlib import Path
 
 from contact_reach_ros import __version__
 from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.planning.settings import BRAX_PIPELINES
 
 BAD_INPUT = 2
 
@@ -57,6 +58,30 @@ def _parser() -> argparse.ArgumentParser:
     foam.add_argument("--seed", type=int, default=0, help="seed of the scene (default: 0)")
     foam.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     foam.set_defaults(run=_bench_foam)
+    planner = benches.add_parser("planner", help="time and steps of plans along closed-loop runs, and comparisons")
+    planner.add_argument(
+        "--scene", nargs="+", metavar="SCENE", help="names or YAML files (default: all scenes of the package)"
+    )
+    planner.add_argument("--plans", type=int, default=50, help="warm-started plans per scene, at least (default: 50)")
+    planner.add_argument("--seed", type=int, default=0, help="seed of the first run and of the solver (default: 0)")
+    planner.add_argument(
+        "--brax",
+        nargs="*",
+        default=list(BRAX_PIPELINES),
+        choices=BRAX_PIPELINES,
+        help="Brax's pipelines to compare with; each takes a minute to compile (default: all)",
+    )
+    planner.add_argument("--quick", action="store_true", help="show that it runs, with a tiny budget")
+    planner.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    planner.add_argument(
+        "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
+    )
+    planner.set_defaults(run=_bench_planner)
+    solver = benches.add_parser("solver", help="Algorithm 1 against plain CMA-ES and many gradient steps")
+    solver.add_argument("--scene", default="wall", help="scene: a name or a YAML file (default: wall)")
+    solver.add_argument("--seeds", type=int, default=20, help="states to start from (default: 20)")
+    solver.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    solver.set_defaults(run=_bench_solver)
     return parser
 
 
@@ -90,6 +115,26 @@ def _bench_foam(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_foam import bench_foam
 
     bench_foam(options.scene, options.seed, options.json)
+    return 0
+
+
+def _bench_planner(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_planner import PlannerBench, bench_planner
+    from contact_reach_ros.scenes.scene import scene_names
+
+    scenes = tuple(options.scene or scene_names())
+    if options.quick:
+        bench = PlannerBench.quick(scenes, options.seed)
+    else:
+        bench = PlannerBench(scenes, plans=options.plans, seed=options.seed, brax=tuple(options.brax))
+    bench_planner(bench, options.json, options.plot)
+    return 0
+
+
+def _bench_solver(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_solver import bench_solver
+
+    bench_solver(options.scene, options.seeds, options.json)
     return 0
 
 

@@ -9,14 +9,12 @@ from pathlib import Path
 from contact_reach_ros.nodes.parameters import parameters_in
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.scenes.scene import SceneFile, read_scene
+from contact_reach_ros.scenes.spheres import sphere_capacity
 
 ParameterValue = bool | int | float | str | list[str]
 
 PACKAGE = "contact_reach_ros"
 DEFAULT_PARAMETERS = "default.yaml"
-
-WALL_SPHERES = 12
-"""Nodes of the walls that a plan looks at, the nearest ones."""
 
 
 @dataclass(frozen=True)
@@ -97,20 +95,14 @@ def processes(options: StackOptions) -> list[Process]:
 
 def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
     """What the planner is told about the obstacles of a scene, besides what its parameter file says."""
-    values: dict[str, ParameterValue] = {"max_spheres": 0}
+    values: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
     if scene.ball is not None:
-        values = {
-            "max_spheres": 1,
-            "sphere_stiffness": scene.ball.stiffness,
-            "sphere_damping": scene.ball.damping,
-        }
+        values["sphere_stiffness"] = scene.ball.stiffness
+        values["sphere_damping"] = scene.ball.damping
     elif scene.wall is not None:
-        values = {
-            "max_spheres": WALL_SPHERES,
-            "node_stiffness": scene.wall.anchor_stiffness,
-            "node_damping": scene.wall.damping,
-            "edge_stiffness": scene.wall.edge_stiffness,
-        }
+        values["node_stiffness"] = scene.wall.anchor_stiffness
+        values["node_damping"] = scene.wall.damping
+        values["edge_stiffness"] = scene.wall.edge_stiffness
     # What the user's file says holds.
     chosen = parameters_in(parameter_file, "planner")
     return {name: value for name, value in values.items() if name not in chosen}

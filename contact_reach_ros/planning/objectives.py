@@ -16,9 +16,15 @@ from contact_reach_ros.planning.transfer.pipeline import N_ACTION, System
 
 
 def make_objective(settings: PlanningSettings, gains: ImpedanceSettings) -> Objective:
-    """The cost over the transfer function of the settings."""
+    """The cost over the transfer function that `settings.pipeline` names."""
     system = System(default_arm(), gains, settings.contact_stiffness, settings.knot_duration / settings.substeps)
-    return Objective(system, settings.horizon, settings.substeps, settings.contact_measure)
+    arguments = (system, settings.horizon, settings.substeps, settings.contact_measure)
+    if settings.pipeline == "closed_loop":
+        return Objective(*arguments)
+    # Brax's own pipelines are for comparison, and take long to import.
+    from contact_reach_ros.planning.transfer.brax_pipelines import STEPS, BraxObjective
+
+    return BraxObjective(*arguments, settings.pipeline, STEPS[settings.pipeline])
 
 
 def action_bounds(settings: PlanningSettings) -> Array:

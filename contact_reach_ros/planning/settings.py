@@ -8,6 +8,8 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.runtime import DEVICES
 from contact_reach_ros.settings import Settings, setting
 
+BRAX_PIPELINES = ("generalized", "positional", "spring")
+PIPELINES = ("closed_loop", *BRAX_PIPELINES)
 SOLVER_METHODS = ("hybrid", "cma", "gradient")
 BOUNDARY_PENALTIES = ("quadratic", "paper")
 SAMPLINGS = ("bounds", "paper")
@@ -21,6 +23,11 @@ class PlanningSettings(Settings):
     horizon: int = setting(3, "H of (4): number of knots in a plan", minimum=1, maximum=10)
     knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.02, maximum=0.5)
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
+    pipeline: str = setting(
+        "closed_loop",
+        "transfer model: this package's, or one of Brax's own for comparison, 100 times slower and more",
+        choices=PIPELINES,
+    )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
     progress_weight: float = setting(
         0.2, "λ2 of (5): distance from the start of the plan", unit="1/m", minimum=0.0, maximum=100.0

@@ -6,12 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.planning.problem import Spheres
-from contact_reach_ros.scenes.scene import Scene
+from contact_reach_ros.scenes.scene import Scene, SceneFile
 
 Array = NDArray[np.float64]
 
 FIXED_STIFFNESS = 1e5
 """Spring that stands for the fixture of a node, N/m: nothing that the arm may touch moves it."""
+
+
+WALL_SPHERES = 12
+"""Nodes of the walls that a plan looks at, the nearest ones."""
+
+
+def sphere_capacity(file: SceneFile) -> int:
+    """Number of spheres that a planner for these scenes has to look at."""
+    if file.wall is not None:
+        return WALL_SPHERES
+    return 0 if file.ball is None else 1
 
 
 def rest_positions(scene: Scene) -> Array:

@@ -3,8 +3,9 @@
 import pytest
 from stack_helpers import parameter_file
 
-from contact_reach_ros.nodes.processes import WALL_SPHERES, StackOptions, processes
+from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.scenes.spheres import WALL_SPHERES
 
 
 def planner_parameters(**options):

@@ -13,6 +13,10 @@ SIGMA_RANGE = (1e-3, 10.0)
 """How far the step size may leave its initial value, 1."""
 
 
+VARIANCE_FLOOR = 1e-12
+"""Least eigenvalue of C that the step is whitened with; rounding may have made it negative."""
+
+
 class Distribution(NamedTuple):
     """N(mean, sigma² covariance) with its evolution paths, over n variables."""
 
@@ -62,22 +66,21 @@ class Rates:
             c_c=(4 + parents / n) / (n + 4 + 2 * parents / n),
             c_1=c_1,
             c_mu=min(1 - c_1, 2 * (parents - 2 + 1 / parents) / ((n + 2) ** 2 + parents)),
-            expected_length=math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n)),
+            expected_length=math.sqrt(2) * math.exp(math.lgamma((n + 1) / 2) - math.lgamma(n / 2)),
             parents=parents,
         )
 
 
-def sample(distribution: Distribution, key: jax.Array, population: int) -> tuple[jax.Array, jax.Array]:
-    """Draw y ~ N(0, C): returns y (n, k) and the Cholesky factor of C (n, n)."""
-    factor = jnp.linalg.cholesky(distribution.covariance)
+def sample(distribution: Distribution, key: jax.Array, population: int) -> jax.Array:
+    """Draw y ~ N(0, C), (n, k)."""
     n = distribution.mean.shape[0]
-    return factor @ jax.random.normal(key, (n, population), distribution.mean.dtype), factor
+    normal = jax.random.normal(key, (n, population), distribution.mean.dtype)
+    return jnp.linalg.cholesky(distribution.covariance) @ normal
 
 
 def update(
     rates: Rates,
     distribution: Distribution,
-    factor: jax.Array,
     parents: jax.Array,
     valid: jax.Array,
     mean: jax.Array,
@@ -86,8 +89,8 @@ def update(
 
     Parameters
     ----------
-    factor
-        Cholesky factor of the covariance the parents were drawn with.
+    distribution
+        The one that the parents were drawn from.
     parents
         (n, μ) the best y = (x − mean) / σ.
     valid
@@ -98,7 +101,10 @@ def update(
     dimension = distribution.mean.shape[0]
     share = valid / jnp.maximum(valid.sum(), 1.0)
     step = parents @ share
-    whitened = jax.scipy.linalg.solve_triangular(factor, step, lower=True)
+    # C^(-1/2) is the symmetric root, equation (43). The Cholesky factor would do for one generation, but it turns with
+    # C, and the path would add up steps that are turned differently.
+    variances, axes = jnp.linalg.eigh(distribution.covariance)
+    whitened = axes @ ((axes.T @ step) / jnp.sqrt(jnp.maximum(variances, VARIANCE_FLOOR)))
     c_sigma, c_c = rates.c_sigma, rates.c_c
     sigma_path = (1 - c_sigma) * distribution.sigma_path
     sigma_path = sigma_path + math.sqrt(c_sigma * (2 - c_sigma) * rates.parents) * whitened

@@ -46,8 +46,6 @@ class Sample(NamedTuple):
 
     steps: jax.Array
     """(n, k) y = (a_i − m) / σ."""
-    factor: jax.Array
-    """(n, n) Cholesky factor of the covariance that they were drawn with."""
     points: jax.Array
     """(n, k) a_i."""
     repaired: jax.Array
@@ -186,9 +184,9 @@ class HybridSolver(Generic[ProblemT]):
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
-        steps, factor = sample(distribution, _key(draw, 0), self._settings.population)
+        steps = sample(distribution, _key(draw, 0), self._settings.population)
         points = distribution.mean[:, None] + distribution.sigma * steps
-        return Sample(steps, factor, points, jnp.clip(points, -1.0, 1.0))
+        return Sample(steps, points, jnp.clip(points, -1.0, 1.0))
 
     def _select_elite(
         self, distribution: Distribution, sample: Sample, costs: jax.Array, outside: jax.Array | None
@@ -227,7 +225,7 @@ class HybridSolver(Generic[ProblemT]):
         mean, cost = points[:, index], ranked[index]
         better = cost < search.best_cost
         return Search(
-            distribution=update(self._rates, search.distribution, sample.factor, elite.steps, elite.valid, mean),
+            distribution=update(self._rates, search.distribution, elite.steps, elite.valid, mean),
             best=jnp.where(better, mean, search.best),
             best_cost=jnp.where(better, cost, search.best_cost),
             rejected=search.rejected + elite.rejected + rejected,

@@ -100,6 +100,18 @@ def joint_acceleration(
     return jnp.stack(acceleration)
 
 
+def driven_acceleration(dynamics: Dynamics, torque: jax.Array) -> jax.Array:
+    """Joint acceleration M⁻¹ τ (7, B) under joint torques beyond C + g (7, B), without any control law."""
+    factor, solved, pivots = _factorise_mass(dynamics.mass_matrix, torque[None])
+    acceleration: list[jax.Array] = [torque[0]] * N_LINKS
+    for joint in reversed(range(N_LINKS)):
+        total = solved[joint][0]
+        for later in range(joint + 1, N_LINKS):
+            total = total - factor[joint][later - joint] * acceleration[later]
+        acceleration[joint] = ratio(total, pivots[joint])
+    return jnp.stack(acceleration)
+
+
 def pose_error(frames: Frames, reference: Reference) -> jax.Array:
     """Δx = x ⊖ x_d, (6, B): translation in m, then the rotation vector of R R_dᵀ in rad, both in base axes.
 

@@ -1,0 +1,30 @@
+"""What a benchmark ran on."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+
+_PACKAGES = ("jax", "brax", "mujoco", "numpy", "pin")
+
+
+def machine() -> dict[str, object]:
+    """Processor, cores, load and versions, for reports."""
+    return {
+        "cpu": _processor(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "python": platform.python_version(),
+        **{package: version(package) for package in _PACKAGES},
+    }
+
+
+def _processor() -> str:
+    """Name of the processor, as Linux knows it."""
+    information = Path("/proc/cpuinfo")
+    for line in information.read_text().splitlines() if information.is_file() else []:
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

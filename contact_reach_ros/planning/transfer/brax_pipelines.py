@@ -1,0 +1,323 @@
+"""The same problem rolled out by Brax's own pipelines, for comparison.
+
+The arm and the obstacle spheres are bodies of a Brax system. In every step of Brax the laws (1)-(3) are computed from
+its state, as the 1 kHz controller would do it, and act on it as joint torques. The laws' model of the arm is the one
+that the pipeline simulates, so that C + g cancel as they do in (1); gravity, which the laws cancel on the arm and the
+springs carry on the spheres, is left out. The laws are computed for all candidates at once in this package's own fast
+form: what is compared is the physics.
+
+What the pipelines have in common: a sphere moves on three sliders. Springs, dampers and edges act on these as actuator
+forces. As in this package's own pipeline spheres have no mass of their own; the body that Brax moves has the mass
+m = dt (damping + dt stiffness), with which Brax's explicit step becomes the implicit one of the sphere without mass.
+
+What differs:
+
+- generalized: joint coordinates, soft contact after MuJoCo's model, with the planner's stiffness.
+- spring and positional: maximal coordinates, which need very short steps here. They know no armature; it is added to
+  the links' own inertia about the joint axis. Contact is hard, an impulse or a displacement, and has no stiffness to
+  set: only the spheres' springs give way.
+
+None of them hands out contact forces. Here a sphere's contact force is what its spring, damper and edges need for the
+motion that it makes, as a mean over a step of this package's own pipeline; it belongs to the nearest link.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import importlib
+import io
+import warnings
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement
+
+import brax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax import kinematics
+from brax.base import Actuator
+from brax.generalized import dynamics as brax_dynamics
+from brax.generalized.base import State as GeneralizedState
+from brax.io import mjcf
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
+from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
+from contact_reach_ros.planning.transfer.kinematics import Frames, flange_drift, link_frames
+from contact_reach_ros.planning.transfer.lanes import combine, dot, make_keep, per_link, rotate
+from contact_reach_ros.planning.transfer.model import N_CAPSULES, N_LINKS, ArmModel
+from contact_reach_ros.planning.transfer.pipeline import Pose
+from contact_reach_ros.robot.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
+
+STEPS = {"generalized": 2, "positional": 500, "spring": 500}
+"""Steps of Brax for one of this package's own pipeline, 25 ms at the defaults: about the fewest that are stable.
+
+In maximal coordinates a joint torque first turns one link alone, and the joints' constraints pass it on in later steps.
+The laws' damping, made for the inertia of the whole arm, is then 18,000 1/s, which allows steps of 0.05 ms.
+"""
+
+_JOINT_STIFFNESS, _JOINT_DAMPING = 2e4, 50.0
+"""Of the joints in the spring pipeline, N/m and N s/m; Brax's default is ten times as soft and has no damping."""
+
+_IMPEDANCE = 0.9
+_FRICTION = 0.2
+_CONTACT_DAMPING = 10.0
+"""N s/m."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BraxObjective(Objective):
+    """Cost (5) over one of Brax's own pipelines."""
+
+    pipeline: str
+    """generalized, positional or spring."""
+    steps: int
+    """Steps of Brax in one time step of `system`."""
+
+    def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
+        """Run Brax under the actions (H, 13, B), knot by knot."""
+        lanes = actions.shape[-1]
+        world = _World.of(self, problem.obstacles)
+        q = jnp.broadcast_to(problem.q, (N_LINKS, lanes))
+        v = jnp.broadcast_to(problem.v, (N_LINKS, lanes))
+        state = world.init(q, v)
+        pose = world.pose(q)
+
+        def knot(carry: tuple[Any, jax.Array, Pose], action: jax.Array) -> tuple[tuple, tuple]:
+            state, q, pose = carry
+            reference = Reference(pose.position + action[:3], rotate(action[3:6], pose.rotation), q + action[6:])
+
+            def window(state: Any, _: None) -> tuple[Any, jax.Array]:
+                def step(_: int, carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
+                    state, force = world.step(carry[0], reference)
+                    return state, carry[1] + force
+
+                state, total = jax.lax.fori_loop(0, self.steps, step, (state, world.no_force(lanes)))
+                return state, world.link_force(state, total / self.steps)
+
+            state, link_force = jax.lax.scan(window, state, None, self.substeps)
+            contact = jax.vmap(self._measure)(link_force)
+            q = world.joints(state)[0]
+            pose = world.pose(q)
+            return (state, q, pose), (q, pose, reference, link_force.max(axis=0), contact.max(axis=0))
+
+        _, (later_q, poses, reference, link_force, contact) = jax.lax.scan(knot, (state, q, pose), actions)
+        return Rollout(
+            q=jnp.concatenate([q[None], later_q]),
+            pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
+            reference=reference,
+            link_force=link_force,
+            contact=contact,
+        )
+
+
+class _World(NamedTuple):
+    """Arm and spheres in a Brax pipeline, all candidates side by side: Brax's arrays have them on the first axis."""
+
+    pipeline: Any
+    system: brax.System
+    arm: ArmModel
+    """What the laws know of the arm."""
+    gains: ImpedanceSettings
+    obstacles: Obstacles | None
+    stiffness: jax.Array
+    """(K, K) of the springs and edges, N/m."""
+    mass: jax.Array
+    """(K,) of the bodies that stand for the spheres, kg."""
+
+    @classmethod
+    def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
+        count = 0 if obstacles is None else obstacles.radius.shape[0]
+        system, arm = _load(objective.pipeline, count, objective.system.arm)
+        timestep = objective.system.timestep / objective.steps
+        system = system.tree_replace({"opt.timestep": timestep})
+        stiffness, mass = jnp.zeros((0, 0)), jnp.zeros(0)
+        if obstacles is not None:
+            stiffness, damping = _network(obstacles)
+            mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
+            system = _with_spheres(system, obstacles, mass, objective.system.contact_stiffness)
+        pipeline = importlib.import_module(f"brax.{objective.pipeline}.pipeline")
+        return cls(pipeline, system, arm, objective.system.gains, obstacles, stiffness, mass)
+
+    def init(self, q: jax.Array, v: jax.Array) -> Any:
+        """Brax's state at joint angles and speeds (7, B)."""
+        lanes = q.shape[1]
+        displacement = jnp.zeros((lanes, 0), q.dtype)
+        if self.obstacles is not None:
+            moved = self.obstacles.center - self.obstacles.rest
+            displacement = jnp.broadcast_to(moved, (*moved.shape[:2], lanes)).T.reshape(lanes, -1)
+        positions = jnp.concatenate([displacement, q.T], axis=1)
+        velocities = jnp.concatenate([jnp.zeros_like(displacement), v.T], axis=1)
+        return jax.vmap(self.pipeline.init, in_axes=(None, 0, 0))(self.system, positions, velocities)
+
+    def joints(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Joint angles and speeds (7, B)."""
+        return state.q[:, -N_LINKS:].T, state.qd[:, -N_LINKS:].T
+
+    def spheres(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Displacements from rest and velocities (B, K, 3)."""
+        shape = (state.q.shape[0], len(self.mass), 3)
+        return state.q[:, :-N_LINKS].reshape(shape), state.qd[:, :-N_LINKS].reshape(shape)
+
+    def pose(self, q: jax.Array) -> Pose:
+        """Flange poses at joint angles (7, B)."""
+        frames = link_frames(self.arm, q, make_keep(q))
+        return Pose(frames.flange, frames.flange_rotation)
+
+    def step(self, state: Any, reference: Reference) -> tuple[Any, jax.Array]:
+        """One step of Brax under the laws, and the contact force (B, K, 3) on each sphere in it."""
+        timestep = self.system.opt.timestep
+        bias = jax.vmap(lambda state: _bias(self.system, state))(state)[:, -N_LINKS:]
+        torque = law_torque(self.arm, self.gains, *self.joints(state), reference).T + bias
+        displacement, velocity = self.spheres(state)
+        held = -jnp.einsum("ij,bjk->bik", self.stiffness, displacement)
+        force = held - self.mass[:, None] / timestep * velocity
+        act = jnp.concatenate([force.reshape(len(torque), -1), torque], axis=1)
+        state = jax.vmap(self.pipeline.step, in_axes=(None, 0, 0))(self.system, state, act)
+        _, velocity = self.spheres(state)
+        return state, self.mass[:, None] / timestep * velocity - held
+
+    def no_force(self, lanes: int) -> jax.Array:
+        """Zero force (B, K, 3) on every sphere."""
+        return jnp.zeros((lanes, len(self.mass), 3), self.mass.dtype)
+
+    def link_force(self, state: Any, force: jax.Array) -> jax.Array:
+        """Force (6, B) on each capsule from the forces (B, K, 3) on the spheres."""
+        lanes = len(force)
+        if self.obstacles is None:
+            return jnp.zeros((N_CAPSULES, lanes), force.dtype)
+        q, _ = self.joints(state)
+        frames = link_frames(self.arm, q, make_keep(q))
+        displacement, _ = self.spheres(state)
+        gaps = _gaps(self.arm, frames, self.obstacles._replace(center=self.obstacles.rest + displacement.T))
+        nearest = jax.nn.one_hot(gaps.argmin(axis=0), N_CAPSULES, axis=0, dtype=force.dtype)
+        size = jnp.sqrt((force**2).sum(axis=2) + 1e-12).T
+        return (nearest * size).sum(axis=1)
+
+
+def law_torque(arm: ArmModel, gains: ImpedanceSettings, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
+    """τ of law (3) without its C + g, (7, B), N m, at joint angles and speeds (7, B)."""
+    keep = make_keep(q)
+    frames = link_frames(arm, q, keep)
+    dynamics = arm_dynamics(arm, frames, keep)
+    drift = flange_drift(frames, v, keep)
+    # Without contact the law makes the arm move as M q̈ = τ − C − g. A time step of zero asks for no implicit gains.
+    acceleration = joint_acceleration(gains, frames, dynamics, drift, q, v, reference, None, 0.0)
+    mass_matrix = dynamics.mass_matrix
+    rows = [
+        sum(mass_matrix[min(row, column), max(row, column)] * acceleration[column] for column in range(N_LINKS))
+        for row in range(N_LINKS)
+    ]
+    return jnp.stack(rows)
+
+
+def _bias(system: brax.System, state: Any) -> jax.Array:
+    """C of one candidate by Brax's own inverse dynamics, for all joints."""
+    if not isinstance(state, GeneralizedState):
+        x, xd = kinematics.forward(system, state.q, state.qd)
+        state = brax_dynamics.transform_com(system, GeneralizedState.init(state.q, state.qd, x, xd))
+    return brax_dynamics.inverse(system, state)
+
+
+def _gaps(arm: ArmModel, frames: Frames, obstacles: Obstacles) -> jax.Array:
+    """Distance (6, K, B) of the spheres' surfaces from the capsules', m."""
+    links = slice(N_LINKS - N_CAPSULES, None)
+    axes = (frames.x[:, links], frames.y[:, links], frames.z[:, links])
+    start = (frames.origin[:, links] + combine(axes, per_link(arm.capsule_start)))[:, :, None]
+    segment = combine(axes, per_link(arm.capsule_axis))[:, :, None]
+    to_sphere = obstacles.center[:, None] - start
+    share = jnp.clip(dot(to_sphere, segment) / dot(segment, segment), 0.0, 1.0)
+    gap = share[None] * segment - to_sphere
+    return jnp.sqrt(dot(gap, gap) + 1e-12) - arm.capsule_radius[:, None, None] - obstacles.radius
+
+
+def _network(obstacles: Obstacles) -> tuple[jax.Array, jax.Array]:
+    """Stiffness and damping matrices (K, K) of the spheres: L = W⁻ᵀ diag(rates) W⁻¹ and D = W⁻ᵀ W⁻¹."""
+    amplitudes = obstacles.amplitudes
+    return amplitudes.T @ (obstacles.rates[:, None] * amplitudes), amplitudes.T @ amplitudes
+
+
+@functools.cache
+def _load(pipeline: str, count: int, arm: ArmModel) -> tuple[brax.System, ArmModel]:
+    """The system of a pipeline with some number of spheres, and the arm as the laws know it."""
+    bodies = [_sphere(index) for index in range(count)]
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        with jax.ensure_compile_time_eval():
+            system = mjcf.loads(build_mjcf(obstacles=bodies))
+            every = np.arange(system.qd_size())
+            unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
+            ones, zeros = np.ones(len(every)), np.zeros(len(every))
+            actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
+            system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
+            if pipeline == "generalized":
+                return system, arm
+            return _in_maximal_coordinates(system, arm)
+
+
+def _in_maximal_coordinates(system: brax.System, arm: ArmModel) -> tuple[brax.System, ArmModel]:
+    """What the spring and positional pipelines need: armature as link inertia about the joint axes, stiff joints."""
+    tensors = arm.inertia + arm.armature[:, None, None] * np.diag([0.0, 0.0, 1.0])
+    moments, axes = np.linalg.eigh(tensors)
+    axes = axes * np.linalg.det(axes)[:, None, None]
+    inertia = system.link.inertia
+    principal = np.array(inertia.i)
+    principal[-N_LINKS:] = moments[:, :, None] * np.eye(3)
+    turns = np.array(inertia.transform.rot)
+    turns[-N_LINKS:] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    ones = jnp.ones(len(principal))
+    system = system.tree_replace(
+        {
+            "link.inertia.i": jnp.asarray(principal),
+            "link.inertia.transform.rot": jnp.asarray(turns),
+            "link.constraint_stiffness": _JOINT_STIFFNESS * ones,
+            "link.constraint_vel_damping": _JOINT_DAMPING * ones,
+        }
+    )
+    return system, dataclasses.replace(arm, inertia=tensors, armature=np.zeros(N_LINKS))
+
+
+def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, contact_stiffness: float) -> brax.System:
+    """The spheres of a problem put into a system: places, sizes, masses and the stiffness of contact with them."""
+    count = len(mass)
+    link = system.link
+    # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid has four
+    # edges that share the normal force.
+    pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
+    scale = (1.0 - _IMPEDANCE) * pyramid / mass
+    solref = jnp.stack([-contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
+    spheres = jnp.flatnonzero(np.asarray(system.geom_type) == 2, size=count)
+    return system.tree_replace(
+        {
+            "link.transform.pos": jnp.asarray(link.transform.pos).at[:count].set(obstacles.rest[:, :, 0].T),
+            "link.inertia.mass": jnp.asarray(link.inertia.mass).at[:count].set(mass),
+            "link.invweight": jnp.zeros_like(link.invweight).at[:count].set(1.0 / mass),
+            "geom_size": jnp.asarray(system.geom_size).at[spheres, 0].set(obstacles.radius[:, 0]),
+            # Of two geometries the smaller reference counts, the larger friction and the mean impedance.
+            "geom_solref": jnp.asarray(system.geom_solref).at[spheres].set(solref),
+            "geom_friction": jnp.asarray(system.geom_friction).at[:, 0].set(_FRICTION),
+            "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
+        }
+    )
+
+
+def _sphere(index: int) -> Element:
+    """A sphere on three sliders; `_with_spheres` gives it its place, size and mass."""
+    body = Element("body", name=f"sphere_{index}")
+    for axis in ("1 0 0", "0 1 0", "0 0 1"):
+        SubElement(body, "joint", type="slide", axis=axis)
+    SubElement(
+        body,
+        "geom",
+        type="sphere",
+        size="0.1",
+        mass="0.1",
+        contype=str(OBSTACLE_CONTACT_TYPE),
+        conaffinity=str(ROBOT_CONTACT_TYPE),
+    )
+    return body

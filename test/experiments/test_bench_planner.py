@@ -1,0 +1,64 @@
+"""The planner benchmark measures what it says; not how fast this machine is."""
+
+import json
+import math
+
+import pytest
+
+from contact_reach_ros.cli import main
+from contact_reach_ros.experiments.bench_planner import PlannerBench
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> dict:
+    folder = tmp_path_factory.mktemp("bench")
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "planner", "--quick", "--scene", "free", "--seed", "3", "--json", str(folder / "report.json")])
+    assert end.value.code == 0
+    return json.loads((folder / "report.json").read_text())
+
+
+def test_report_has_the_promised_keys(measured):
+    scene = measured["free"]
+    assert set(scene["solve_ms"]) == {"p50", "p95", "max"}
+    for key in ("step_ms", "steps"):
+        assert scene[key]["p50"] > 0.0
+    assert scene["rollout_us_per_substep"] > 0.0
+    assert scene["torque_planning_ratio"] > 0.0
+    assert set(scene["plan_error"]) == {"position_mm", "rotation_deg", "joint_deg"}
+    assert {"cpu", "cores", "jax", "brax", "seed"} <= set(measured["machine"])
+    assert measured["machine"]["seed"] == 3
+
+
+def test_percentiles_are_in_order(measured):
+    for values in (measured["free"]["solve_ms"], measured["free"]["plan_error"]["position_mm"]):
+        assert 0.0 <= values["p50"] <= values["p95"] <= values["max"] < math.inf
+
+
+def test_parts_are_shorter_than_the_whole(measured):
+    """A step is part of a solve, and a batch of candidates is part of a step."""
+    scene = measured["free"]
+    assert scene["rollout_batch_ms"] < scene["step_ms"]["max"]
+    assert scene["step_ms"]["p50"] * scene["steps"]["p50"] < 2 * scene["solve_ms"]["max"]
+
+
+def test_plans_come_from_a_closed_loop_that_the_planner_can_predict(measured):
+    scene = measured["free"]
+    assert scene["plans"] >= PlannerBench.quick(("free",), 3).plans
+    assert scene["episodes"] == 1
+    assert scene["plan_error"]["position_mm"]["p50"] < 2.0
+    assert scene["plan_error"]["rotation_deg"]["p50"] < 2.0
+
+
+def test_torques_have_one_vector_for_each_step_of_the_model(measured):
+    settings = PlannerBench.quick(("free",), 3).settings
+    planning = measured["free"]["torque_planning"]
+    assert planning["references"]["variables"] == 13 * settings.horizon
+    assert planning["torques"]["variables"] == 7 * settings.substeps * settings.horizon
+
+
+def test_unknown_scene_is_refused(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "planner", "--quick", "--scene", "nowhere"])
+    assert end.value.code == 2
+    assert "nowhere" in capsys.readouterr().err

@@ -1,0 +1,95 @@
+"""Brax's own pipelines as the transfer function. Compiling one takes long, so only the spring pipeline is run."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pinocchio as pin
+from arm_simulation import HOME
+from planning_helpers import SMALL, make_problem, obstacles_of
+
+from contact_reach_ros.control.law import ImpedanceLaw, pose_error
+from contact_reach_ros.control.law import Reference as LawReference
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.objectives import make_objective
+from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.planning.transfer import brax_pipelines
+from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
+from contact_reach_ros.planning.transfer.closed_loop import Reference
+from contact_reach_ros.planning.transfer.model import default_arm
+from contact_reach_ros.robot.model import RobotModel
+
+LANES = 8
+BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
+SHORT = dataclasses.replace(SMALL, horizon=1, substeps=4)
+
+
+def objective(pipeline: str) -> Objective:
+    return make_objective(dataclasses.replace(SHORT, pipeline=pipeline), ImpedanceSettings())
+
+
+def roll_out(objective: Objective, problem: Problem, actions: np.ndarray) -> tuple[Rollout, np.ndarray]:
+    def run(problem: Problem, actions: jax.Array) -> tuple[Rollout, jax.Array]:
+        return objective.roll_out(problem, actions), objective.cost(problem, actions)
+
+    problem = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), problem)
+    return jax.jit(run)(problem, jnp.asarray(actions, jnp.float32))
+
+
+def test_setting_chooses_the_pipeline():
+    assert not isinstance(objective("closed_loop"), BraxObjective)
+    for name in ("generalized", "positional", "spring"):
+        chosen = objective(name)
+        assert isinstance(chosen, BraxObjective)
+        assert chosen.pipeline == name
+
+
+def test_spring_pipeline_moves_the_arm_as_the_closed_loop_does():
+    random = np.random.default_rng(0)
+    actions = random.uniform(-1.0, 1.0, (1, 13, LANES)) * BOUNDS[None, :, None]
+    problem = make_problem(HOME, np.array([0.5, 0.2, 0.4]), None)
+    ours, our_cost = roll_out(objective("closed_loop"), problem, actions)
+    theirs, their_cost = roll_out(objective("spring"), problem, actions)
+    moved = np.linalg.norm(np.diff(np.asarray(ours.pose.position), axis=0), axis=1)
+    assert moved.max() > 5e-3
+    np.testing.assert_allclose(theirs.pose.position, ours.pose.position, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(theirs.pose.rotation, ours.pose.rotation, rtol=0, atol=0.02)
+    np.testing.assert_allclose(theirs.q, ours.q, rtol=0, atol=0.03)
+    np.testing.assert_allclose(theirs.reference.position, ours.reference.position, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(their_cost, our_cost, rtol=0, atol=5e-3)
+    assert float(theirs.link_force.max()) == 0.0
+
+
+def test_torque_is_that_of_the_controller():
+    """With the arm in motion and away from its references."""
+    random = np.random.default_rng(1)
+    q, v = HOME + random.uniform(-0.3, 0.3, 7), random.uniform(-0.5, 0.5, 7)
+    gains, model = ImpedanceSettings(), RobotModel()
+    model.update(q, v)
+    desired = LawReference(model.position + 0.01, pin.exp3(np.array([0.1, -0.05, 0.1])) @ model.rotation, q + 0.1)
+    error = pose_error(model.position, model.rotation, desired)
+    expected = ImpedanceLaw(gains).torque(model, v, q - desired.posture, error)
+    reference = Reference(
+        *(jnp.asarray(part)[..., None] for part in (desired.position, desired.rotation, desired.posture))
+    )
+    torque = jax.jit(lambda q, v: law_torque(default_arm(), gains, q, v, reference))(q[:, None], v[:, None])
+    np.testing.assert_allclose(torque[:, 0], expected, rtol=1e-3, atol=1e-2)
+
+
+def test_network_of_the_spheres_is_recovered():
+    centers = np.array([[0.5, 0.3, 0.5], [0.5, 0.4, 0.5], [0.5, 0.5, 0.5]])
+    spheres = Spheres(
+        centers,
+        centers,
+        np.full(3, 0.03),
+        np.array([100.0, 50.0, 80.0]),
+        np.array([5.0, 6.0, 7.0]),
+        np.array([[0, 1], [1, 2]]),
+        np.array([60.0, 40.0]),
+    )
+    stiffness, damping = brax_pipelines._network(obstacles_of(spheres))
+    expected = [[160.0, -60.0, 0.0], [-60.0, 150.0, -40.0], [0.0, -40.0, 120.0]]
+    np.testing.assert_allclose(stiffness, expected, rtol=1e-4, atol=0.02)
+    np.testing.assert_allclose(damping, np.diag([5.0, 6.0, 7.0]), rtol=1e-4, atol=1e-3)
