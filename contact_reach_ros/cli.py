@@ -77,6 +77,17 @@ def _parser() -> argparse.ArgumentParser:
         "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
     )
     planner.set_defaults(run=_bench_planner)
+    model = benches.add_parser("model", help="the planner's transfer model against the simulated robot")
+    model.add_argument("--states", type=int, default=500, help="random states and actions (default: 500)")
+    model.add_argument("--seed", type=int, default=0, help="of states and actions (default: 0)")
+    model.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    model.set_defaults(run=_bench_model)
+    weight = benches.add_parser("contact-weight", help="what a cost on permitted contact brings, and what it takes")
+    weight.add_argument("--scene", nargs="+", default=["ball", "wall"], help="names or YAML files (default: ball wall)")
+    weight.add_argument("--targets", type=int, default=10, help="episodes per scene and weight (default: 10)")
+    weight.add_argument("--weights", nargs="+", type=float, metavar="W", help="1/N (default: six from 0 to 0.03)")
+    weight.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    weight.set_defaults(run=_bench_contact_weight)
     solver = benches.add_parser("solver", help="Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", default="wall", help="scene: a name or a YAML file (default: wall)")
     solver.add_argument("--seeds", type=int, default=20, help="states to start from (default: 20)")
@@ -128,6 +139,20 @@ def _bench_planner(options: argparse.Namespace) -> int:
     else:
         bench = PlannerBench(scenes, plans=options.plans, seed=options.seed, brax=tuple(options.brax))
     bench_planner(bench, options.json, options.plot)
+    return 0
+
+
+def _bench_model(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_model import bench_model
+
+    bench_model(options.states, options.seed, options.json)
+    return 0
+
+
+def _bench_contact_weight(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_contact_weight import WEIGHTS, bench_contact_weight
+
+    bench_contact_weight(options.scene, options.targets, options.weights or WEIGHTS, options.json)
     return 0
 
 

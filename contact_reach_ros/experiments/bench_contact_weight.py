@@ -17,12 +17,13 @@ from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.scene import Scene, read_scene
+from contact_reach_ros.scenes.spheres import sphere_capacity
 
 WEIGHTS = (0.0, 0.0003, 0.001, 0.003, 0.01, 0.03)
 
 
 def bench_contact_weight(
-    scenes: Sequence[str], targets: int, weights: Sequence[float], capacity: int, file: Path | None
+    scenes: Sequence[str], targets: int, weights: Sequence[float], file: Path | None
 ) -> dict[str, Any]:
     """Run whole episodes with each weight, print a table in Markdown and write JSON to `file`.
 
@@ -34,18 +35,16 @@ def bench_contact_weight(
         Seeds of each scene.
     weights
         Of contact forces within the budget, 1/N.
-    capacity
-        Obstacle spheres that a plan looks at.
     """
     settings = PlanningSettings(deadline=0.0)
     permitted = load_budget("").permitted_force
-    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, capacity)
-    planner.warm_up(print)
     report: dict[str, Any] = {"targets": targets, "scenes": {}}
-    print("\n| scene | weight, 1/N | reached | time / limit | largest force, N | mean force, N | over the budget, ms |")
+    print("| scene | weight, 1/N | reached | time / limit | largest force, N | mean force, N | over the budget, ms |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for name in scenes:
-        concrete = [make_scene(read_scene(name), seed) for seed in range(targets)]
+        scene_file = read_scene(name)
+        planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, sphere_capacity(scene_file))
+        concrete = [make_scene(scene_file, seed) for seed in range(targets)]
         rows = report["scenes"][name] = []
         for weight in weights:
             planner.change_weights(dataclasses.replace(settings, contact_weight=weight), permitted)

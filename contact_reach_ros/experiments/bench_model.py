@@ -39,8 +39,8 @@ from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, read_scene
-from contact_reach_ros.scenes.spheres import obstacle_spheres
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, SceneFile, read_scene
+from contact_reach_ros.scenes.spheres import obstacle_spheres, sphere_capacity
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ SUBSTEPS = (2, 3, 4, 5, 6, 8)
 MIN_EIGENVALUE = 0.05
 """Of J M⁻¹ Jᵀ in a start state, 1/kg: what scenes keep away from singularities."""
 MAX_SPEED = 1.5 * max(iiwa14.VELOCITY_LIMITS)
-"""Faster motions, rad/s, are reported apart: no arm can follow them."""
+"""Faster motions, rad/s, are reported apart, like those that pass a singularity or hit a stop: arms don't do that."""
 MIN_FORCE = 1.0
 """Contacts below this are not compared, N."""
 
@@ -59,7 +59,6 @@ CAPACITIES = (6, 8, 12, 16, 24, 40)
 _LIMIT_MARGIN = 0.3
 _START_SPEED = 0.2
 _GAP = 0.001
-_PLANNED_SPHERES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +76,18 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What became of the arm: flange at the knot boundaries, fastest joint, force on each link within each knot."""
+    """What became of the arm."""
 
     positions: Array
-    """(H, 3), m."""
+    """(H, 3) flange at the ends of the knots, m."""
     rotations: Array
     """(H, 3, 3)."""
     speed: float
-    """rad/s."""
+    """Of the fastest joint, rad/s."""
+    margin: float
+    """Of the joint nearest to its limit, rad."""
+    eigenvalue: float
+    """Smallest of J M⁻¹ Jᵀ on the way, 1/kg."""
     forces: Array
     """(H, 6) sum of the normal forces on each capsule, largest value within the knot, N."""
 
@@ -99,24 +102,33 @@ def simulate(case: Case) -> Motion:
     data.qvel[: iiwa14.N_JOINTS] = case.v
     law, model = ImpedanceLaw(ImpedanceSettings()), RobotModel()
     positions, rotations, forces = [], [], []
-    speed = 0.0
+    limits = np.array(iiwa14.POSITION_LIMITS)
+    speed, margin, eigenvalue = 0.0, np.inf, np.inf
     for action in case.actions:
         q, v = data.qpos[: iiwa14.N_JOINTS], data.qvel[: iiwa14.N_JOINTS]
         model.update(q, v)
         rotation = pin.exp3(action[3:6]) @ model.rotation
         reference = Reference(model.position + action[:3], rotation, q + action[6:])
         force = np.zeros(len(iiwa14.CAPSULES))
-        for _ in range(round(PlanningSettings().knot_duration / TICK)):
+        for tick in range(round(PlanningSettings().knot_duration / TICK)):
             model.update(q, v)
             error = pose_error(model.position, model.rotation, reference)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
             force = np.maximum(force, normal_forces(plant))
             speed = max(speed, float(np.abs(v).max()))
+            margin = min(margin, float((limits - np.abs(q)).min()))
+            if tick % 10 == 0:
+                eigenvalue = min(eigenvalue, _smallest_eigenvalue(model))
         model.update(q, v)
         positions.append(model.position.copy())
         rotations.append(model.rotation.copy())
         forces.append(force)
-    return Motion(np.array(positions), np.array(rotations), speed, np.array(forces))
+    return Motion(np.array(positions), np.array(rotations), speed, margin, eigenvalue, np.array(forces))
+
+
+def _smallest_eigenvalue(model: RobotModel) -> float:
+    """Of J M⁻¹ Jᵀ at the model's state."""
+    return float(np.linalg.eigvalsh(model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T))[0])
 
 
 def normal_forces(plant: Plant) -> Array:
@@ -183,8 +195,7 @@ def _draw(random: np.random.Generator) -> Case:
     while True:
         q = random.uniform(-limits, limits)
         model.update(q, np.zeros_like(q))
-        mobility = model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T)
-        if np.linalg.eigvalsh(mobility)[0] >= MIN_EIGENVALUE:
+        if _smallest_eigenvalue(model) >= MIN_EIGENVALUE:
             break
     v = random.normal(0.0, _START_SPEED, iiwa14.N_JOINTS)
     return Case(q, v, random.uniform(-1.0, 1.0, (HORIZON, N_ACTION)) * bounds, None)
@@ -228,19 +239,24 @@ def _ball_in_the_way(random: np.random.Generator, case: Case, settings: BallSett
 
 @dataclass(frozen=True, eq=False)
 class MotionErrors:
-    """Largest errors over the horizon of each case, and the fastest joint of its motion in the simulation."""
+    """Largest errors over the horizon of each case."""
 
     position: Array
     """(N,), m."""
     rotation: Array
     """(N,), rad."""
-    speed: Array
-    """(N,), rad/s."""
+    common: NDArray[np.bool_]
+    """(N,) whether the motion is one that an arm makes: see `is_common`."""
 
-    def within(self, speed: float) -> MotionErrors:
-        """Those of motions up to a joint speed."""
-        kept = self.speed <= speed
-        return MotionErrors(self.position[kept], self.rotation[kept], self.speed[kept])
+    def commonly(self) -> MotionErrors:
+        """Those of common motions."""
+        return MotionErrors(self.position[self.common], self.rotation[self.common], self.common[self.common])
+
+
+def is_common(motion: Motion) -> bool:
+    """Whether no joint exceeds `MAX_SPEED` or hits its stop, and the controller need not bound Λ."""
+    singular = motion.eigenvalue < ImpedanceSettings().singularity_floor
+    return motion.speed <= MAX_SPEED and motion.margin > 0.0 and not singular
 
 
 def motion_errors(rollout: Rollout, motions: Sequence[Motion]) -> MotionErrors:
@@ -254,7 +270,7 @@ def motion_errors(rollout: Rollout, motions: Sequence[Motion]) -> MotionErrors:
     return MotionErrors(
         position=np.linalg.norm(offset, axis=2).max(axis=1),
         rotation=2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)).max(axis=1),
-        speed=np.array([motion.speed for motion in motions]),
+        common=np.array([is_common(motion) for motion in motions]),
     )
 
 
@@ -265,8 +281,7 @@ def force_errors(rollout: Rollout, motions: Sequence[Motion]) -> tuple[Array, Ar
     """
     predicted = np.moveaxis(np.asarray(rollout.link_force, float), -1, 0).max(axis=(1, 2))
     true = np.array([motion.forces.max() for motion in motions])
-    speed = np.array([motion.speed for motion in motions])
-    compared = (true >= MIN_FORCE) & (speed <= MAX_SPEED)
+    compared = (true >= MIN_FORCE) & np.array([is_common(motion) for motion in motions])
     return true[compared], predicted[compared] / true[compared] - 1.0
 
 
@@ -279,16 +294,16 @@ def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[s
     truth = [simulate(case) for case in free]
     report: dict = {"states": states, "seed": seed, "free": {}, "contact": {}}
     progress("")
-    progress(f"Flange after 0.3 s; motions up to {MAX_SPEED:.2f} rad/s, and all\n")
+    progress(f"Flange over 0.3 s; motions up to {MAX_SPEED:.2f} rad/s away from singularities and stops, and all\n")
     progress("| substeps | motions | mm p50 | p95 | max | deg p50 | p95 | max | all: mm p95 | max | deg p95 | max |")
     progress("|" + "---|" * 12)
     for substeps in SUBSTEPS:
         every = motion_errors(predict(free, substeps), truth)
-        slow = every.within(MAX_SPEED)
+        common = every.commonly()
         row: dict[str, Any] = {
-            "motions": len(slow.position),
-            "position_mm": _summary(1e3 * slow.position),
-            "rotation_deg": _summary(np.degrees(slow.rotation)),
+            "motions": len(common.position),
+            "position_mm": _summary(1e3 * common.position),
+            "rotation_deg": _summary(np.degrees(common.rotation)),
             "all_position_mm": _summary(1e3 * every.position),
             "all_rotation_deg": _summary(np.degrees(every.rotation)),
         }
@@ -324,7 +339,7 @@ def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[s
     progress(f"\nScene '{WALL}' with the nearest spheres only, against the nearest {CAPACITIES[-1]}\n")
     progress("| spheres | the last one is away, mm | flange, mm max | force, N p50 | p95 | max |")
     progress("|" + "---|" * 6)
-    report["nearest"] = culling_errors(make_scene(read_scene(WALL), seed), CAPACITIES, max(states // 10, 1), seed)
+    report["nearest"] = culling_errors(read_scene(WALL), CAPACITIES, max(states // 10, 1), seed)
     for capacity, row in report["nearest"].items():
         lost = " | ".join(f"{row['force_n'][key]:.2f}" for key in ("p50", "p95", "max"))
         progress(f"| {capacity} | {row['last_distance_mm']:.0f} | {row['flange_mm']:.2f} | {lost} |")
@@ -337,14 +352,16 @@ def _summary(values: Array) -> dict[str, float]:
     return {"p50": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(values.max())}
 
 
-def culling_errors(scene: Scene, capacities: Sequence[int], actions: int, seed: int) -> dict[int, dict[str, Any]]:
+def culling_errors(
+    scene_file: SceneFile, capacities: Sequence[int], actions: int, seed: int
+) -> dict[int, dict[str, Any]]:
     """What is lost by looking at the nearest spheres only, against as many as the last of the capacities.
 
     From states along an episode in the scene, each with random `actions`: largest differences of the flange, m, and of
     the largest force on a link, N.
     """
     random = np.random.default_rng(seed)
-    states = _states_in_contact(scene, _PLANNED_SPHERES)
+    states = _states_in_contact(scene_file, seed)
     settings = PlanningSettings()
     bounds = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
     samples = random.uniform(-1.0, 1.0, (len(states), HORIZON, N_ACTION, actions)) * np.array(bounds)[:, None]
@@ -381,8 +398,9 @@ def culling_errors(scene: Scene, capacities: Sequence[int], actions: int, seed: 
     }
 
 
-def _states_in_contact(scene: Scene, capacity: int) -> list[tuple[Array, Array, Spheres]]:
+def _states_in_contact(scene_file: SceneFile, seed: int) -> list[tuple[Array, Array, Spheres]]:
     """Joint angles, speeds and spheres every 0.2 s of an episode while something touches the arm."""
+    scene = make_scene(scene_file, seed)
     states: list[tuple[Array, Array, Spheres]] = []
 
     def watch(tick: int, plant: Plant) -> None:
@@ -392,6 +410,6 @@ def _states_in_contact(scene: Scene, capacity: int) -> list[tuple[Array, Array, 
 
     settings = PlanningSettings(deadline=0.0)
     permitted = load_budget("").permitted_force
-    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, capacity)
+    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, sphere_capacity(scene_file))
     run_episode(scene, planner, EpisodeOptions(), watch)
     return states
