@@ -1,7 +1,8 @@
 """`contact-reach bench planner`: what a plan costs, where the time goes, and what other ways of planning cost.
 
 Everything is measured in one run on problems from real closed-loop runs, and what is compared is measured alternately,
-so that ratios hold on a machine whose speed drifts.
+so that ratios hold on a machine whose speed drifts. Wall-clock times say what the planner is like on a machine of its
+own; processor times, which are beside them, do not count what other processes take.
 """
 
 from __future__ import annotations
@@ -157,6 +158,7 @@ def _plan_times(runs: RecordedRuns) -> Report:
         "solve_ms": _percentiles([1e3 * recorded.wall_s for recorded in warm]),
         "solve_cpu_ms": _percentiles([1e3 * recorded.cpu_s for recorded in warm]),
         "step_ms": _percentiles([1e3 * recorded.solve.seconds / recorded.plan.steps for recorded in warm]),
+        "step_cpu_ms": _percentiles([1e3 * recorded.solve.cpu_seconds / recorded.plan.steps for recorded in warm]),
         "steps": _percentiles([float(count) for count in steps]),
         "stop_reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
         "rejected_candidates": sum(recorded.plan.rejected for recorded in warm),
@@ -220,10 +222,11 @@ def _rollouts(bench: PlannerBench, gains: ImpedanceSettings, runs: RecordedRuns)
         programs[name] = functools.partial(_run, cost, problem, points)
     duration = settings.horizon * settings.knot_duration
     programs["mujoco"] = _mujoco_batch(runs.scenes[0], settings.population, duration, threads=2)
-    times = _alternately(programs, bench.repetitions, {"closed_loop": 20, "mujoco": 3})
+    times, cpu_times = _alternately(programs, bench.repetitions, {"closed_loop": 20, "mujoco": 3})
     # Brax's time is in proportion to the number of candidates, whatever that is.
     times = {name: value * settings.population / lanes[name] for name, value in times.items()}
     own = times["closed_loop"]
+    candidate_steps = settings.population * steps["closed_loop"]
 
     def compared(name: str, count: int) -> Report:
         return {
@@ -236,7 +239,8 @@ def _rollouts(bench: PlannerBench, gains: ImpedanceSettings, runs: RecordedRuns)
         }
 
     report: Report = {
-        "rollout_us_per_substep": 1e6 * own / (settings.population * steps["closed_loop"]),
+        "rollout_us_per_substep": 1e6 * own / candidate_steps,
+        "rollout_cpu_us_per_substep": 1e6 * cpu_times["closed_loop"] / candidate_steps,
         "rollout_batch_ms": 1e3 * own,
         "rollout_s_per_simulated_s": own / (settings.population * duration),
         "brax": {name: compared(name, steps[name]) for name in bench.brax},
@@ -275,13 +279,14 @@ def _torques(bench: PlannerBench, gains: ImpedanceSettings, runs: RecordedRuns) 
         return {
             "variables": record.variables,
             "mean_ms": 1e3 * float(np.mean(record.seconds)),
+            "mean_cpu_ms": 1e3 * float(np.mean(record.cpu_seconds)),
             "solve_ms": _percentiles([1e3 * seconds for seconds in record.seconds]),
             "steps": _percentiles([float(count) for count in record.steps]),
             "approach_m": float(np.mean(record.approach)),
         }
 
     return {
-        "torque_planning_ratio": float(np.mean(torques.seconds) / np.mean(references.seconds)),
+        "torque_planning_ratio": float(np.mean(torques.cpu_seconds) / np.mean(references.cpu_seconds)),
         "torque_planning": {"references": shown(references), "torques": shown(torques)},
     }
 
@@ -294,16 +299,25 @@ def _typical(runs: RecordedRuns) -> Solve:
     return chosen[len(chosen) // 2].solve
 
 
-def _alternately(programs: dict[str, Callable[[], object]], rounds: int, repeated: dict[str, int]) -> dict[str, float]:
-    """Median time of each program in s, measured in turns; `repeated` says how often in each round."""
-    times: dict[str, list[float]] = {name: [] for name in programs}
+def _alternately(
+    programs: dict[str, Callable[[], object]], rounds: int, repeated: dict[str, int]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Median wall-clock and processor time of each program in s, measured in turns.
+
+    `repeated` says how often a program runs in each round.
+    """
+    wall_times: dict[str, list[float]] = {name: [] for name in programs}
+    cpu_times: dict[str, list[float]] = {name: [] for name in programs}
     for _ in range(rounds):
         for name, program in programs.items():
             for _ in range(repeated.get(name, 1)):
-                began = time.perf_counter()
+                cpu, wall = time.process_time(), time.perf_counter()
                 program()
-                times[name].append(time.perf_counter() - began)
-    return {name: float(np.median(values)) for name, values in times.items()}
+                wall_times[name].append(time.perf_counter() - wall)
+                cpu_times[name].append(time.process_time() - cpu)
+    medians = ({name: float(np.median(values)) for name, values in kind.items()} for kind in (wall_times, cpu_times))
+    wall_medians, cpu_medians = medians
+    return wall_medians, cpu_medians
 
 
 def _percentiles(values: Sequence[float]) -> dict[str, float]:
@@ -341,6 +355,12 @@ def _table(report: Report, scenes: Sequence[str]) -> str:
             line += f"{shown:>28}"
         lines.append(line)
     others: list[tuple[str, Callable[[Report], str]]] = [
+        (
+            "the same without waiting: solve, ms",
+            lambda r: "{p50:.1f} ({p95:.1f}, {max:.1f})".format(**r["solve_cpu_ms"]),
+        ),
+        ("  one solver step, ms", lambda r: f"{r['step_cpu_ms']['p50']:.2f}"),
+        ("  candidate and substep, us", lambda r: f"{r['rollout_cpu_us_per_substep']:.2f}"),
         ("steps p50, cold", lambda r: f"{r['steps']['p50']:.0f}, {r['cold']['steps']['p50']:.0f}"),
         ("cold solve, ms p50", lambda r: f"{r['cold']['solve_ms']['p50']:.1f}"),
         (

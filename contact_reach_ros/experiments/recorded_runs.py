@@ -42,6 +42,7 @@ class Solve:
     start_cost: float
     number: int
     seconds: float
+    cpu_seconds: float
     solution: Solution
 
 
@@ -122,10 +123,10 @@ class _RecordingSolver(HybridSolver[Problem]):
         number: int,
         until: float = math.inf,
     ) -> Solution:
-        began = time.perf_counter()
+        cpu, wall = time.process_time(), time.perf_counter()
         solution = super().solve(problem, distribution, start_cost, number, until)
-        seconds = time.perf_counter() - began
-        self.last = Solve(problem, distribution, start_cost, number, seconds, solution)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        self.last = Solve(problem, distribution, start_cost, number, wall, cpu, solution)
         return solution
 
 

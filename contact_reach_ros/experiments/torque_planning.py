@@ -115,8 +115,8 @@ class PlanningRecord:
 
     Attributes
     ----------
-    seconds, steps
-        Of each plan: time of the solver, s, and its steps.
+    seconds, cpu_seconds, steps
+        Of each plan: wall-clock and processor time of the solver, s, and its steps.
     variables
         Number of decision variables.
     approach
@@ -124,6 +124,7 @@ class PlanningRecord:
     """
 
     seconds: list[float]
+    cpu_seconds: list[float]
     steps: list[int]
     variables: int
     approach: list[float]
@@ -162,7 +163,7 @@ class _Planning:
         self._cost = jax.jit(cost)
         self._first_knot = jax.jit(first_knot)
         self.distance = jax.jit(distance)
-        self.record = PlanningRecord([], [], len(self.bounds), [])
+        self.record = PlanningRecord([], [], [], len(self.bounds), [])
 
     def run(self, problem: Problem, knots: int, timed: bool = True) -> None:
         """Plan and carry out `knots` knots from where a problem starts."""
@@ -176,10 +177,11 @@ class _Planning:
             costs = np.asarray(self._cost(problem, points))
             costs = np.where(np.isfinite(costs), costs, np.inf)
             start = points[:, int(np.argmin(costs))]
-            began = time.perf_counter()
+            cpu, wall = time.process_time(), time.perf_counter()
             solution = self._solver.solve(problem, distribution._replace(mean=single(start)), float(costs.min()), index)
             if timed:
-                self.record.seconds.append(time.perf_counter() - began)
+                self.record.seconds.append(time.perf_counter() - wall)
+                self.record.cpu_seconds.append(time.process_time() - cpu)
                 self.record.steps.append(solution.steps)
             problem = self._first_knot(problem, single(solution.best))
             best = shift_solution(solution.best, settings.horizon, 1.0)
