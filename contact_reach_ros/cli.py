@@ -17,6 +17,8 @@ BAD_INPUT = 2
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
+    # As in nodes/: before anything imports NumPy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = _parser().parse_args(arguments)
     try:
         sys.exit(options.run(options))
@@ -130,17 +132,7 @@ def _bench_foam(options: argparse.Namespace) -> int:
     return 0
 
 
-def _one_blas_thread() -> None:
-    """Keep LAPACK, which JAX borrows from SciPy, on one thread; only works before NumPy and SciPy are imported.
-
-    From about 64 variables on it would start more, which wait for each other up to 80 ms on a machine that has no idle
-    core for them.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
 def _bench_planner(options: argparse.Namespace) -> int:
-    _one_blas_thread()
     from contact_reach_ros.experiments.bench_planner import PlannerBench, bench_planner
     from contact_reach_ros.scenes.scene import scene_names
 
@@ -168,7 +160,6 @@ def _bench_contact_weight(options: argparse.Namespace) -> int:
 
 
 def _bench_solver(options: argparse.Namespace) -> int:
-    _one_blas_thread()
     from contact_reach_ros.experiments.bench_solver import bench_solver
 
     bench_solver(options.scene, options.seeds, options.json)

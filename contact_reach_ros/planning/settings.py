@@ -36,7 +36,7 @@ class PlanningSettings(Settings):
         5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
     )
     contact_weight: float = setting(
-        0.001, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=1.0
+        0.003, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=1.0
     )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
@@ -98,7 +98,7 @@ class PlanningSettings(Settings):
     )
     stagnation_steps: int = setting(3, "stagnant steps in a row that end the search", minimum=1, maximum=100)
     deadline: float = setting(
-        0.2,
+        0.035,
         "wall-clock time for one plan, 0 for none (and then the same input gives the same plan)",
         unit="s",
         minimum=0.0,
