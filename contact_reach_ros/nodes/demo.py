@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -38,6 +38,7 @@ from contact_reach_ros.units import NANOSECONDS
 
 INTERRUPTED = 130
 
+_PLANNER = "planner"
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DISCOVERY_S = 15.0
@@ -88,11 +89,13 @@ class _Watcher:
         self.stopped = False
         self.commanded = False
         self.plan_ns = 0
+        self.planner_ready = False
         inbox = supervisor.inbox
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
         inbox.add(topics.SAFETY_STATE, self._on_safety)
         inbox.add(topics.REFERENCE_POSE, self._on_plan, topics.NEWEST)
+        inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
 
     def line(self, since_ns: int) -> str:
         """One line of progress."""
@@ -118,6 +121,11 @@ class _Watcher:
             self.safety = f"STOP by {message.name}: {message.message}"
         elif message.name == "controller" and not self.stopped:
             self.safety = message.message
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == _PLANNER:
+                self.planner_ready = status.message != topics.WAITING_FOR_STATE
 
     def _on_plan(self, message: MultiDOFJointTrajectory) -> None:
         self.plan_ns = nanoseconds(message.header.stamp)
@@ -183,15 +191,19 @@ def _drive_to_goal(
     began = time.monotonic()
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     supervisor.wait_heard("recorder", _RECORDED, _DISCOVERY_S)
-    # Planner and recorder have to be matched with this publisher before it says something, and the brakes be open.
+    # Planner and recorder have to be matched with this publisher before it says something, the brakes be open and the
+    # planner know where the arm is.
     deadline = time.monotonic() + _DISCOVERY_S
-    while publisher.get_subscription_count() < 2 or not watcher.commanded:
+    while publisher.get_subscription_count() < 2 or not (watcher.commanded and watcher.planner_ready):
         supervisor.spin(_LOOK_S)
         supervisor.check()
         if watcher.stopped:
             raise StackError(watcher.safety)
         if time.monotonic() > deadline:
-            raise StackError(f"the driver does not hear the controller, or nobody the goal, after {_DISCOVERY_S:.0f} s")
+            raise StackError(
+                f"after {_DISCOVERY_S:.0f} s the driver does not hear the controller, the planner not the driver, or "
+                "nobody the goal"
+            )
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
     goal = PoseStamped()
     goal.header.frame_id = iiwa14.BASE_NAME

@@ -70,7 +70,7 @@ _TICK_NS = int(TICK * NANOSECONDS)
 class PlannerSettings(Settings):
     """When to plan, and for what."""
 
-    period: float = setting(0.04, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
+    period: float = setting(0.03, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
     latency: float = setting(
         0.04,
         "least time from a state to the effect of its plan; in lockstep exactly that",
@@ -197,7 +197,9 @@ class PlannerNode(ManagedNode):
                 "spheres left out": plan.left_out,
                 **{f"cost {name}": value for name, value in plan.cost_terms.items()},
             }
-        return "", values
+        if self._state is None:
+            return topics.WAITING_FOR_STATE, values
+        return "waiting for a goal" if self._goal is None else "planning", values
 
     def turn(self) -> None:
         """Handle what arrived; `_on_state` plans when a plan is due."""

@@ -56,3 +56,6 @@ SIM_CONTACTS = Topic("sim/contacts", JointState)
 ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
 CLOCK = Topic("clock", Clock)
 LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header)
+
+WAITING_FOR_STATE = "waiting for the first joint state"
+"""Message in the planner's diagnostics until it knows where the arm is."""
