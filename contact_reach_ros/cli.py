@@ -85,12 +85,13 @@ def _parser() -> argparse.ArgumentParser:
     model.add_argument("--seed", type=int, default=0, help="of states and actions (default: 0)")
     model.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     model.set_defaults(run=_bench_model)
-    weight = benches.add_parser("contact-weight", help="what a cost on permitted contact brings, and what it takes")
-    weight.add_argument("--scene", nargs="+", default=["ball", "wall"], help="names or YAML files (default: ball wall)")
-    weight.add_argument("--targets", type=int, default=10, help="episodes per scene and weight (default: 10)")
-    weight.add_argument("--weights", nargs="+", type=float, metavar="W", help="1/N (default: six from 0 to 0.03)")
-    weight.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
-    weight.set_defaults(run=_bench_contact_weight)
+    chosen = benches.add_parser("setting", help="whole episodes for each value of one of the planner's settings")
+    chosen.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
+    chosen.add_argument("values", nargs="+", metavar="VALUE", help="values that it takes")
+    chosen.add_argument("--scene", nargs="+", default=["ball", "wall"], help="names or YAML files (default: ball wall)")
+    chosen.add_argument("--targets", type=int, default=10, help="episodes per scene and value (default: 10)")
+    chosen.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    chosen.set_defaults(run=_bench_setting)
     solver = benches.add_parser("solver", help="Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", default="wall", help="scene: a name or a YAML file (default: wall)")
     solver.add_argument("--seeds", type=int, default=20, help="states to start from (default: 20)")
@@ -152,10 +153,13 @@ def _bench_model(options: argparse.Namespace) -> int:
     return 0
 
 
-def _bench_contact_weight(options: argparse.Namespace) -> int:
-    from contact_reach_ros.experiments.bench_contact_weight import WEIGHTS, bench_contact_weight
+def _bench_setting(options: argparse.Namespace) -> int:
+    import yaml
 
-    bench_contact_weight(options.scene, options.targets, options.weights or WEIGHTS, options.json)
+    from contact_reach_ros.experiments.bench_setting import bench_setting
+
+    values = [yaml.safe_load(value) for value in options.values]
+    bench_setting(options.name, values, options.scene, options.targets, options.json)
     return 0
 
 

@@ -75,7 +75,7 @@ class RecedingHorizonPlanner:
         self._settings = settings
         self._obstacles = ObstacleReader(capacity)
         self._objective = make_objective(settings, gains)
-        self.change_weights(settings, permitted_force)
+        self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
         self._bounds = action_bounds(settings)
         self._spread = _PAPER_SIGMA / self._bounds
         if settings.sampling == "bounds":
@@ -88,10 +88,6 @@ class RecedingHorizonPlanner:
         self._last_state: tuple[int, Array] | None = None
         self._number = 0
         self._since_reset = 0
-
-    def change_weights(self, settings: PlanningSettings, permitted_force: float) -> None:
-        """Take the weights of the cost from these settings, and ε in N, from the next plan on; nothing is compiled."""
-        self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from contact_reach_ros.cli import main
-from contact_reach_ros.experiments.bench_solver import bench_solver
+from contact_reach_ros.experiments.bench_solver import STARTS, bench_solver
 from contact_reach_ros.planning.settings import SOLVER_METHODS, PlanningSettings
 
 SMALL = PlanningSettings(population=16, elite=4, line_search_points=16, horizon=1, substeps=2, gradient_steps=2)
@@ -33,6 +33,13 @@ def test_decrease_grows_with_the_steps(measured):
         assert curve[0] == 0.0
         assert curve == sorted(curve)
         assert curve[-1] == pytest.approx(measured[method]["decrease"])
+
+
+def test_more_starts_are_never_worse_and_take_longer(measured):
+    starts = [measured["multi_start"][str(count + 1)] for count in range(STARTS)]
+    assert [entry["decrease"] for entry in starts] == sorted(entry["decrease"] for entry in starts)
+    assert starts[0]["decrease"] == pytest.approx(measured["hybrid"]["decrease"], abs=1e-6)
+    assert starts[0]["ms"] < starts[-1]["ms"]
 
 
 def test_states_are_those_of_the_free_scene(measured):

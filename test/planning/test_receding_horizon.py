@@ -1,11 +1,9 @@
 """A planner that plans again and again."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from arm_simulation import HOME, REST, ideal_plant
-from planning_helpers import PERMITTED_FORCE, SMALL, make_planner
+from planning_helpers import PERMITTED_FORCE, make_planner
 
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
@@ -153,17 +151,6 @@ def test_deadline_ends_the_search(planner):
 def test_deadline_too_short_for_one_step_is_refused_with_the_time_of_a_step():
     with pytest.raises(SettingsError, match=r"planning.deadline = 1e-06 s: one solver step takes 0\.\d+ s here"):
         make_planner(deadline=1e-6).warm_up(lambda line: None)
-
-
-def test_weights_change_without_a_new_planner(planner):
-    first = plan_from(planner)
-    planner.change_weights(dataclasses.replace(SMALL, goal_weight=10.0), PERMITTED_FORCE)
-    planner.reset()
-    second = plan_from(planner)
-    planner.change_weights(SMALL, PERMITTED_FORCE)
-    assert second.cost_terms["goal"] > 5.0 * first.cost_terms["goal"]
-    planner.reset()
-    assert plan_from(planner).cost == first.cost
 
 
 @pytest.mark.parametrize(

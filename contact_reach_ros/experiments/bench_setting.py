@@ -1,0 +1,102 @@
+"""`contact-reach bench setting`: whole episodes for each value of one of the planner's settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
+from contact_reach_ros.experiments.machine import machine
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import Scene, read_scene
+from contact_reach_ros.scenes.spheres import sphere_capacity
+
+LATENCY = "latency"
+"""Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""
+
+
+def bench_setting(
+    name: str, values: Sequence[Any], scenes: Sequence[str], targets: int, file: Path | None
+) -> dict[str, Any]:
+    """Run episodes, print a table in Markdown and write JSON to `file`.
+
+    Parameters
+    ----------
+    name
+        Of a field of `PlanningSettings`, or `LATENCY`.
+    values
+        That it takes.
+    scenes
+        Names or YAML files.
+    targets
+        Seeds of each scene.
+
+    Raises
+    ------
+    SettingsError
+        If the setting is unknown or a value is out of range.
+    """
+    variants = [_variant(name, value) for value in values]
+    permitted = load_budget().permitted_force
+    report: dict[str, Any] = {"setting": name, "targets": targets, "machine": machine(), "scenes": {}}
+    print(f"| scene | {name} | reached | time / limit | largest force, N | mean force, N | over the budget, ms |")
+    print("|---|---|---|---|---|---|---|", flush=True)
+    for scene_name in scenes:
+        scene_file = read_scene(scene_name)
+        concrete = [make_scene(scene_file, seed) for seed in range(targets)]
+        rows = report["scenes"][scene_file.name] = []
+        for value, (settings, options) in zip(values, variants, strict=True):
+            planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, sphere_capacity(scene_file))
+            results = [run_episode(scene, planner, options) for scene in concrete]
+            row = {"value": value, **_summary(settings, concrete, results, permitted)}
+            rows.append(row)
+            ratio, force = row["time_ratio"], row["largest_force"]
+            print(
+                f"| {scene_file.name} | {value} | {row['reached']}/{targets} | {ratio['mean']:.2f} ± {ratio['sd']:.2f} "
+                f"| {force['mean']:.1f} ± {force['sd']:.1f} | {row['mean_force']:.2f} | {row['over_budget_ms']:.0f} |",
+                flush=True,
+            )
+    if file is not None:
+        file.write_text(json.dumps(report, indent=2) + "\n")
+    return report
+
+
+def _variant(name: str, value: Any) -> tuple[PlanningSettings, EpisodeOptions]:
+    """Settings with that value, and without a deadline, so that results do not depend on the machine."""
+    options = EpisodeOptions(budget=load_budget())
+    if name == LATENCY:
+        return PlanningSettings(deadline=0.0), dataclasses.replace(options, latency=float(value), period=float(value))
+    return PlanningSettings.from_mapping({"deadline": 0.0, name: value}, "bench setting"), options
+
+
+def _summary(
+    settings: PlanningSettings, scenes: Sequence[Scene], results: Sequence[EpisodeResult], permitted: float
+) -> dict[str, Any]:
+    gains = ImpedanceSettings()
+    # With these gains no axis of the flange moves faster, since γ bounds Δx.
+    fastest = settings.translation_bound * gains.task_stiffness / gains.task_damping
+    ratios = [
+        result.duration / (np.abs(scene.target - result.plans[0].predicted_positions[0]).max() / fastest)
+        for scene, result in zip(scenes, results, strict=True)
+        if result.reached
+    ]
+    peaks = [float(result.contact_forces.max()) for result in results]
+    return {
+        "reached": len(ratios),
+        "time_ratio": {
+            "mean": float(np.mean(ratios)) if ratios else float("nan"),
+            "sd": float(np.std(ratios)) if ratios else float("nan"),
+        },
+        "largest_force": {"mean": float(np.mean(peaks)), "sd": float(np.std(peaks))},
+        "mean_force": float(np.mean([result.contact_forces.mean() for result in results])),
+        "over_budget_ms": float(np.mean([(result.contact_forces > permitted).sum() for result in results])),
+    }

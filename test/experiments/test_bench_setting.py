@@ -1,0 +1,38 @@
+"""Episodes for each value of a setting."""
+
+import json
+
+import pytest
+
+from contact_reach_ros.cli import main
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "setting", *arguments])
+    return end.value.code
+
+
+def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
+    """x_d is latched with every plan, so fewer plans move it less far."""
+    file = tmp_path / "report.json"
+    assert run("latency", "0.04", "0.1", "--scene", "free", "--targets", "1", "--json", str(file)) == 0
+    fast, slow = json.loads(file.read_text())["scenes"]["free"]
+    assert (fast["value"], slow["value"]) == (0.04, 0.1)
+    assert fast["reached"] == slow["reached"] == 1
+    assert 1.0 < fast["time_ratio"]["mean"] < 1.3 < slow["time_ratio"]["mean"] < 2.0
+    assert fast["largest_force"]["mean"] == 0.0
+    assert "| free | 0.04 | 1/1 |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["contact_wieght", "1"], "contact_wieght"),
+        (["population", "2"], "population"),
+        (["max_steps", "many"], "max_steps"),
+    ],
+)
+def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):
+    assert run(*arguments) == 2
+    assert message in capsys.readouterr().err
