@@ -13,8 +13,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
 
-from contact_reach_ros.nodes.processes import WALL_SPHERES
 from contact_reach_ros.scenes.scene import WallSettings
+from contact_reach_ros.scenes.spheres import WALL_SPHERES
 
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
