@@ -43,6 +43,8 @@ _LOOK_S = 0.1
 _LINE_S = 1.0
 _DISCOVERY_S = 15.0
 _DYING_S = 0.5
+_AFTERWARDS_NS = 300_000_000
+_LAG_S = 5.0
 _RECORDED = (
     topics.JOINT_STATES,
     topics.COMMANDS,
@@ -230,7 +232,12 @@ def _drive_to_goal(
             supervisor.check()
         if settled or watcher.stopped or watcher.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
             _say(watcher.line(sent_ns), done=True)
-            return watcher.stamp_ns
+            end_ns = watcher.stamp_ns
+            # The bag's times may lag behind in simulated time: what is done to end the stack must come after the end.
+            give_up = now + _LAG_S
+            while watcher.stamp_ns < end_ns + _AFTERWARDS_NS and not watcher.stopped and time.monotonic() < give_up:
+                supervisor.spin(_LOOK_S)
+            return end_ns
 
 
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
