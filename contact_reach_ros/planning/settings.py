@@ -98,7 +98,7 @@ class PlanningSettings(Settings):
     )
     stagnation_steps: int = setting(3, "stagnant steps in a row that end the search", minimum=1, maximum=100)
     deadline: float = setting(
-        0.035,
+        0.03,
         "wall-clock time for one plan, 0 for none (and then the same input gives the same plan)",
         unit="s",
         minimum=0.0,
