@@ -13,6 +13,10 @@ class InputError(ContactReachError):
     """A message or argument is refused: non-finite, of the wrong size, in an unknown frame, out of reach, ..."""
 
 
+class PlanningError(ContactReachError):
+    """There is no plan: a collision-free path, say, does not exist or was not found in time."""
+
+
 class SceneError(ContactReachError):
     """A scene cannot be loaded or built."""
 

@@ -19,6 +19,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
@@ -411,5 +413,5 @@ def _states_in_contact(scene_file: SceneFile, seed: int) -> list[tuple[Array, Ar
     settings = PlanningSettings(deadline=0.0)
     permitted = load_budget("").permitted_force
     planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, sphere_capacity(scene_file))
-    run_episode(scene, planner, EpisodeOptions(), watch)
+    run_episode(scene, ReferenceMethod(planner, ControllerSettings()), EpisodeOptions(), watch)
     return states

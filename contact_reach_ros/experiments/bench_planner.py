@@ -130,7 +130,7 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
 
 def _bench_scene(bench: PlannerBench, name: str) -> Report:
     scene_file, options, settings = read_scene(name), EpisodeOptions(budget=load_budget()), bench.settings
-    gains, permitted_force = options.controller.impedance, options.budget.permitted_force
+    gains, permitted_force = ImpedanceSettings(), options.budget.permitted_force
     planner = RecordingPlanner(settings, gains, permitted_force, sphere_capacity(scene_file))
     planner.warm_up(_say)
     _say(f"{scene_file.name}: closed-loop runs")

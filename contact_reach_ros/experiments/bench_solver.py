@@ -13,6 +13,7 @@ import jax
 import numpy as np
 import scipy.stats
 
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.experiments.episode import EpisodeOptions
 from contact_reach_ros.experiments.machine import machine
@@ -60,7 +61,7 @@ def bench_solver(scene: str, seeds: int, file: Path | None, settings: PlanningSe
         raise InputError(f"seeds = {seeds}: expected at least 2, for a confidence interval")
     settings = dataclasses.replace(settings or PlanningSettings(), deadline=0.0)
     scene_file, options = read_scene(scene), EpisodeOptions(budget=load_budget())
-    gains, permitted_force = options.controller.impedance, options.budget.permitted_force
+    gains, permitted_force = ImpedanceSettings(), options.budget.permitted_force
     planner = RecordingPlanner(settings, gains, permitted_force, sphere_capacity(scene_file))
     planner.warm_up(print)
     runs = record_runs(planner, scene_file, 4 * seeds, 0, options, episodes=3)

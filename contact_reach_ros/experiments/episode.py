@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
-from contact_reach_ros.control.reference import PoseKnots, PostureKnots
+from contact_reach_ros.baselines.method import Method
+from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
 from contact_reach_ros.planning.problem import Goal, Plan
-from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
-from contact_reach_ros.plant.plant import TICK, Plant, Reading
+from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant, Reading
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import obstacle_spheres
@@ -56,7 +56,6 @@ class EpisodeOptions:
     success: float = 0.01
     hold_orientation: bool = True
     budget: ContactBudget = field(default_factory=ContactBudget)
-    controller: ControllerSettings = field(default_factory=ControllerSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     joints: JointSettings = field(default_factory=JointSettings)
     mismatch: MismatchSettings = field(default_factory=MismatchSettings)
@@ -70,24 +69,44 @@ class EpisodeResult:
     ----------
     duration
         Time until the goal was reached, s; NaN if it was not.
-    distances
-        (n,) of the flange from the target at each tick, m.
-    contact_forces
-        (n,) largest on one body, N.
+    start_position
+        (3,) where the flange was before, m.
+    positions
+        (n, 3) of the flange after each tick, m.
+    joints
+        (n, 7) joint angles, rad.
+    link_forces
+        (n, 6) contact force on each of `CONTACT_BODIES`, N.
     external_torques
         (n, 7) residuals, Nm.
+    torques
+        (n, 7) commanded, Nm.
+    distances
+        (n,) of the flange from the target, m.
     stop_reason
         Empty if nothing stopped the arm.
+    failure
+        Why there is no plan, if there is none; the episode ends with it.
     plans
         All plans in order.
     """
 
     duration: float
-    distances: Array
-    contact_forces: Array
+    start_position: Array
+    positions: Array
+    joints: Array
+    link_forces: Array
     external_torques: Array
+    torques: Array
+    distances: Array
     stop_reason: str
+    failure: str
     plans: list[Plan]
+
+    @property
+    def contact_forces(self) -> Array:
+        """(n,) largest on one body, N."""
+        return self.link_forces.max(axis=1)
 
     @property
     def reached(self) -> bool:
@@ -97,7 +116,7 @@ class EpisodeResult:
 
 def run_episode(
     scene: Scene,
-    planner: RecedingHorizonPlanner,
+    method: Method,
     options: EpisodeOptions,
     watch: Callable[[int, Plant], None] | None = None,
 ) -> EpisodeResult:
@@ -107,8 +126,8 @@ def run_episode(
     ----------
     scene
         With target and obstacles.
-    planner
-        With room for the scene's obstacles; it is reset first.
+    method
+        With room for the scene's obstacles; it forgets what it did before.
     options
         Everything else.
     watch
@@ -116,59 +135,63 @@ def run_episode(
     """
     plant = Plant(scene, options.sensors, options.joints, options.mismatch)
     drive = Drive(plant, WatchdogSettings())
-    controller = Controller(options.controller, RobotModel())
     observer = MomentumObserver(MomentumSettings(), RobotModel())
     monitor = SafetyMonitor(SafetySettings(), options.budget)
-    planner.reset()
     reading = plant.read()
-    controller.start(reading.position, reading.velocity, 0)
-    _, rotation = controller.model.flange_pose(reading.position)
+    method.start(reading.position, reading.velocity, 0)
+    _, rotation = RobotModel().flange_pose(reading.position)
     goal = Goal(scene.target, rotation if options.hold_orientation else None)
 
     settle_ticks, period_ticks = round(options.settle / TICK), round(options.period / TICK)
     latency_ns = round(options.latency * NANOSECONDS)
     plans: list[Plan] = []
-    distances, forces, torques = [], [], []
-    duration = float("nan")
+    positions, joints, forces, residuals, torques, distances = [], [], [], [], [], []
+    duration, failure = float("nan"), ""
+    start_position = plant.flange_position
     for tick in range(settle_ticks + round(options.timeout / TICK)):
         now_ns = tick * _TICK_NS
         if tick >= settle_ticks and (tick - settle_ticks) % period_ticks == 0:
             spheres = obstacle_spheres(scene, plant.obstacle_positions())
-            plan = planner.plan(reading.position, reading.velocity, now_ns, now_ns + latency_ns, goal, spheres)
+            try:
+                plan = method.plan(reading.position, reading.velocity, now_ns, now_ns + latency_ns, goal, spheres)
+            except PlanningError as error:
+                failure = str(error)
+                break
             plans.append(plan)
-            _offer(controller, plan, now_ns)
-        drive.command(controller.tick(reading.position, reading.velocity, now_ns, now_ns), now_ns)
+        torque = method.torque(reading.position, reading.velocity, now_ns)
+        drive.command(torque, now_ns)
         drive.tick(now_ns)
         reading = plant.read()
         observer.update(reading.position, reading.velocity, _known(reading), now_ns + _TICK_NS)
         monitor.update(observer.residual, reading.velocity)
-        controller.observer_report(monitor.stop_reason, now_ns)
+        method.observer_report(monitor.stop_reason, now_ns)
         if watch is not None:
             watch(tick, plant)
         if tick >= settle_ticks:
-            distances.append(float(np.linalg.norm(plant.flange_position - scene.target)))
-            forces.append(float(plant.contact_forces().max()))
-            torques.append(observer.residual)
+            positions.append(plant.flange_position)
+            joints.append(plant.data.qpos[: iiwa14.N_JOINTS].copy())
+            forces.append(plant.contact_forces())
+            residuals.append(observer.residual)
+            torques.append(torque)
+            distances.append(float(np.linalg.norm(positions[-1] - scene.target)))
             if distances[-1] <= options.success:
                 duration = (tick - settle_ticks + 1) * TICK
                 break
-        if controller.mode is Mode.STOPPED:
+        if method.stop_reason:
             break
     return EpisodeResult(
         duration=duration,
+        start_position=start_position,
+        positions=np.reshape(positions, (-1, 3)),
+        joints=np.reshape(joints, (-1, iiwa14.N_JOINTS)),
+        link_forces=np.reshape(forces, (-1, len(CONTACT_BODIES))),
+        external_torques=np.reshape(residuals, (-1, iiwa14.N_JOINTS)),
+        torques=np.reshape(torques, (-1, iiwa14.N_JOINTS)),
         distances=np.array(distances),
-        contact_forces=np.array(forces),
-        external_torques=np.array(torques),
-        stop_reason=controller.stop_reason,
+        stop_reason=method.stop_reason,
+        failure=failure,
         plans=plans,
     )
-
-
-def _offer(controller: Controller, plan: Plan, now_ns: int) -> None:
-    knot_ns = round(plan.knot_duration_s * NANOSECONDS)
-    ends = tuple((index + 1) * knot_ns for index in range(len(plan.positions)))
-    controller.references.offer_poses(PoseKnots(plan.effect_ns, ends, plan.positions, plan.rotations), now_ns)
-    controller.references.offer_postures(PostureKnots(plan.effect_ns, ends, plan.postures), now_ns)
 
 
 def _known(reading: Reading) -> Array | None:

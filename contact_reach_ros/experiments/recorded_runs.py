@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.cost import Objective, Problem
@@ -181,6 +183,7 @@ def record_runs(
     recorded: list[RecordedPlan] = []
     errors: list[PredictionError] = []
     reached = 0
+    method = ReferenceMethod(planner, ControllerSettings())
     while sum(not plan.first for plan in recorded) < plans or len(scenes) < episodes:
         scene = make_scene(file, seed + len(scenes))
         scenes.append(scene)
@@ -190,7 +193,7 @@ def record_runs(
         def watch(tick: int, plant: Plant, path: list[Array] = path) -> None:
             path.append(plant.data.qpos[: iiwa14.N_JOINTS].copy())
 
-        result = run_episode(scene, planner, options, watch)
+        result = run_episode(scene, method, options, watch)
         reached += result.reached
         recorded += planner.recorded
         # After tick t the plant stands at the instant of tick t + 1.

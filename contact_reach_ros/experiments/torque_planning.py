@@ -210,7 +210,7 @@ def compare_with_torques(
     torques = TorqueObjective(references.system, references.horizon, references.substeps, references.contact_measure)
 
     def latched(state: State, action: jax.Array) -> tuple[State, jax.Array]:
-        reference = pipeline.latch(state, pipeline.flange_pose(references.system, state), action)
+        reference = pipeline.latch(state.q, pipeline.flange_pose(references.system, state), action)
 
         def step(state: State, _: None) -> tuple[State, jax.Array]:
             state = pipeline.step(references.system, state, reference)

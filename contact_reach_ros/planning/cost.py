@@ -8,7 +8,7 @@ are a goal's orientation and the null-space motion, which nothing else would res
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -105,6 +105,8 @@ class Objective:
     horizon: int
     substeps: int
     contact_measure: str
+    posture: jax.Array | None = field(default=None, kw_only=True)
+    """(7, 1) q_d of law (6), or None to pull the joints by the actions' Δq."""
 
     def cost(self, problem: Problem, actions: jax.Array) -> jax.Array:
         """Cost (B,) of the actions (H, 13, B)."""
@@ -120,7 +122,7 @@ class Objective:
 
         def knot(carry: tuple[State, Pose], action: jax.Array) -> tuple[tuple[State, Pose], tuple]:
             state, pose = carry
-            reference = pipeline.latch(state, pose, action)
+            reference = self._latch(state.q, pose, action)
 
             def substep(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array]]:
                 state = pipeline.step(self.system, state, reference)
@@ -166,6 +168,13 @@ class Objective:
             "null_motion": weights.null_motion * sum_over(null_motion * null_motion, 0),
         }
         return {name: sum_over(part, 0) for name, part in parts.items()}
+
+    def _latch(self, q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
+        """What an action (13, B) stands for at the joint angles `q` (7, B)."""
+        reference = pipeline.latch(q, pose, action)
+        if self.posture is None:
+            return reference
+        return reference._replace(posture=_spread(self.posture, action.shape[-1]))
 
     def _measure(self, link_force: jax.Array) -> jax.Array:
         """contact(·) (B,) of the forces (6, B) on the links."""

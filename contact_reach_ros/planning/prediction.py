@@ -16,7 +16,7 @@ from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import Reference, State, System
 
-MAX_PIECES = 64
+MAX_PIECES = 128
 """Steps that one prediction may take."""
 
 

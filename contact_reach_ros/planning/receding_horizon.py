@@ -252,7 +252,7 @@ class RecedingHorizonPlanner:
         return HybridSolver(cost, len(self._bounds), self._settings)
 
     def _roll_out(self, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
-        actions = actions_of(points, self._bounds)
+        actions = actions_of(points, self._bounds, self._settings.horizon)
         rollout = self._objective.roll_out(problem, actions)
         return rollout, self._objective.terms(problem, actions, rollout)
 

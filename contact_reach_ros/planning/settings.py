@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.runtime import DEVICES
+from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.settings import Settings, setting
 
 BRAX_PIPELINES = ("generalized", "positional", "spring")
@@ -14,6 +15,7 @@ SOLVER_METHODS = ("hybrid", "cma", "gradient")
 BOUNDARY_PENALTIES = ("quadratic", "paper")
 SAMPLINGS = ("bounds", "paper")
 CONTACT_MEASURES = ("largest", "sum")
+NULL_SPACES = ("planned", "reference_posture")
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,14 @@ class PlanningSettings(Settings):
         unit="1/rad²",
         minimum=0.0,
         maximum=1.0,
+    )
+    null_space: str = setting(
+        "planned",
+        "what moves the redundant joints: Δq of the plan, or law (6) for comparison: a steady pull to one posture",
+        choices=NULL_SPACES,
+    )
+    reference_posture: tuple[float, ...] = setting(
+        (0.0,) * iiwa14.N_JOINTS, "q_d of law (6)", unit="rad", minimum=-3.05, maximum=3.05
     )
     translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
     rotation_bound: float = setting(0.2, "γ of the rotation in Δx, each axis", unit="rad", minimum=0.001, maximum=1.0)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.problem import Plan
 from contact_reach_ros.robot.model import RobotModel
@@ -56,7 +58,7 @@ def episode():
     scene = make_scene(read_scene("wall"), 0)
     planner = StraightPlanner(scene)
     options = EpisodeOptions(period=0.1, settle=0.6, timeout=3.0)
-    return scene, planner, run_episode(scene, planner, options)
+    return scene, planner, run_episode(scene, ReferenceMethod(planner, ControllerSettings()), options)
 
 
 def test_the_planner_sees_the_walls_give_way(episode):

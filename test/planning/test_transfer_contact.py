@@ -77,7 +77,7 @@ def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(stif
     @jax.jit
     def settle(q: jax.Array) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(state, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
+        held = pipeline.latch(state.q, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
     state = settle(jnp.asarray(HOME)[:, None])
@@ -132,7 +132,7 @@ def test_joined_spheres_rest_where_their_springs_hold_the_force(capacity):
     @jax.jit
     def settle(q: jax.Array) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(state, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
+        held = pipeline.latch(state.q, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
     state = settle(jnp.asarray(HOME)[:, None])

@@ -49,7 +49,7 @@ from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acc
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import Frames, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import combine, dot, make_keep, per_link, rotate
+from contact_reach_ros.planning.transfer.lanes import combine, dot, make_keep, per_link
 from contact_reach_ros.planning.transfer.model import N_CAPSULES, N_LINKS, ArmModel
 from contact_reach_ros.planning.transfer.pipeline import Pose
 from contact_reach_ros.robot.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
@@ -90,7 +90,7 @@ class BraxObjective(Objective):
 
         def knot(carry: tuple[Any, jax.Array, Pose], action: jax.Array) -> tuple[tuple, tuple]:
             state, q, pose = carry
-            reference = Reference(pose.position + action[:3], rotate(action[3:6], pose.rotation), q + action[6:])
+            reference = self._latch(q, pose, action)
 
             def window(state: Any, _: None) -> tuple[Any, jax.Array]:
                 def step(_: int, carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:

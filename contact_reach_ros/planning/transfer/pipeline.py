@@ -77,15 +77,15 @@ def flange_pose(sys: System, state: State) -> Pose:
     return Pose(frames.flange, frames.flange_rotation)
 
 
-def latch(state: State, pose: Pose, action: jax.Array) -> Reference:
-    """The reference that an action {Δx, Δq} (13, B) stands for when it takes effect in this state: x_d = x ⊕ Δx.
+def latch(q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
+    """The reference that an action {Δx, Δq} (13, B) stands for when it takes effect at `q` (7, B): x_d = x ⊕ Δx.
 
-    `pose` is the state's flange pose. Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad.
+    `pose` is the flange's at `q`. Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad.
     """
     return Reference(
         position=pose.position + action[:3],
         rotation=rotate(action[3:6], pose.rotation),
-        posture=state.q + action[6:],
+        posture=q + action[6:],
     )
 
 
