@@ -75,7 +75,7 @@ class WallSettings(Settings):
     node_radius: float = setting(0.025, "radius of a node", unit="m", minimum=0.005, maximum=0.2)
     node_mass: float = setting(0.01, "mass of a node", unit="kg", minimum=0.001, maximum=1.0)
     edge_stiffness: float = setting(
-        60.0, "of a spring between two nodes, when hardly deformed", unit="N/m", minimum=1.0, maximum=5000.0
+        40.0, "of a spring between two nodes, when hardly deformed", unit="N/m", minimum=1.0, maximum=5000.0
     )
     hardening: float = setting(
         0.3, "share by which a spring is stiffer when its ends moved apart by its length", minimum=0.0, maximum=10.0
@@ -86,7 +86,7 @@ class WallSettings(Settings):
     damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
     contact_stiffness: float = setting(1000.0, "of the foam itself", unit="N/m", minimum=50.0, maximum=50000.0)
     friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
-    gap: float = setting(0.17, "between the walls", unit="m", minimum=0.0, maximum=1.0)
+    gap: float = setting(0.15, "between the walls", unit="m", minimum=0.0, maximum=1.0)
     min_overlap: float = setting(
         0.04,
         "least depth at which links 3 to 5 would enter a node on the free path",
@@ -95,14 +95,14 @@ class WallSettings(Settings):
         maximum=0.2,
     )
     max_overlap: float = setting(
-        0.1,
+        0.15,
         "greatest depth at which links 3 to 5 would enter a node on the free path",
         unit="m",
         minimum=0.0,
         maximum=0.2,
     )
     max_hand_overlap: float = setting(
-        0.05,
+        0.02,
         "greatest depth at which links 6 and 7 would enter a node on the free path",
         unit="m",
         minimum=0.0,

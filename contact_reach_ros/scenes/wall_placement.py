@@ -20,7 +20,7 @@ from contact_reach_ros.scenes.scene import Wall, WallSettings
 Array = NDArray[np.float64]
 
 _TRIES = 40
-_SPREAD = 0.04
+_SPREAD = 0.01
 """How far the gap's centre may be above or below that of the hand that passes, m."""
 _PATH_STEP = 5
 _SWIVELS = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)

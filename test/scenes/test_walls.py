@@ -160,7 +160,7 @@ def test_same_seed_same_scene_and_other_seeds_other_ones():
 
 
 def test_given_target_is_kept():
-    target = np.array([0.66, 0.05, 0.3])
+    target = np.array([0.7, 0.0, 0.4])
     np.testing.assert_array_equal(make_scene(read_scene("wall"), 0, target).target, target)
 
 
