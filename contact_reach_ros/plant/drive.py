@@ -67,12 +67,11 @@ class Drive:
         InputError
             If it has the wrong size or is not finite; it is counted and the last one stays.
         """
-        if torque.shape != (iiwa14.N_JOINTS,):
+        try:
+            checked_command(torque)
+        except InputError:
             self.rejected += 1
-            raise InputError(f"effort_controller/commands: data has {torque.size} values; expected {iiwa14.N_JOINTS}")
-        if not math.isfinite(sum(torque.tolist())):
-            self.rejected += 1
-            raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
+            raise
         if self._command is None or clock_ns - self._command_ns > self._hold_ns:
             self._steady_since_ns = clock_ns
         self._command = torque
@@ -105,3 +104,18 @@ class Drive:
         self.stop_reason = ""
         self._command = None
         self._opened = False
+
+
+def checked_command(torque: Array) -> Array:
+    """The same torques (7,), N m.
+
+    Raises
+    ------
+    InputError
+        If there are not seven of them or one is not finite.
+    """
+    if torque.shape != (iiwa14.N_JOINTS,):
+        raise InputError(f"effort_controller/commands: data has {torque.size} values; expected {iiwa14.N_JOINTS}")
+    if not math.isfinite(sum(torque.tolist())):
+        raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
+    return torque
