@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import N_ACTION
-from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Actuation, Plant
+from contact_reach_ros.plant.plant import TICK, Actuation, Plant
 from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.robot import iiwa14
@@ -116,7 +115,7 @@ def simulate(case: Case) -> Motion:
             model.update(q, v)
             error = pose_error(model.position, model.rotation, reference)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
-            force = np.maximum(force, normal_forces(plant))
+            force = np.maximum(force, plant.normal_forces())
             speed = max(speed, float(np.abs(v).max()))
             margin = min(margin, float((limits - np.abs(q)).min()))
             if tick % 10 == 0:
@@ -131,19 +130,6 @@ def simulate(case: Case) -> Motion:
 def _smallest_eigenvalue(model: RobotModel) -> float:
     """Of J M⁻¹ Jᵀ at the model's state."""
     return float(np.linalg.eigvalsh(model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T))[0])
-
-
-def normal_forces(plant: Plant) -> Array:
-    """Sum (6,) of the normal forces that MuJoCo's contacts put on each link with a capsule, N."""
-    total, wrench = np.zeros(len(CONTACT_BODIES)), np.zeros(6)
-    for index in range(plant.data.ncon):
-        contact = plant.data.contact[index]
-        mujoco.mj_contactForce(plant.model, plant.data, index, wrench)
-        for geom in (contact.geom1, contact.geom2):
-            name = plant.model.body(plant.model.geom_bodyid[geom]).name
-            if name in CONTACT_BODIES:
-                total[CONTACT_BODIES.index(name)] += wrench[0]
-    return total
 
 
 def predict(cases: Sequence[Case], substeps: int) -> Rollout:
