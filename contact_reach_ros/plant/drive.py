@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.plant.plant import Actuation, Plant
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.settings import Settings, setting
@@ -30,6 +30,14 @@ class WatchdogSettings(Settings):
     stop_after: float = setting(
         0.1, "silence after which the brakes close and stay closed", unit="s", minimum=0.005, maximum=5.0
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.hold_after >= self.stop_after:
+            raise SettingsError(
+                f"WatchdogSettings.hold_after = {self.hold_after:g}: expected less than stop_after, "
+                f"{self.stop_after:g} s; the arm is held before it is stopped"
+            )
 
 
 class Drive:
