@@ -6,7 +6,6 @@ Both start from the same states and follow the same actions under the same contr
 
 from __future__ import annotations
 
-import functools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,19 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.experiments.model_cases import Case, Motion, draw_contact, draw_free, simulate
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.cost import Problem, Rollout, Weights
-from contact_reach_ros.planning.objectives import make_objective
+from contact_reach_ros.planning.objectives import action_bounds, make_objective
 from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
 from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -34,22 +31,16 @@ from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import N_ACTION
-from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.plant import Plant
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
-from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, SceneFile, read_scene
+from contact_reach_ros.scenes.scene import BallSettings, SceneFile, read_scene
 from contact_reach_ros.scenes.spheres import obstacle_spheres, sphere_capacity
 
 Array = NDArray[np.float64]
 
-HORIZON = 3
 SUBSTEPS = (2, 3, 4, 5, 6, 8)
-MIN_EIGENVALUE = 0.05
-"""Of J M⁻¹ Jᵀ in a start state, 1/kg: what scenes keep away from singularities."""
 MAX_SPEED = 1.5 * max(iiwa14.VELOCITY_LIMITS)
 """Faster motions, rad/s, are reported apart, like those that pass a singularity or hit a stop: arms don't do that."""
 MIN_FORCE = 1.0
@@ -57,93 +48,6 @@ MIN_FORCE = 1.0
 
 WALL = "wall"
 CAPACITIES = (6, 8, 12, 16, 24, 40)
-
-_LIMIT_MARGIN = 0.3
-_START_SPEED = 0.2
-_GAP = 0.001
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One start state with its actions and, unless it is None, a ball."""
-
-    q: Array
-    """(7,), rad."""
-    v: Array
-    """(7,), rad/s."""
-    actions: Array
-    """(H, 13)."""
-    ball: Ball | None
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What became of the arm."""
-
-    positions: Array
-    """(H, 3) flange at the ends of the knots, m."""
-    rotations: Array
-    """(H, 3, 3)."""
-    speed: float
-    """Of the fastest joint, rad/s."""
-    margin: float
-    """Of the joint nearest to its limit, rad."""
-    eigenvalue: float
-    """Smallest of J M⁻¹ Jᵀ on the way, 1/kg."""
-    forces: Array
-    """(H, 6) sum of the normal forces on each capsule, largest value within the knot, N."""
-
-
-def simulate(case: Case) -> Motion:
-    """The simulated robot under the actions, latched as the controller latches them."""
-    scene = Scene("case", 0, case.q, np.zeros(3), () if case.ball is None else (case.ball,))
-    joints = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
-    plant = Plant(scene, SensorSettings(), joints, MismatchSettings())
-    plant.set_actuation(Actuation.COMMANDED)
-    data = plant.data
-    data.qvel[: iiwa14.N_JOINTS] = case.v
-    law, model = ImpedanceLaw(ImpedanceSettings()), RobotModel()
-    positions, rotations, forces = [], [], []
-    limits = np.array(iiwa14.POSITION_LIMITS)
-    speed, margin, eigenvalue = 0.0, np.inf, np.inf
-    for action in case.actions:
-        q, v = data.qpos[: iiwa14.N_JOINTS], data.qvel[: iiwa14.N_JOINTS]
-        model.update(q, v)
-        rotation = pin.exp3(action[3:6]) @ model.rotation
-        reference = Reference(model.position + action[:3], rotation, q + action[6:])
-        force = np.zeros(len(iiwa14.CAPSULES))
-        for tick in range(round(PlanningSettings().knot_duration / TICK)):
-            model.update(q, v)
-            error = pose_error(model.position, model.rotation, reference)
-            plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
-            force = np.maximum(force, normal_forces(plant))
-            speed = max(speed, float(np.abs(v).max()))
-            margin = min(margin, float((limits - np.abs(q)).min()))
-            if tick % 10 == 0:
-                eigenvalue = min(eigenvalue, _smallest_eigenvalue(model))
-        model.update(q, v)
-        positions.append(model.position.copy())
-        rotations.append(model.rotation.copy())
-        forces.append(force)
-    return Motion(np.array(positions), np.array(rotations), speed, margin, eigenvalue, np.array(forces))
-
-
-def _smallest_eigenvalue(model: RobotModel) -> float:
-    """Of J M⁻¹ Jᵀ at the model's state."""
-    return float(np.linalg.eigvalsh(model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T))[0])
-
-
-def normal_forces(plant: Plant) -> Array:
-    """Sum (6,) of the normal forces that MuJoCo's contacts put on each link with a capsule, N."""
-    total, wrench = np.zeros(len(CONTACT_BODIES)), np.zeros(6)
-    for index in range(plant.data.ncon):
-        contact = plant.data.contact[index]
-        mujoco.mj_contactForce(plant.model, plant.data, index, wrench)
-        for geom in (contact.geom1, contact.geom2):
-            name = plant.model.body(plant.model.geom_bodyid[geom]).name
-            if name in CONTACT_BODIES:
-                total[CONTACT_BODIES.index(name)] += wrench[0]
-    return total
 
 
 def predict(cases: Sequence[Case], substeps: int) -> Rollout:
@@ -155,10 +59,9 @@ def predict(cases: Sequence[Case], substeps: int) -> Rollout:
 
 def _problem(cases: Sequence[Case]) -> Problem:
     obstacles = None
-    balls = [case.ball for case in cases if case.ball is not None]
-    if balls:
+    if cases[0].ball is not None:
         reader = ObstacleReader(1)
-        each = [reader.read(case.q, _spheres(ball))[0] for case, ball in zip(cases, balls, strict=True)]
+        each = [reader.read(case.q, case.spheres)[0] for case in cases]
         obstacles = each[0]
         assert obstacles is not None
         centers = single(np.concatenate([one.center for one in each if one is not None], axis=-1))
@@ -173,70 +76,8 @@ def _problem(cases: Sequence[Case]) -> Problem:
     )
 
 
-def _spheres(ball: Ball) -> Spheres:
-    center, settings = ball.center[None], ball.settings
-    return Spheres(
-        center, center, np.full(1, settings.radius), np.full(1, settings.stiffness), np.full(1, settings.damping)
-    )
-
-
 def _stacked(values: Sequence[Array]) -> jax.Array:
     return single(np.stack(values, axis=-1))
-
-
-def draw_free(random: np.random.Generator, count: int) -> list[Case]:
-    """States away from singularities and joint limits, actions anywhere within their bounds."""
-    return [_draw(random) for _ in range(count)]
-
-
-def _draw(random: np.random.Generator) -> Case:
-    settings = PlanningSettings()
-    limits = np.array(iiwa14.POSITION_LIMITS) - _LIMIT_MARGIN
-    bounds = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
-    model = _model()
-    while True:
-        q = random.uniform(-limits, limits)
-        model.update(q, np.zeros_like(q))
-        if _smallest_eigenvalue(model) >= MIN_EIGENVALUE:
-            break
-    v = random.normal(0.0, _START_SPEED, iiwa14.N_JOINTS)
-    return Case(q, v, random.uniform(-1.0, 1.0, (HORIZON, N_ACTION)) * bounds, None)
-
-
-@functools.cache
-def _model() -> RobotModel:
-    return RobotModel()
-
-
-def draw_contact(random: np.random.Generator, count: int, settings: BallSettings) -> list[Case]:
-    """The same with a ball next to a link, in the way of where the actions lead that link."""
-    cases: list[Case] = []
-    while len(cases) < count:
-        case = _draw(random)
-        ball = _ball_in_the_way(random, case, settings)
-        if ball is not None:
-            cases.append(Case(case.q, np.zeros(iiwa14.N_JOINTS), case.actions, ball))
-    return cases
-
-
-def _ball_in_the_way(random: np.random.Generator, case: Case, settings: BallSettings) -> Ball | None:
-    """A ball just off a middle link, on the side that the actions' posture change moves it to."""
-    capsule = iiwa14.CAPSULES[int(random.integers(1, 5))]
-    along = np.asarray(capsule.start) + random.uniform() * np.subtract(capsule.end, capsule.start)
-
-    def point(q: Array) -> tuple[Array, Array]:
-        rotations, origins = link_frames(q)
-        rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
-        return origin + rotation @ along, rotation @ np.subtract(capsule.end, capsule.start)
-
-    here, axis = point(case.q)
-    direction = point(case.q + 0.1 * case.actions[:, 6:].sum(axis=0))[0] - here
-    direction -= axis * (direction @ axis) / (axis @ axis)
-    length = float(np.linalg.norm(direction))
-    if length < 1e-3:
-        return None
-    ball = Ball(here + (capsule.radius + settings.radius + _GAP) * direction / length, settings)
-    return ball if clearances(case.q, _spheres(ball))[0] > 0.5 * _GAP else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +133,7 @@ def bench_model(states: int, seed: int, file: Path | None, progress: Callable[[s
     configure_jax(cache_directory() / "jax")
     random = np.random.default_rng(seed)
     free = draw_free(random, states)
-    progress(f"{states} free motions of {HORIZON} knots in MuJoCo ...")
+    progress(f"{states} free motions of {PlanningSettings().horizon} knots in MuJoCo ...")
     truth = [simulate(case) for case in free]
     report: dict = {"states": states, "seed": seed, "free": {}, "contact": {}}
     progress("")
@@ -365,8 +206,8 @@ def culling_errors(
     random = np.random.default_rng(seed)
     states = _states_in_contact(scene_file, seed)
     settings = PlanningSettings()
-    bounds = [settings.translation_bound] * 3 + [settings.rotation_bound] * 3 + [settings.posture_bound] * 7
-    samples = random.uniform(-1.0, 1.0, (len(states), HORIZON, N_ACTION, actions)) * np.array(bounds)[:, None]
+    bounds = action_bounds(settings).reshape(settings.horizon, N_ACTION, 1)
+    samples = random.uniform(-1.0, 1.0, (len(states), settings.horizon, N_ACTION, actions)) * bounds
     flanges: dict[int, Array] = {}
     forces: dict[int, Array] = {}
     distances: dict[int, Array] = {}

@@ -210,7 +210,7 @@ def _rollouts(bench: PlannerBench, gains: ImpedanceSettings, runs: RecordedRuns)
     for name in ("closed_loop", *bench.brax):
         objective = make_objective(dataclasses.replace(settings, pipeline=name), gains)
         cost = jax.jit(scaled_cost(objective, bounds))
-        steps[name] = settings.horizon * settings.substeps * getattr(objective, "steps", 1)
+        steps[name] = objective.integration_steps
         lanes[name] = settings.population
         if name != "closed_loop" and spheres > _MANY_SPHERES:
             lanes[name] = min(settings.population, _FEW_CANDIDATES)

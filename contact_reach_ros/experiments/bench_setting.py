@@ -18,6 +18,7 @@ from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.scene import Scene, read_scene
 from contact_reach_ros.scenes.spheres import sphere_capacity
@@ -84,11 +85,8 @@ def _variant(name: str, value: Any) -> tuple[PlanningSettings, EpisodeOptions]:
 def _summary(
     settings: PlanningSettings, scenes: Sequence[Scene], results: Sequence[EpisodeResult], permitted: float
 ) -> dict[str, Any]:
-    gains = ImpedanceSettings()
-    # With these gains no axis of the flange moves faster, since γ bounds Δx.
-    fastest = settings.translation_bound * gains.task_stiffness / gains.task_damping
     ratios = [
-        result.duration / (np.abs(scene.target - result.start_position).max() / fastest)
+        result.duration / least_duration(result.start_position, scene.target, settings, ImpedanceSettings())
         for scene, result in zip(scenes, results, strict=True)
         if result.reached
     ]

@@ -14,7 +14,7 @@ from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.planning.cost import Objective, Problem
+from contact_reach_ros.planning.cost import Problem
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -142,16 +142,6 @@ class RecordingPlanner(RecedingHorizonPlanner):
     ) -> None:
         super().__init__(settings, gains, permitted_force, capacity)
         self.recorded: list[RecordedPlan] = []
-
-    @property
-    def objective(self) -> Objective:
-        """The cost that is minimised."""
-        return self._objective
-
-    @property
-    def solver(self) -> HybridSolver[Problem]:
-        """The solver, with its programs compiled."""
-        return self._solver
 
     def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
         """As the planner does, and remember it."""

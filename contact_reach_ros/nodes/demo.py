@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import signal
 import sys
@@ -28,6 +29,7 @@ from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
 from contact_reach_ros.recording.summary import Episode, EpisodeSummary
 from contact_reach_ros.robot import iiwa14
@@ -242,10 +244,9 @@ def _drive_to_goal(
 
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
     """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
-    impedance, planning = ImpedanceSettings(), PlanningSettings()
-    speed_limit = planning.translation_bound * impedance.task_stiffness / impedance.task_damping
+    least = functools.partial(least_duration, planning=PlanningSettings(), impedance=ImpedanceSettings())
     try:
-        episode = Episode(bag, lambda q: model.flange_pose(q)[0], speed_limit, end_ns)
+        episode = Episode(bag, lambda q: model.flange_pose(q)[0], least, end_ns)
     except BagError as error:
         print(f"no summary: {error}", file=sys.stderr)
         return None

@@ -24,6 +24,7 @@ from contact_reach_ros.nodes.serialized import JointStateReader, JointStateWrite
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
+from contact_reach_ros.plant.drive import checked_command
 from contact_reach_ros.plant.plant import TICK
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
@@ -97,7 +98,10 @@ class ObserverNode(ManagedNode):
         return self._monitor.stop_reason, values
 
     def _on_command(self, data: bytes) -> None:
-        self._commanded = read_command(data)
+        try:
+            self._commanded = checked_command(read_command(data))
+        except InputError as error:
+            self.refuse("commands", error)
 
     def _on_state(self, data: bytes) -> None:
         try:

@@ -13,13 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from geometry_msgs.msg import Vector3
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from scipy.spatial import cKDTree
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.messages import set_time, to_point, vector
+from contact_reach_ros.nodes.serialized import decode
 from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.scenes.scene import Ball, Scene, Wall
@@ -119,10 +121,7 @@ class ObstacleMarkerReader:
             As `read`, or if the bytes are no message.
         """
         if self._layout is None or not self._layout.fits(data):
-            try:
-                message = deserialize_message(data, MarkerArray)
-            except Exception as error:  # whatever the middleware raises
-                raise InputError(f"obstacles: {len(data)} bytes that are no MarkerArray: {error}") from error
+            message: MarkerArray = decode(data, MarkerArray, topics.OBSTACLES.name)
             spheres = self.read(message)
             shapes = _shapes(message)
             if self._layout is not None and self._layout.describes(data, shapes):

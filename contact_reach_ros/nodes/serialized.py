@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.messages import JointOrder, nanoseconds
 from contact_reach_ros.units import NANOSECONDS
 
@@ -37,6 +40,23 @@ _NO_LAYOUT = bytes(8)
 """The layout of a Float64MultiArray that has neither dimensions nor an offset."""
 _DATA_COUNT = _HEADER + len(_NO_LAYOUT)
 _DATA_START = _DATA_COUNT + 8
+
+
+def decode(data: bytes, message_type: type, topic: str) -> Any:
+    """The message that was serialised.
+
+    Raises
+    ------
+    InputError
+        If the bytes are no message of that type; the topic is named.
+    """
+    try:
+        return deserialize_message(data, message_type)
+    except rclpy_implementation.RMWError as error:
+        name = message_type.__name__
+        raise InputError(
+            f"{topic}: {len(data)} bytes that are no {name}; expected a serialised {name} ({error})"
+        ) from error
 
 
 class JointSample(NamedTuple):
@@ -89,7 +109,7 @@ class JointStateReader:
         Raises
         ------
         InputError
-            If joints are missing or a field has not one value for each name.
+            If the bytes are no JointState, joints are missing or a field has not one value for each name.
         """
         at = self._velocity_count
         if (
@@ -109,7 +129,7 @@ class JointStateReader:
 
     def _decode(self, data: bytes) -> JointSample:
         self._size = -1
-        message: JointState = deserialize_message(data, JointState)
+        message: JointState = decode(data, JointState, self._topic)
         effort = None
         position = self._order.pick(message, "position", self._topic)
         velocity = self._order.pick(message, "velocity", self._topic)
@@ -200,12 +220,18 @@ class CommandWriter:
 
 
 def read_command(data: bytes) -> Array:
-    """The values of a serialised Float64MultiArray, (n,); its layout has no meaning here."""
+    """The values of a serialised Float64MultiArray, (n,); its layout has no meaning here.
+
+    Raises
+    ------
+    InputError
+        If the bytes are no Float64MultiArray.
+    """
     if data.startswith(_PLAIN_CDR + _NO_LAYOUT) and len(data) > _DATA_START:
         (count,) = _COUNT.unpack_from(data, _DATA_COUNT)
         if len(data) == _DATA_START + 8 * count:
             return np.frombuffer(data, _DOUBLE, count, _DATA_START).copy()
-    return np.array(deserialize_message(data, Float64MultiArray).data, dtype=float)
+    return np.array(decode(data, Float64MultiArray, topics.COMMANDS.name).data, dtype=float)
 
 
 def _field_counts(data: bytes | bytearray) -> list[int]:

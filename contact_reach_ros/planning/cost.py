@@ -97,7 +97,8 @@ class Rollout(NamedTuple):
 class Objective:
     """Cost (5) over H knots of a system in closed loop.
 
-    Another transfer function T is a subclass that overrides `roll_out`; the cost sees nothing else of it.
+    Another transfer function T is a subclass that overrides `roll_out`, and `integration_steps` if it takes more of
+    them; the cost sees nothing else of it.
     """
 
     system: System
@@ -107,6 +108,11 @@ class Objective:
     contact_measure: str
     posture: jax.Array | None = field(default=None, kw_only=True)
     """(7, 1) q_d of law (6), or None to pull the joints by the actions' Δq."""
+
+    @property
+    def integration_steps(self) -> int:
+        """Steps that the transfer model takes over the horizon."""
+        return self.horizon * self.substeps
 
     def cost(self, problem: Problem, actions: jax.Array) -> jax.Array:
         """Cost (B,) of the actions (H, 13, B)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.plant.plant import Actuation, Plant
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.settings import Settings, setting
@@ -30,6 +30,14 @@ class WatchdogSettings(Settings):
     stop_after: float = setting(
         0.1, "silence after which the brakes close and stay closed", unit="s", minimum=0.005, maximum=5.0
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.hold_after >= self.stop_after:
+            raise SettingsError(
+                f"WatchdogSettings.hold_after = {self.hold_after:g}: expected less than stop_after, "
+                f"{self.stop_after:g} s; the arm is held before it is stopped"
+            )
 
 
 class Drive:
@@ -67,12 +75,11 @@ class Drive:
         InputError
             If it has the wrong size or is not finite; it is counted and the last one stays.
         """
-        if torque.shape != (iiwa14.N_JOINTS,):
+        try:
+            checked_command(torque)
+        except InputError:
             self.rejected += 1
-            raise InputError(f"effort_controller/commands: data has {torque.size} values; expected {iiwa14.N_JOINTS}")
-        if not math.isfinite(sum(torque.tolist())):
-            self.rejected += 1
-            raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
+            raise
         if self._command is None or clock_ns - self._command_ns > self._hold_ns:
             self._steady_since_ns = clock_ns
         self._command = torque
@@ -105,3 +112,18 @@ class Drive:
         self.stop_reason = ""
         self._command = None
         self._opened = False
+
+
+def checked_command(torque: Array) -> Array:
+    """The same torques (7,), N m.
+
+    Raises
+    ------
+    InputError
+        If there are not seven of them or one is not finite.
+    """
+    if torque.shape != (iiwa14.N_JOINTS,):
+        raise InputError(f"effort_controller/commands: data has {torque.size} values; expected {iiwa14.N_JOINTS}")
+    if not math.isfinite(sum(torque.tolist())):
+        raise InputError(f"effort_controller/commands: data = {torque.tolist()}; expected finite torques")
+    return torque

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 
@@ -95,7 +97,6 @@ class Plant:
         self._foam = Foam(scene.walls) if scene.walls else None
         self._foam_dofs = slice(iiwa14.N_JOINTS + 3 * len(scene.balls), self.model.nv)
         self._body_of_geom = self._contact_body_indices()
-        self._wrench = np.zeros(6)
         self.data.qpos[self._arm] = scene.start
         self._apply_joint_settings()
         mujoco.mj_forward(self.model, self.data)
@@ -154,16 +155,21 @@ class Plant:
 
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `CONTACT_BODIES`, (6,), N: the vector sum over its contacts."""
-        total = np.zeros((len(CONTACT_BODIES), 3))
-        if self.data.ncon == 0:
-            return total[:, 0]
-        for index in range(self.data.ncon):
-            contact = self.data.contact[index]
-            body = max(self._body_of_geom[contact.geom1], self._body_of_geom[contact.geom2])
-            if body >= 0:
-                mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
-                total[body] += self._wrench[:3] @ contact.frame.reshape(3, 3)
-        return np.sqrt(np.sum(total * total, axis=1))
+        sums = [[0.0, 0.0, 0.0] for _ in CONTACT_BODIES]
+        for body, force, frame in self._contacts():
+            total = sums[body]
+            for row, along in enumerate(force):
+                total[0] += along * frame[3 * row]
+                total[1] += along * frame[3 * row + 1]
+                total[2] += along * frame[3 * row + 2]
+        return np.array([math.hypot(*total) for total in sums])
+
+    def normal_forces(self) -> Array:
+        """Sum of the normal forces of the contacts on each of `CONTACT_BODIES`, (6,), N, without friction."""
+        sums = [0.0] * len(CONTACT_BODIES)
+        for body, force, _ in self._contacts():
+            sums[body] += force[0]
+        return np.array(sums)
 
     def obstacle_positions(self) -> Array:
         """Where the obstacles are, (K, 3), m, base frame, in the order of `rest_positions`."""
@@ -189,6 +195,26 @@ class Plant:
         # the braked arm by 10 cm/s.
         impedance = _BRAKE_IMPEDANCE if self.actuation is Actuation.BRAKED else _IMPEDANCE
         self.model.dof_solimp[self._arm, :2] = impedance
+
+    def _contacts(self) -> Iterator[tuple[int, list[float], list[float]]]:
+        """Of each contact with the arm: place of the body in `CONTACT_BODIES`, force and frame, as plain numbers.
+
+        The force (1,) or (3,), N, is normal and, with friction, tangential; the frame (9,) is what MuJoCo calls so: a
+        rotation, row after row, whose first row is the normal.
+        """
+        data = self.data
+        if data.ncon == 0:
+            return
+        # Plain numbers: arrays are slower for fewer than a dozen contacts. With an elliptic friction cone the rows of
+        # a contact among the constraints are its force.
+        contact, bodies, forces = data.contact, self._body_of_geom, data.efc_force.tolist()
+        columns = (contact.geom, contact.efc_address, contact.dim, contact.frame)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        for (first, second), address, dim, frame in rows:
+            body = max(bodies[first], bodies[second])
+            # MuJoCo leaves out contacts without an address, which carry no force.
+            if body >= 0 and address >= 0:
+                yield body, forces[address : address + dim], frame
 
     def _contact_body_indices(self) -> list[int]:
         """For each geometry, its place in `CONTACT_BODIES`, or -1."""

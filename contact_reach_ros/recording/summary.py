@@ -35,7 +35,7 @@ class EpisodeSummary:
     distance_m
         From start to goal.
     time_ratio
-        `duration_s` over the least time that the bound on Δx and the gains allow, max_i |d_i| / 0.088 m/s.
+        `duration_s` over the least time that the bound on Δx and the gains allow; NaN if the goal is where the arm is.
     max_contact_force_N
         Largest force on one robot body.
     max_external_torque_Nm
@@ -85,8 +85,8 @@ class Episode:
         Directory or file.
     flange_position
         Forward kinematics, (7,) rad to (3,) m.
-    speed_limit
-        Greatest speed on one axis, m/s.
+    least_duration
+        Shortest time, s, from the flange's position at the start to the target's, both (3,) m.
     end_ns
         Stamp at which the episode ends, for example before the stack was shut down; the last joint state when None.
 
@@ -100,7 +100,7 @@ class Episode:
         self,
         bag: Path,
         flange_position: Callable[[np.ndarray], np.ndarray],
-        speed_limit: float,
+        least_duration: Callable[[np.ndarray, np.ndarray], float],
         end_ns: int | None = None,
     ) -> None:
         self._reader = BagReader(bag)
@@ -115,8 +115,9 @@ class Episode:
         start_row = int(np.searchsorted(self._signals.position.time, self._start))
         start_row = min(start_row, len(self._signals.position.time) - 1)
         start_position = flange_position(self._signals.position.values[start_row])
-        self._offset = self._signals.goals[0].position - start_position
-        self._speed_limit = speed_limit
+        target = self._signals.goals[0].position
+        self._straight = float(np.linalg.norm(target - start_position))
+        self._least_duration = least_duration(start_position, target)
 
     def summary(self) -> EpisodeSummary:
         """The numbers."""
@@ -128,8 +129,8 @@ class Episode:
             reached=self._reached is not None and self._reached <= self._end,
             final_error_m=float(self._distance[last]),
             duration_s=duration,
-            distance_m=float(np.linalg.norm(self._offset)),
-            time_ratio=duration / (float(np.abs(self._offset).max()) / self._speed_limit),
+            distance_m=self._straight,
+            time_ratio=duration / self._least_duration if self._least_duration > 0.0 else float("nan"),
             max_contact_force_N=_largest(contact.column("max")[self._inside(contact.time)]),
             max_external_torque_Nm=_largest(np.abs(torque.values[self._inside(torque.time)])),
             ticks=int(_last(signals, "driver/ticks", self._end, 0.0)),

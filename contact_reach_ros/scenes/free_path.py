@@ -10,9 +10,11 @@ from contact_reach_ros.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 
+MIN_MOBILITY = 0.05
+"""Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration counts as singular."""
+
 _STEP = 0.004
 _SETTLING = 5
-_SINGULAR = 0.05
 _LIMIT_MARGIN = 0.2
 
 
@@ -20,8 +22,8 @@ def free_path(model: RobotModel, start: Array, target: Array) -> Array | None:
     """Joint angles (N, 7) along the straight line to a flange position, orientation held, least joint motion.
 
     Inverse kinematics in steps of a few millimetres with the dynamically consistent inverse, as the impedance law would
-    move the arm. None if the line cannot be followed: it leaves the workspace, comes near a singularity (smallest
-    eigenvalue of J M⁻¹ Jᵀ below 0.05 / kg) or within 0.2 rad of a joint limit.
+    move the arm. None if the line cannot be followed: it leaves the workspace, comes near a singularity
+    (`MIN_MOBILITY`) or within 0.2 rad of a joint limit.
     """
     limits = np.array(iiwa14.POSITION_LIMITS) - _LIMIT_MARGIN
     q, v = start.copy(), np.zeros_like(start)
@@ -33,11 +35,10 @@ def free_path(model: RobotModel, start: Array, target: Array) -> Array | None:
         error = np.empty(6)
         error[:3] = model.position - origin - share * (target - origin)
         error[3:] = 0.5 * sum(np.cross(rotation[:, k], model.rotation[:, k]) for k in range(3))
-        inverse_mass_jacobian = np.linalg.solve(model.mass_matrix, model.jacobian.T)
-        mobility = model.jacobian @ inverse_mass_jacobian
-        if np.linalg.eigvalsh(mobility)[0] < _SINGULAR:
+        if model.smallest_mobility() < MIN_MOBILITY:
             return None
-        q = q - inverse_mass_jacobian @ np.linalg.solve(mobility, error)
+        inverse_mass_jacobian = np.linalg.solve(model.mass_matrix, model.jacobian.T)
+        q = q - inverse_mass_jacobian @ np.linalg.solve(model.jacobian @ inverse_mass_jacobian, error)
         if (np.abs(q) > limits).any():
             return None
         path.append(q.copy())

@@ -8,14 +8,12 @@ import pytest
 from contact_reach_ros.experiments import bench_model
 from contact_reach_ros.experiments.bench_model import (
     MIN_FORCE,
-    draw_contact,
-    draw_free,
     force_errors,
     is_common,
     motion_errors,
     predict,
-    simulate,
 )
+from contact_reach_ros.experiments.model_cases import draw_contact, draw_free, simulate
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.scene import BallSettings
 

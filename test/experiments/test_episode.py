@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from plans import make_plan
 
 from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.planning.problem import Plan
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
@@ -33,24 +33,8 @@ class StraightPlanner:
         nearest = np.linalg.norm(self.positions - self.model.flange_pose(q)[0], axis=1).argmin()
         knots = self.path[np.minimum(nearest + 6 * np.arange(1, 4), len(self.path) - 1)]
         poses = [self.model.flange_pose(knot) for knot in knots]
-        return Plan(
-            number=self.number,
-            effect_ns=effect_ns,
-            knot_duration_s=0.1,
-            positions=np.array([position for position, _ in poses]),
-            rotations=np.array([rotation for _, rotation in poses]),
-            postures=knots,
-            predicted_q=np.zeros((4, 7)),
-            predicted_positions=np.zeros((4, 3)),
-            predicted_contact_forces=np.zeros((3, 6)),
-            cost=0.0,
-            cost_terms={},
-            steps=1,
-            stop_reason="stagnated",
-            solve_s=0.0,
-            rejected=0,
-            left_out=0,
-        )
+        positions, rotations = (np.array(parts) for parts in zip(*poses, strict=True))
+        return make_plan(positions, rotations, knots, number=self.number, effect_ns=effect_ns)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from arm_simulation import HOME
+from plans import make_plan
 from visualization_msgs.msg import Marker
 
 from contact_reach_ros.nodes.messages import quaternion, vector
@@ -16,29 +17,20 @@ from contact_reach_ros.scenes.overlap import capsule_segments
 PERMITTED = 10.0
 
 
-def make_plan(forces: dict[tuple[int, int], float] | None = None) -> Plan:
+def bent_plan(forces: dict[tuple[int, int], float] | None = None) -> Plan:
     """A plan of three knots; `forces` are by knot and capsule."""
     q = HOME + 0.05 * np.arange(4)[:, None] * np.arange(1, 8)
     predicted_forces = np.zeros((3, 6))
     for place, force in (forces or {}).items():
         predicted_forces[place] = force
-    return Plan(
-        number=1,
+    return make_plan(
+        np.zeros((3, 3)),
+        np.tile(np.eye(3), (3, 1, 1)),
+        q[1:],
         effect_ns=5_000_000_007,
-        knot_duration_s=0.1,
-        positions=np.zeros((3, 3)),
-        rotations=np.tile(np.eye(3), (3, 1, 1)),
-        postures=q[1:],
         predicted_q=q,
         predicted_positions=np.array([RobotModel().flange_pose(angles)[0] for angles in q]),
         predicted_contact_forces=predicted_forces,
-        cost=0.0,
-        cost_terms={},
-        steps=1,
-        stop_reason="stagnated",
-        solve_s=0.0,
-        rejected=0,
-        left_out=0,
     )
 
 
@@ -53,7 +45,7 @@ def points(marker: Marker) -> np.ndarray:
 
 
 def test_paths_run_along_flange_and_elbow():
-    plan = make_plan()
+    plan = bent_plan()
     markers = by_name(PlanMarkers(PERMITTED).show(plan))
     np.testing.assert_allclose(points(markers["flange", 0]), plan.predicted_positions, rtol=0, atol=1e-12)
     elbows = [link_frames(q)[1][3] for q in plan.predicted_q]
@@ -65,7 +57,7 @@ def test_paths_run_along_flange_and_elbow():
 
 
 def test_the_arm_stands_where_the_plan_ends():
-    plan = make_plan()
+    plan = bent_plan()
     markers = by_name(PlanMarkers(PERMITTED).show(plan))
     starts, ends = capsule_segments(plan.predicted_q[-1])
     for index, capsule in enumerate(iiwa14.CAPSULES):
@@ -79,7 +71,7 @@ def test_the_arm_stands_where_the_plan_ends():
 
 
 def test_a_force_is_told_where_the_link_is_when_it_is_largest():
-    plan = make_plan({(0, 2): 1.0, (1, 2): 7.26, (2, 2): 3.0})
+    plan = bent_plan({(0, 2): 1.0, (1, 2): 7.26, (2, 2): 3.0})
     markers = by_name(PlanMarkers(PERMITTED).show(plan))
     texts = {name: marker for name, marker in markers.items() if name[0] == "contact"}
     (((_, link), text),) = texts.items()
@@ -93,16 +85,16 @@ def test_a_force_is_told_where_the_link_is_when_it_is_largest():
 
 def test_what_is_no_longer_there_is_deleted_once():
     picture = PlanMarkers(PERMITTED)
-    picture.show(make_plan({(0, 1): 2.0, (0, 4): 3.0}))
-    second = by_name(picture.show(make_plan({(0, 4): 3.0})))
+    picture.show(bent_plan({(0, 1): 2.0, (0, 4): 3.0}))
+    second = by_name(picture.show(bent_plan({(0, 4): 3.0})))
     assert second["contact", 3].action == Marker.DELETE
     assert second["contact", 6].action == Marker.ADD
-    assert ("contact", 3) not in by_name(picture.show(make_plan({(0, 4): 3.0})))
+    assert ("contact", 3) not in by_name(picture.show(bent_plan({(0, 4): 3.0})))
 
 
 def test_clearing_deletes_all_and_forgets():
     picture = PlanMarkers(PERMITTED)
-    picture.show(make_plan({(0, 1): 2.0}))
+    picture.show(bent_plan({(0, 1): 2.0}))
     (marker,) = picture.clear().markers
     assert marker.action == Marker.DELETEALL
-    assert all(marker.action == Marker.ADD for marker in picture.show(make_plan()).markers)
+    assert all(marker.action == Marker.ADD for marker in picture.show(bent_plan()).markers)

@@ -5,6 +5,7 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from serialized_helpers import garbage
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from contact_reach_ros.errors import InputError
@@ -154,3 +155,18 @@ def test_commands_of_any_layout_are_read(count, labelled):
         message.layout.dim = [MultiArrayDimension(label="joints", size=count, stride=count)]
         message.layout.data_offset = 1
     assert read_command(serialize_message(message)).tolist() == message.data.tolist()
+
+
+def test_bytes_that_are_no_joint_state_are_refused():
+    reader = JointStateReader(NAMES, "joint_states", with_effort=True)
+    message = serialize_message(joint_state(NAMES, np.random.default_rng(0)))
+    for data in garbage(message):
+        with pytest.raises(InputError, match=f"^joint_states: {len(data)} bytes that are no JointState; expected"):
+            reader.read(data)
+        assert reader.read(message).position.shape == (7,)
+
+
+def test_bytes_that_are_no_command_are_refused():
+    for data in garbage(CommandWriter(7).write(np.ones(7))):
+        with pytest.raises(InputError, match=f"commands: {len(data)} bytes that are no Float64MultiArray; expected"):
+            read_command(data)

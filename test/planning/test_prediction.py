@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, REST
 from planning_helpers import make_objective
+from plans import make_plan
 
 from contact_reach_ros.planning.prediction import HeldReference, Predictor, pieces_between, reference_at
 from contact_reach_ros.planning.problem import Plan
@@ -17,24 +18,8 @@ def plan_at(effect_ms: int, label: float, knots: int = 3) -> Plan:
     """A plan whose reference positions are (label + knot, 0, 0)."""
     positions = np.zeros((knots, 3))
     positions[:, 0] = label + np.arange(knots)
-    return Plan(
-        number=1,
-        effect_ns=effect_ms * MS,
-        knot_duration_s=0.1,
-        positions=positions,
-        rotations=np.tile(HOLD.rotation, (knots, 1, 1)),
-        postures=np.tile(HOME, (knots, 1)),
-        predicted_q=np.zeros((knots + 1, 7)),
-        predicted_positions=np.zeros((knots + 1, 3)),
-        predicted_contact_forces=np.zeros((knots, 6)),
-        cost=0.0,
-        cost_terms={},
-        steps=0,
-        stop_reason="stagnated",
-        solve_s=0.0,
-        rejected=0,
-        left_out=0,
-    )
+    rotations, postures = np.tile(HOLD.rotation, (knots, 1, 1)), np.tile(HOME, (knots, 1))
+    return make_plan(positions, rotations, postures, effect_ns=effect_ms * MS)
 
 
 def label_at(plans: list[Plan], milliseconds: float) -> float | None:

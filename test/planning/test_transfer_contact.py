@@ -68,11 +68,9 @@ def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):
     np.testing.assert_allclose(touch(HOME, ball(center)).joint_torque[:, 0], expected, rtol=0, atol=0.01)
 
 
-@pytest.mark.parametrize(("stiffness", "damping"), [(100.0, 30.0), (5000.0, 1.0)])
-def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(stiffness, damping):
-    """A stiff anchor with hardly any damping too: no step is too long for the ball."""
+def settled(obstacles: Obstacles) -> pipeline.State:
+    """What the arm comes to when it is told to stay at home, and obstacles are in its way."""
     system = make_objective().system
-    obstacles = ball(beside_forearm(-0.02), stiffness, damping)
 
     @jax.jit
     def settle(q: jax.Array) -> pipeline.State:
@@ -80,7 +78,14 @@ def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(stif
         held = pipeline.latch(state.q, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
-    state = settle(jnp.asarray(HOME)[:, None])
+    return settle(jnp.asarray(HOME)[:, None])
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(100.0, 30.0), (5000.0, 1.0)])
+def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(stiffness, damping):
+    """A stiff anchor with hardly any damping too: no step is too long for the ball."""
+    obstacles = ball(beside_forearm(-0.02), stiffness, damping)
+    state = settled(obstacles)
     assert np.abs(np.asarray(state.qd)).max() < 1e-3
     displacement = np.asarray(state.obstacles.center - state.obstacles.rest)[:, 0, 0]
     force = float(state.link_force.max())
@@ -126,16 +131,8 @@ def test_network_of_springs_and_dampers_is_followed_exactly():
 def test_joined_spheres_rest_where_their_springs_hold_the_force(capacity):
     """With all spheres, and with two of them while the others are condensed away."""
     spheres = chain(5)
-    system = make_objective().system
     obstacles = obstacles_of(spheres, capacity)
-
-    @jax.jit
-    def settle(q: jax.Array) -> pipeline.State:
-        state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(state.q, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
-        return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
-
-    state = settle(jnp.asarray(HOME)[:, None])
+    state = settled(obstacles)
     displacement = np.asarray(state.obstacles.center - state.obstacles.rest)[:, :, 0]
     kept = [int(np.abs(spheres.rest - rest).sum(axis=1).argmin()) for rest in np.asarray(obstacles.rest)[:, :, 0].T]
     compliance = np.linalg.inv(stiffness_of(spheres))[np.ix_(kept, kept)]

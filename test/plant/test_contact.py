@@ -1,5 +1,6 @@
 """Contact between the arm and a ball."""
 
+import mujoco
 import numpy as np
 import pytest
 from arm_simulation import HOME, ClosedLoop, ideal_plant, offer_plan
@@ -88,6 +89,29 @@ def test_force_on_a_body_is_the_sum_of_its_contacts():
         settle(plant, 1.0)
     assert one.contact_forces().max() > 0.5
     assert both.contact_forces().max() < 0.01 * one.contact_forces().max()
+
+
+def test_forces_are_those_that_mujoco_tells_of_each_contact():
+    """On two links, with and without friction, while the contacts still slip."""
+    left, elbow = ball_beside(FOREARM, -0.02, friction=0.5), ball_beside(ELBOW, -0.01, friction=1.0)
+    smooth = ball_beside(FOREARM, -0.02, friction=0.0)
+    plant = braked(left, elbow, Ball(smooth.center * (1, -1, 1), smooth.settings))
+    slipped = 0.0
+    for _ in range(100):
+        plant.step()
+        total, normal = np.zeros((len(CONTACT_BODIES), 3)), np.zeros(len(CONTACT_BODIES))
+        for index, contact in enumerate(plant.data.contact):
+            force = np.zeros(6)
+            mujoco.mj_contactForce(plant.model, plant.data, index, force)
+            names = [plant.model.body(plant.model.geom_bodyid[geom]).name for geom in contact.geom]
+            (touched,) = (CONTACT_BODIES.index(name) for name in names if name in CONTACT_BODIES)
+            total[touched] += force[:3] @ contact.frame.reshape(3, 3)
+            normal[touched] += force[0]
+            slipped = max(slipped, float(np.linalg.norm(force[1:3])))
+        np.testing.assert_allclose(plant.contact_forces(), np.linalg.norm(total, axis=1), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(plant.normal_forces(), normal, rtol=0, atol=1e-9)
+    assert sorted(plant.data.contact.dim.tolist()) == [1, 3, 3]
+    assert slipped > 0.1
 
 
 def test_balls_do_not_fall_and_do_not_touch_each_other():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, REST, TICK_NS, ideal_plant
 
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import Actuation
 from contact_reach_ros.plant.settings import JointSettings
@@ -165,3 +165,11 @@ def test_bad_first_command_does_not_open_the_brakes(bench):
     with pytest.raises(InputError):
         bench.command(np.full(7, math.nan))
     assert set(bench.tick(50)) == {Actuation.BRAKED}
+
+
+@pytest.mark.parametrize(("hold_after", "stop_after"), [(0.1, 0.1), (0.2, 0.1)])
+def test_a_stop_that_comes_no_later_than_the_hold_is_refused(hold_after, stop_after):
+    message = f"hold_after = {hold_after:g}: expected less than stop_after, 0.1 s"
+    with pytest.raises(SettingsError, match=message):
+        WatchdogSettings(hold_after=hold_after, stop_after=stop_after)
+    assert WatchdogSettings(hold_after=0.099, stop_after=stop_after).stop_after == stop_after

@@ -79,6 +79,11 @@ class BraxObjective(Objective):
     steps: int
     """Steps of Brax in one time step of `system`."""
 
+    @property
+    def integration_steps(self) -> int:
+        """Steps of Brax over the horizon."""
+        return super().integration_steps * self.steps
+
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run Brax under the actions (H, 13, B), knot by knot."""
         lanes = actions.shape[-1]
