@@ -37,11 +37,10 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     demo = commands.add_parser("demo", help="bring the stack up, send a goal, record a bag and judge the result")
-    demo.add_argument("--scene", default="ball", help="scene: a name (free, ball, wall) or a YAML file (default: ball)")
+    demo.add_argument("--scene", default="ball", help="a name in config/scenes, or a YAML file (default: ball)")
     demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
     demo.add_argument("--seed", type=int, default=0, help="seed of the scene and the sensor noise (default: 0)")
     demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
-    demo.add_argument("--mismatch", action="store_true", help="simulate an arm that differs from its model")
     demo.add_argument("--timeout", type=float, default=30.0, help="time to reach the goal, s (default: 30)")
     demo.add_argument("--output", type=Path, default=Path("bags"), help="where bag, plot and log go (default: bags)")
     demo.add_argument("--parameters", default="", help="parameter file for the nodes (default: the package's)")
@@ -59,12 +58,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     foam.add_argument("--scene", default="wall", help="scene with walls: a name or a YAML file (default: wall)")
     foam.add_argument("--seed", type=int, default=0, help="seed of the scene (default: 0)")
+    foam.add_argument("--force", type=float, default=10.0, help="what nodes are pressed with, N (default: 10)")
+    foam.add_argument("--fit", action="store_true", help="find the planner's stiffness that agrees best")
     foam.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     foam.set_defaults(run=_bench_foam)
     planner = benches.add_parser("planner", help="time and steps of plans along closed-loop runs, and comparisons")
-    planner.add_argument(
-        "--scene", nargs="+", metavar="SCENE", help="names or YAML files (default: all scenes of the package)"
-    )
+    planner.add_argument("--scene", nargs="+", metavar="SCENE", help="names or YAML files (default: free, ball, wall)")
     planner.add_argument("--plans", type=int, default=50, help="warm-started plans per scene, at least (default: 50)")
     planner.add_argument("--seed", type=int, default=0, help="seed of the first run and of the solver (default: 0)")
     planner.add_argument(
@@ -110,7 +109,6 @@ def _demo(options: argparse.Namespace) -> int:
             seed=options.seed,
             goal=None if options.goal is None else tuple(options.goal),
             lockstep=options.lockstep,
-            mismatch=options.mismatch,
             timeout=options.timeout,
             parameters=options.parameters,
             output=options.output,
@@ -129,15 +127,15 @@ def _bench_control(options: argparse.Namespace) -> int:
 def _bench_foam(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_foam import bench_foam
 
-    bench_foam(options.scene, options.seed, options.json)
+    bench_foam(options.scene, options.seed, options.force, options.fit, options.json)
     return 0
 
 
 def _bench_planner(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_planner import PlannerBench, bench_planner
-    from contact_reach_ros.scenes.scene import scene_names
+    from contact_reach_ros.scenes.files import matching_scene_names
 
-    scenes = tuple(options.scene or scene_names())
+    scenes = tuple(options.scene or matching_scene_names())
     if options.quick:
         bench = PlannerBench.quick(scenes, options.seed)
     else:

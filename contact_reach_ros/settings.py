@@ -18,7 +18,7 @@ import yaml
 from contact_reach_ros.errors import SettingsError
 
 Scalar = bool | int | float | str
-Value = Scalar | tuple[Scalar, ...]
+Value = Scalar | tuple[Scalar, ...] | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,10 +32,14 @@ class Setting:
     minimum: float | None
     maximum: float | None
     choices: tuple[str, ...]
+    optional_length: int | None
+    """Of a list of numbers that may be missing, which a default of None declares."""
 
     @property
     def kind(self) -> type:
         """Type of the value, or of the elements of a tuple."""
+        if self.optional_length is not None:
+            return float
         value = self.default[0] if isinstance(self.default, tuple) and self.default else self.default
         return str if self.is_open_list else type(value)
 
@@ -45,6 +49,11 @@ class Setting:
         return self.default == ()
 
     @property
+    def length(self) -> int | None:
+        """Number of values of a list, None for a single value."""
+        return len(self.default) if isinstance(self.default, tuple) else self.optional_length
+
+    @property
     def accepts(self) -> str:
         """The accepted values in words, for messages and documentation."""
         words = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}[self.kind]
@@ -52,13 +61,14 @@ class Setting:
             words = "one of " + ", ".join(self.choices)
         if self.is_open_list:
             words = "a list of strings"
-        elif isinstance(self.default, tuple):
-            words = f"a list of {len(self.default)} values, each {words}"
+        elif self.length is not None:
+            words = f"a list of {self.length} values, each {words}"
         if self.minimum is not None or self.maximum is not None:
             low = "-inf" if self.minimum is None else f"{self.minimum:g}"
             high = "inf" if self.maximum is None else f"{self.maximum:g}"
             words += f" in [{low}, {high}]"
-        return f"{words} {self.unit}".rstrip()
+        words = f"{words} {self.unit}".rstrip()
+        return words if self.optional_length is None else f"null, or {words}"
 
     def check(self, value: Any, where: str) -> Value:
         """Return `value` in the declared type.
@@ -68,9 +78,11 @@ class Setting:
         SettingsError
             If the value has another type or length, is not finite, or lies outside the range; `where` is named.
         """
-        if isinstance(self.default, tuple):
+        if value is None and self.optional_length is not None:
+            return None
+        if self.length is not None:
             is_list = isinstance(value, Sequence) and not isinstance(value, str)
-            if not is_list or (len(value) != len(self.default) and not self.is_open_list):
+            if not is_list or (len(value) != self.length and not self.is_open_list):
                 raise SettingsError(f"{where} = {value!r}: expected {self.accepts}")
             return tuple(self._check_scalar(item, where) for item in value)
         return self._check_scalar(value, where)
@@ -100,14 +112,16 @@ def setting(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: Sequence[str] = (),
+    optional_length: int | None = None,
 ) -> Any:
-    """Declare one value of a `Settings` class."""
+    """Declare one value of a `Settings` class; a list of numbers that may be missing has an `optional_length`."""
     metadata = {
         "description": description,
         "unit": unit,
         "minimum": minimum,
         "maximum": maximum,
         "choices": tuple(choices),
+        "optional_length": optional_length,
     }
     return dataclasses.field(default=default, metadata=metadata)
 

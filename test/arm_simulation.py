@@ -8,10 +8,10 @@ from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
 from contact_reach_ros.plant.plant import Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.scene import Ball, Scene
+from contact_reach_ros.scenes.scene import NO_MISMATCH, Ball, MismatchSettings, Scene
 
 HOME = np.array(iiwa14.HOME_POSITION)
 REST = np.zeros(iiwa14.N_JOINTS)
@@ -45,11 +45,11 @@ def ideal_plant(
     balls: tuple[Ball, ...] = (),
     sensors: SensorSettings = IDEAL_SENSORS,
     joints: JointSettings = NO_FRICTION,
-    mismatch: MismatchSettings | None = None,
+    mismatch: MismatchSettings = NO_MISMATCH,
     seed: int = 0,
 ) -> Plant:
     """The simulated arm at `start`; it is exactly what the controller's model says unless told otherwise."""
-    return Plant(Scene("test", seed, start, np.zeros(3), balls), sensors, joints, mismatch or MismatchSettings())
+    return Plant(Scene("test", seed, start, np.zeros(3), balls, mismatch=mismatch), sensors, joints)
 
 
 def offer_plan(

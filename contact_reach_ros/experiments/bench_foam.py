@@ -2,73 +2,109 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import time
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
+import scipy.optimize
 from numpy.typing import NDArray
 
-from contact_reach_ros.errors import SceneError
+from contact_reach_ros.errors import InputError, SceneError
+from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.plant.plant import TICK, Actuation, Plant
 from contact_reach_ros.plant.press import press_in_model, press_in_plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene, read_scene
+from contact_reach_ros.scenes.scene import Scene, WallSettings
 from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
 from contact_reach_ros.timing import Histogram
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
 
-FORCE = 10.0
-"""What a node is pressed with, N."""
+AGREEMENT = 0.2
+"""How far displacements of planner and plant may be apart, as a share of the planner's."""
+MAX_FORCE = 100.0
+"""To press nodes with, N."""
 _PRESS_TICKS = 1000
 _RISE = 1.0 - 1.0 / np.e
 
 _PATH_S = 4.0
 _HOLD_S = 1.0
+_REPETITIONS = 3
 _STIFFNESS = 800.0
 _DAMPING = 40.0
 
 
-def bench_foam(name: str, seed: int, file: Path | None) -> dict[str, object]:
+class Press(TypedDict):
+    """How far a pressed node gave way, and how fast: time until 63 % of it."""
+
+    node: tuple[int, int, int]
+    plant_mm: float
+    planner_mm: float
+    ratio: float
+    plant_ms: float
+    planner_ms: float
+    time_ratio: float
+
+
+def bench_foam(name: str, seed: int, force: float, fit: bool, file: Path | None) -> dict[str, object]:
     """Press nodes of the scene's upper wall, push the arm through, print tables and write JSON to `file`.
+
+    Parameters
+    ----------
+    name, seed
+        Of the scene.
+    force
+        What nodes are pressed with, N.
+    fit
+        Whether to find the planner's stiffness that agrees best with the plant's, instead of pushing the arm through.
 
     Raises
     ------
+    InputError
+        If the force is not above zero and at most `MAX_FORCE`.
     SceneError
         If the scene has no walls, or cannot be made.
     """
+    if not 0.0 < force <= MAX_FORCE:
+        raise InputError(f"force = {force:g} N: expected a number above 0, at most {MAX_FORCE:g}")
     scene = make_scene(read_scene(name), seed)
     if not scene.walls:
         raise SceneError(f"scene '{name}' has no walls; expected one that has, such as 'wall'")
-    presses = [press(scene, *node) for node in _surface_nodes(scene)]
-    print(f"a node pressed with {FORCE:g} N: displacement and time to {100 * _RISE:.0f} % of it, plant and planner")
+    presses = [press(scene, force, *node) for node in _surface_nodes(scene)]
+    print(f"a node pressed with {force:g} N: displacement and time to {100 * _RISE:.0f} % of it, plant and planner")
     for row in presses:
         print(
             f"  node {row['node']!s:12} plant {row['plant_mm']:6.1f} mm {row['plant_ms']:4.0f} ms   planner "
             f"{row['planner_mm']:6.1f} mm {row['planner_ms']:4.0f} ms   ratio {row['ratio']:.2f}, "
             f"{row['time_ratio']:.2f}"
         )
-    steps = time_steps(scene)
-    print("CPU time of one step of 1 ms while the arm pushes along its free path, us")
-    print("  " + "  ".join(f"{key} {value:.0f}" for key, value in steps.items()))
-    report: dict[str, object] = {"press": presses, "step_us": steps}
+    report: dict[str, object] = {"force_N": force, "press": presses}
+    if fit:
+        report["fit"] = _print_fit(scene, force, presses)
+    else:
+        steps = report["step_us"] = time_steps(scene)
+        print(
+            f"CPU time of one step of 1 ms while the arm pushes along its free path, least of {_REPETITIONS} runs, us"
+        )
+        print("  " + "  ".join(f"{key} {value:.0f}" for key, value in steps.items()))
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return report
 
 
-def press(scene: Scene, x: int, y: int, z: int) -> dict[str, object]:
+def press(scene: Scene, newtons: float, x: int, y: int, z: int) -> Press:
     """Press one node of the upper wall, given by its place in the lattice, along x."""
-    wall = scene.walls[-1]
-    node = len(rest_positions(scene)) - len(wall.rest) + int(np.ravel_multi_index((x, y, z), wall.settings.nodes))
-    force = np.array([FORCE, 0.0, 0.0])
-    plant = Plant(scene, SensorSettings(), JointSettings(), MismatchSettings())
+    node, force = _number(scene, (x, y, z)), np.array([newtons, 0.0, 0.0])
+    plant = Plant(scene, SensorSettings(), JointSettings())
     spheres = obstacle_spheres(scene, rest_positions(scene))
     times: Array = TICK * np.arange(1, _PRESS_TICKS + 1, dtype=np.float64)
     ways = (
@@ -78,7 +114,7 @@ def press(scene: Scene, x: int, y: int, z: int) -> dict[str, object]:
     plant_mm, planner_mm = (1000.0 * float(way[-1]) for way in ways)
     plant_ms, planner_ms = (1000.0 * TICK * (1 + int(np.searchsorted(way, _RISE * way[-1]))) for way in ways)
     return {
-        "node": [x, y, z],
+        "node": (x, y, z),
         "plant_mm": plant_mm,
         "planner_mm": planner_mm,
         "ratio": plant_mm / planner_mm,
@@ -88,26 +124,94 @@ def press(scene: Scene, x: int, y: int, z: int) -> dict[str, object]:
     }
 
 
+def fit_scale(scene: Scene, newtons: float, presses: list[Press]) -> float:
+    """Factor on the springs of the planner's mesh with which it gives way most nearly as the plant did.
+
+    Least squares of the logarithms of the displacements' ratios, so that twice and half as far are as wrong as each
+    other.
+    """
+    plant_mm = np.log([row["plant_mm"] for row in presses])
+
+    def misses(log_scale: Array) -> Array:
+        spheres = _planner_spheres(scene, float(np.exp(log_scale[0])))
+        ways = [_model_mm(spheres, _number(scene, row["node"]), newtons) for row in presses]
+        return np.log(ways) - plant_mm
+
+    (known,) = (entry for entry in WallSettings.declared() if entry.name == "planner_stiffness_scale")
+    bounds = np.log([known.minimum or 0.0, known.maximum or np.inf])
+    now = np.log(scene.walls[-1].settings.planner_stiffness_scale)
+    return float(np.exp(scipy.optimize.least_squares(misses, [now], bounds=bounds).x[0]))
+
+
+def _print_fit(scene: Scene, newtons: float, presses: list[Press]) -> dict[str, float]:
+    settings = scene.walls[-1].settings
+    scale = fit_scale(scene, newtons, presses)
+    spheres = _planner_spheres(scene, scale)
+    fitted = [row["plant_mm"] / _model_mm(spheres, _number(scene, row["node"]), newtons) for row in presses]
+    in_use = settings.planner_stiffness_scale
+    error, left = (
+        float(np.abs(np.subtract(ratios, 1.0)).max()) for ratios in ([row["ratio"] for row in presses], fitted)
+    )
+    print(f"the planner's springs, edge_stiffness = {settings.edge_stiffness:g} N/m times planner_stiffness_scale")
+    for label, value, off in (("in use", in_use, error), ("fitted", scale, left)):
+        print(f"  {label}  {value:.3f}, displacements off by {100 * off:.0f} % at most")
+    verdict = "agrees" if left <= AGREEMENT else "does not agree"
+    print(f"  the fitted mesh {verdict} within {100 * AGREEMENT:.0f} %; in the scene's file:")
+    print(f"wall:\n  planner_stiffness_scale: {scale:.3f}")
+    return {"in_use": in_use, "error": error, "fitted": scale, "error_fitted": left}
+
+
+def _planner_spheres(scene: Scene, scale: float) -> Spheres:
+    """The mesh at rest as a planner would see it with this scale."""
+    walls = tuple(
+        dataclasses.replace(wall, settings=dataclasses.replace(wall.settings, planner_stiffness_scale=scale))
+        for wall in scene.walls
+    )
+    return obstacle_spheres(dataclasses.replace(scene, walls=walls), rest_positions(scene))
+
+
+def _model_mm(spheres: Spheres, node: int, newtons: float) -> float:
+    way = press_in_model(spheres, node, np.array([newtons, 0.0, 0.0]), np.array([TICK * _PRESS_TICKS]))
+    return 1000.0 * float(way[0, 0])
+
+
+def _number(scene: Scene, node: tuple[int, int, int]) -> int:
+    """Number of a node of the upper wall among all spheres."""
+    wall = scene.walls[-1]
+    return len(rest_positions(scene)) - len(wall.rest) + int(np.ravel_multi_index(node, wall.settings.nodes))
+
+
 def time_steps(scene: Scene) -> dict[str, float]:
-    """CPU time of the plant's steps in contact, µs, while the arm is pulled along its free path; contacts at most."""
+    """CPU time of the plant's steps in contact, µs, while the arm is pulled along its free path; contacts at most.
+
+    Every repetition takes the very same steps, so the least time of each is what it costs where nothing disturbs it.
+    """
     model = RobotModel()
     path = free_path(model, scene.start, scene.target)
     if path is None:
         raise SceneError(f"scene '{scene.name}': its target cannot be reached on a straight line")
-    plant = Plant(scene, SensorSettings(), JointSettings(), MismatchSettings())
+    runs = [_time_push(scene, model, path) for _ in range(_REPETITIONS)]
+    times = Histogram()
+    for took_ns in np.min([took for took, _ in runs], axis=0)[runs[0][1] > 0]:
+        times.add(int(took_ns))
+    contacts = float(runs[0][1].max())
+    return {**times.summary(), "max": 1e6 * times.maximum_ns / NANOSECONDS, "contacts": contacts}
+
+
+def _time_push(scene: Scene, model: RobotModel, path: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """CPU time, ns, and number of contacts of each step."""
+    plant = Plant(scene, SensorSettings(), JointSettings())
     plant.set_actuation(Actuation.COMMANDED)
-    times, contacts = Histogram(), 0
+    took, contacts = [], []
     for tick in range(round((_PATH_S + _HOLD_S) / TICK)):
         wanted = path[min(int(tick * TICK / _PATH_S * len(path)), len(path) - 1)]
         q, v = plant.data.qpos[: len(wanted)], plant.data.qvel[: len(wanted)]
         torque = model.gravity_at(q) + _STIFFNESS * (wanted - q) - _DAMPING * v
         began_ns = time.thread_time_ns()
         plant.step(torque)
-        took_ns = time.thread_time_ns() - began_ns
-        if plant.data.ncon > 0:
-            times.add(took_ns)
-            contacts = max(contacts, int(plant.data.ncon))
-    return {**times.summary(), "max": 1e6 * times.maximum_ns / NANOSECONDS, "contacts": float(contacts)}
+        took.append(time.thread_time_ns() - began_ns)
+        contacts.append(plant.data.ncon)
+    return np.array(took), np.array(contacts)
 
 
 def _surface_nodes(scene: Scene) -> list[tuple[int, int, int]]:

@@ -34,8 +34,9 @@ from contact_reach_ros.planning.transfer.pipeline import N_ACTION
 from contact_reach_ros.plant.plant import Plant
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import BallSettings, SceneFile, read_scene
+from contact_reach_ros.scenes.scene import BallSettings, SceneFile
 from contact_reach_ros.scenes.spheres import obstacle_spheres, sphere_capacity
 
 Array = NDArray[np.float64]

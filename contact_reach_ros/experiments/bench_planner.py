@@ -31,9 +31,10 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.objectives import action_bounds, make_objective, scaled_cost
 from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
 from contact_reach_ros.plant.plant import TICK, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.scenes.scene import Scene, read_scene
+from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import sphere_capacity
 
 Report = dict[str, Any]
@@ -257,7 +258,7 @@ def _run(program: Callable[..., jax.Array], *arguments: object) -> None:
 
 def _mujoco_batch(scene: Scene, candidates: int, duration: float, threads: int) -> Callable[[], object]:
     """A rollout of the plant's own MuJoCo model, held against gravity by constant torques, without any controller."""
-    plant = Plant(scene, SensorSettings(), JointSettings(), MismatchSettings())
+    plant = Plant(scene, SensorSettings(), JointSettings())
     model, data = plant.model, plant.data
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     state = np.zeros(mujoco.mj_stateSize(model, kind))

@@ -19,8 +19,9 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene, read_scene
+from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import sphere_capacity
 
 LATENCY = "latency"

@@ -25,7 +25,7 @@ from contact_reach_ros.planning.settings import SOLVER_METHODS, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import fresh
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.spheres import sphere_capacity
 
 PAPER = {"hybrid": 0.34, "cma": 0.22, "gradient": 0.40}

@@ -19,7 +19,7 @@ from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
 from contact_reach_ros.planning.problem import Goal, Plan
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant, Reading
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.scene import Scene
@@ -58,7 +58,6 @@ class EpisodeOptions:
     budget: ContactBudget = field(default_factory=ContactBudget)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     joints: JointSettings = field(default_factory=JointSettings)
-    mismatch: MismatchSettings = field(default_factory=MismatchSettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +132,7 @@ def run_episode(
     watch
         Called after each tick with its number and the plant.
     """
-    plant = Plant(scene, options.sensors, options.joints, options.mismatch)
+    plant = Plant(scene, options.sensors, options.joints)
     drive = Drive(plant, WatchdogSettings())
     observer = MomentumObserver(MomentumSettings(), RobotModel())
     monitor = SafetyMonitor(SafetySettings(), options.budget)

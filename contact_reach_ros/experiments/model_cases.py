@@ -17,7 +17,7 @@ from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.pipeline import N_ACTION
 from contact_reach_ros.plant.plant import TICK, Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
@@ -76,7 +76,7 @@ class Motion:
 def simulate(case: Case) -> Motion:
     """The simulated robot under the actions, latched as the controller latches them."""
     joints = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
-    plant = Plant(case.scene, SensorSettings(), joints, MismatchSettings())
+    plant = Plant(case.scene, SensorSettings(), joints)
     plant.set_actuation(Actuation.COMMANDED)
     data = plant.data
     data.qvel[: iiwa14.N_JOINTS] = case.v

@@ -31,7 +31,6 @@ class BringupSettings(Settings):
     seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
     target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
     lockstep: bool = setting(False, "simulated time that waits for every node, instead of real time")
-    mismatch: bool = setting(False, "simulate an arm that differs from its model")
     bag: str = setting("", "directory to record a bag to; none when empty")
     parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
     driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")

@@ -34,8 +34,8 @@ from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
 from contact_reach_ros.recording.summary import Episode, EpisodeSummary
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import read_scene
 from contact_reach_ros.units import NANOSECONDS
 
 INTERRUPTED = 130
@@ -68,7 +68,6 @@ class DemoOptions:
     seed: int = 0
     goal: tuple[float, float, float] | None = None
     lockstep: bool = False
-    mismatch: bool = False
     timeout: float = 30.0
     """Time of the robot's clock in which the goal must be reached, s."""
     settle: float = 1.2
@@ -153,7 +152,6 @@ def run_demo(options: DemoOptions) -> int:
         seed=options.seed,
         target="" if options.goal is None else " ".join(map(str, options.goal)),
         lockstep=options.lockstep,
-        mismatch=options.mismatch,
         bag=str(bag),
         parameters=options.parameters,
     )

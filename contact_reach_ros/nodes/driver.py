@@ -29,11 +29,12 @@ from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateWriter, read_command
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.urdf import build_urdf
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import parse_target, read_scene
+from contact_reach_ros.scenes.scene import parse_target
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.timing import Histogram
 from contact_reach_ros.units import NANOSECONDS
@@ -72,7 +73,6 @@ class DriverNode(ManagedNode):
         "watchdog": WatchdogSettings,
         "sensors": SensorSettings,
         "joints": JointSettings,
-        "mismatch": MismatchSettings,
     }
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class DriverNode(ManagedNode):
         settings = self.settings
         chosen: DriverSettings = settings[""]
         self._scene = make_scene(read_scene(chosen.scene), chosen.seed, parse_target(chosen.target))
-        self._plant = Plant(self._scene, settings["sensors"], settings["joints"], settings["mismatch"])
+        self._plant = Plant(self._scene, settings["sensors"], settings["joints"])
         self._drive = Drive(self._plant, settings["watchdog"])
         self._obstacles_every = _WALLS_EVERY if self._scene.walls else _OBSTACLES_EVERY
         self._start_ns = 0

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from contact_reach_ros.nodes.parameters import parameters_in
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.scenes.scene import SceneFile, read_scene
+from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.scenes.scene import SceneFile
 from contact_reach_ros.scenes.spheres import sphere_capacity
 
 ParameterValue = bool | int | float | str | list[str]
@@ -50,7 +51,6 @@ class StackOptions:
     target: str = ""
     """Flange position that the scene is built for, 'x y z' in m; drawn when empty."""
     lockstep: bool = False
-    mismatch: bool = False
     bag: str = ""
     """Directory to record to; nothing is recorded when empty."""
     parameters: str = ""
@@ -79,7 +79,6 @@ def processes(options: StackOptions) -> list[Process]:
         "seed": options.seed,
         "target": options.target,
         "lockstep": options.lockstep,
-        "mismatch.enabled": options.mismatch,
     }
     table = []
     if options.bag:
@@ -100,9 +99,9 @@ def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterVal
         values["sphere_stiffness"] = scene.ball.stiffness
         values["sphere_damping"] = scene.ball.damping
     elif scene.wall is not None:
-        values["node_stiffness"] = scene.wall.anchor_stiffness
+        values["node_stiffness"] = scene.wall.planner_anchor_stiffness
         values["node_damping"] = scene.wall.damping
-        values["edge_stiffness"] = scene.wall.edge_stiffness
+        values["edge_stiffness"] = scene.wall.planner_edge_stiffness
     # What the user's file says holds.
     chosen = parameters_in(parameter_file, "planner")
     return {name: value for name, value in values.items() if name not in chosen}

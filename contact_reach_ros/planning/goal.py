@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.problem import Goal
 from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.workspace import unreachable
 
 Array = NDArray[np.float64]
 
@@ -42,19 +43,9 @@ def make_goal(frame: str, position: Array, quaternion: Array, orientation: str, 
         raise InputError(f"goal_pose: header.frame_id is '{frame}'; expected '{iiwa14.BASE_NAME}'")
     if not np.isfinite(position).all():
         raise InputError(f"goal_pose: pose.position = {position.tolist()}; expected finite numbers in m")
-    distance = float(np.linalg.norm(position - iiwa14.SHOULDER_POSITION))
-    if distance > iiwa14.MAX_REACH:
-        raise InputError(
-            f"goal_pose: pose.position is {distance:.3f} m from the shoulder at {list(iiwa14.SHOULDER_POSITION)} m; "
-            f"the arm reaches {iiwa14.MAX_REACH} m"
-        )
-    base = iiwa14.BASE_CAPSULE
-    axis_point = np.array([0.0, 0.0, np.clip(position[2], 0.0, base.end[2])])
-    if np.linalg.norm(position - axis_point) < base.radius:
-        raise InputError(
-            f"goal_pose: pose.position = {np.round(position, 3).tolist()} m lies inside the base; "
-            f"expected at least {base.radius} m from its axis"
-        )
+    reason = unreachable(position)
+    if reason:
+        raise InputError(f"goal_pose: pose.position {reason}")
     if orientation == "free":
         return Goal(position)
     if orientation == "hold":

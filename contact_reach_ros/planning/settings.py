@@ -38,7 +38,7 @@ class PlanningSettings(Settings):
         5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
     )
     contact_weight: float = setting(
-        0.003, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=1.0
+        0.01, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=1.0
     )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(

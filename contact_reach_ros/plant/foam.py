@@ -21,7 +21,8 @@ class Foam:
     moved apart or together by s, the spring is l long at rest and h is the hardening.
     """
 
-    def __init__(self, walls: Sequence[Wall]) -> None:
+    def __init__(self, walls: Sequence[Wall], scale: float = 1.0) -> None:
+        """`scale`: factor on the stiffness of all springs."""
         lengths, stiffnesses, hardenings, entries = [], [], [], []
         self._count = sum(int((~wall.fixed).sum()) for wall in walls)
         first = row = 0
@@ -37,7 +38,7 @@ class Foam:
                 entries.append((np.full(len(kept), sign), row + kept, ends[kept, end]))
             row += len(edges)
             lengths.append(np.linalg.norm(wall.rest[edges[:, 0]] - wall.rest[edges[:, 1]], axis=1))
-            stiffnesses.append(np.full(len(edges), settings.edge_stiffness))
+            stiffnesses.append(np.full(len(edges), scale * settings.edge_stiffness))
             hardenings.append(np.full(len(edges), settings.hardening))
             first += int(free.sum())
         values, rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))

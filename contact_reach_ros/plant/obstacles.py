@@ -19,16 +19,19 @@ _ARM_MASS = 3.0
 """Effective mass of the arm where it touches something that cannot move, roughly, kg."""
 
 
-def ball_body(index: int, ball: Ball) -> Element:
-    """A sphere on three sprung sliders."""
+def ball_body(index: int, ball: Ball, scale: float = 1.0) -> Element:
+    """A sphere on three sprung sliders, with all stiffnesses multiplied by `scale`."""
     settings = ball.settings
-    body = _slider_body(f"ball_{index}", ball.center, settings.damping, settings.stiffness)
-    body.append(_sphere(body, settings.radius, settings.mass, settings, settings.mass))
+    body = _slider_body(f"ball_{index}", ball.center, settings.damping, scale * settings.stiffness)
+    body.append(_sphere(body, settings.radius, settings.mass, settings, settings.mass, scale))
     return body
 
 
-def wall_bodies(index: int, wall: Wall) -> list[Element]:
-    """One small sphere for each node; those that can move on three sliders, without the springs of the edges."""
+def wall_bodies(index: int, wall: Wall, scale: float = 1.0) -> list[Element]:
+    """One small sphere for each node; those that can move on three sliders, without the springs of the edges.
+
+    All stiffnesses are multiplied by `scale`.
+    """
     settings = wall.settings
     bodies = []
     for number, (position, fixed) in enumerate(zip(wall.rest, wall.fixed, strict=True)):
@@ -36,9 +39,9 @@ def wall_bodies(index: int, wall: Wall) -> list[Element]:
         if fixed:
             body = Element("body", name=name, pos=numbers(position))
         else:
-            body = _slider_body(name, position, settings.damping, settings.anchor_stiffness)
+            body = _slider_body(name, position, settings.damping, scale * settings.anchor_stiffness)
         effective_mass = _ARM_MASS if fixed else settings.node_mass
-        body.append(_sphere(body, settings.node_radius, settings.node_mass, settings, effective_mass))
+        body.append(_sphere(body, settings.node_radius, settings.node_mass, settings, effective_mass, scale))
         bodies.append(body)
     return bodies
 
@@ -54,11 +57,17 @@ def _slider_body(name: str, position: NDArray[np.float64], damping: float, stiff
 
 
 def _sphere(
-    body: Element, radius: float, mass: float, material: BallSettings | WallSettings, effective_mass: float
+    body: Element,
+    radius: float,
+    mass: float,
+    material: BallSettings | WallSettings,
+    effective_mass: float,
+    stiffness_scale: float,
 ) -> Element:
     # MuJoCo multiplies a contact's stiffness by the effective mass, which the lighter partner dominates, and divides it
     # by 1 - d.
     scale = (1.0 - _IMPEDANCE) / effective_mass
+    stiffness = stiffness_scale * material.contact_stiffness
     friction = material.friction
     return Element(
         "geom",
@@ -71,6 +80,6 @@ def _sphere(
         condim="3" if friction > 0.0 else "1",
         friction=numbers((max(friction, 1e-5), 0.005, 0.0001)),
         priority="1",
-        solref=numbers((-material.contact_stiffness * scale, -_CONTACT_DAMPING * scale)),
+        solref=numbers((-stiffness * scale, -_CONTACT_DAMPING * scale)),
         solimp=numbers((_IMPEDANCE, _IMPEDANCE, 0.001, 0.5, 2)),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.plant.foam import Foam
 from contact_reach_ros.plant.obstacles import ball_body, wall_bodies
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.mjcf import build_mjcf
 from contact_reach_ros.scenes.scene import Scene
@@ -61,20 +61,13 @@ class Plant:
         What stands around the arm.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        sensors: SensorSettings,
-        joints: JointSettings,
-        mismatch: MismatchSettings,
-    ) -> None:
-        """Build the simulation at the scene's start; `scene.seed` seeds the sensor noise."""
-        inertia_set = "alternative" if mismatch.enabled else "nominal"
-        payload = mismatch.payload if mismatch.enabled else 0.0
-        bodies = [ball_body(index, ball) for index, ball in enumerate(scene.balls)]
+    def __init__(self, scene: Scene, sensors: SensorSettings, joints: JointSettings) -> None:
+        """Build the simulation at the scene's start, with its mismatch; `scene.seed` seeds the sensor noise."""
+        mismatch = scene.mismatch
+        bodies = [ball_body(index, ball, scene.foam_scale) for index, ball in enumerate(scene.balls)]
         for index, wall in enumerate(scene.walls):
-            bodies += wall_bodies(index, wall)
-        self.model = mujoco.MjModel.from_xml_string(build_mjcf(inertia_set, bodies, payload))
+            bodies += wall_bodies(index, wall, scene.foam_scale)
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(mismatch.inertia_set, bodies, mismatch.payload))
         self.model.opt.timestep = TICK
         # With a pyramidal friction cone the contact's stiffness would depend on the friction, 20-fold at the default.
         self.model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -84,7 +77,8 @@ class Plant:
         self.scene = scene
         self._sensors = sensors
         self._joints = joints
-        self._friction_scale = mismatch.friction_scale if mismatch.enabled else 1.0
+        self._friction_scale = mismatch.friction_scale
+        self._noise_scale = mismatch.noise_scale
         self._random = np.random.default_rng(scene.seed)
         self._arm = slice(0, iiwa14.N_JOINTS)
         self._torque_limits = np.array(iiwa14.TORQUE_LIMITS)
@@ -94,7 +88,7 @@ class Plant:
         self._rests = rest_positions(scene)
         movable = [np.ones(len(scene.balls), bool)] + [~wall.fixed for wall in scene.walls]
         self._movable = np.flatnonzero(np.concatenate(movable))
-        self._foam = Foam(scene.walls) if scene.walls else None
+        self._foam = Foam(scene.walls, scene.foam_scale) if scene.walls else None
         self._foam_dofs = slice(iiwa14.N_JOINTS + 3 * len(scene.balls), self.model.nv)
         self._body_of_geom = self._contact_body_indices()
         self.data.qpos[self._arm] = scene.start
@@ -146,7 +140,7 @@ class Plant:
     def read(self) -> Reading:
         """Sensor readings of the state at hand; each call draws new noise."""
         sensors = self._sensors
-        noise = self._random.standard_normal((3, iiwa14.N_JOINTS))
+        noise = self._noise_scale * self._random.standard_normal((3, iiwa14.N_JOINTS))
         position = self.data.qpos[self._arm] + sensors.position_noise * noise[0]
         if sensors.position_resolution > 0.0:
             position = sensors.position_resolution * np.rint(position / sensors.position_resolution)

@@ -27,12 +27,3 @@ class JointSettings(Settings):
     coulomb_friction: float = setting(0.2, "dry friction", unit="Nm", minimum=0.0, maximum=50.0)
     hold_damping: float = setting(30.0, "damping of the damped hold", unit="Nm s/rad", minimum=1.0, maximum=500.0)
     brake_torque: float = setting(150.0, "what a closed brake holds", unit="Nm", minimum=1.0, maximum=1000.0)
-
-
-@dataclass(frozen=True)
-class MismatchSettings(Settings):
-    """The robot that differs from its model."""
-
-    enabled: bool = setting(False, "simulate the arm with the values below")
-    payload: float = setting(0.5, "unknown mass at the flange", unit="kg", minimum=0.0, maximum=14.0)
-    friction_scale: float = setting(3.0, "factor on both frictions", minimum=0.0, maximum=20.0)

@@ -12,8 +12,13 @@ from contact_reach_ros.scenes.scene import Wall, WallSettings
 
 Array = NDArray[np.float64]
 
+_STEP = 0.001
+"""Of the simulation, s."""
+
 MAX_FREE_NODES = 200
-"""Nodes of both walls that can move; with more the simulation would not keep its step of 1 ms."""
+MAX_NODES = 300
+"""Nodes of both walls that can move, and of all; with more the simulation would not keep its step of 1 ms: at these
+limits it takes up to 0.35 ms in contact (`contact-reach bench foam`)."""
 
 
 def make_walls(settings: WallSettings, center: Array) -> tuple[Wall, Wall]:
@@ -22,21 +27,31 @@ def make_walls(settings: WallSettings, center: Array) -> tuple[Wall, Wall]:
     Raises
     ------
     SceneError
-        If the mesh has too many nodes, or its nodes overlap or stick out of the walls.
+        As `check_mesh`.
     """
-    _check_mesh(settings)
+    check_mesh(settings)
     offset = np.array([0.0, 0.0, 0.5 * (settings.gap + settings.size[2])])
     return _make_wall(settings, center - offset, fixed_level=0), _make_wall(settings, center + offset, fixed_level=-1)
 
 
-def _check_mesh(settings: WallSettings) -> None:
+def check_mesh(settings: WallSettings) -> None:
+    """Refuse a mesh that cannot be simulated.
+
+    Raises
+    ------
+    SceneError
+        If it has too many nodes, its springs are too stiff for the nodes' mass, or the nodes overlap.
+    """
     along_x, along_y, along_z = settings.nodes
-    free = 2 * along_x * along_y * (along_z - 1)
-    if free > MAX_FREE_NODES:
+    count, free = 2 * along_x * along_y * along_z, 2 * along_x * along_y * (along_z - 1)
+    if free > MAX_FREE_NODES or count > MAX_NODES:
         raise SceneError(
-            f"wall: nodes = {settings.nodes} has {free} nodes that can move in the two walls; the simulation keeps "
-            f"1 kHz with at most {MAX_FREE_NODES}: use a coarser mesh"
+            f"wall: nodes = {settings.nodes} makes {count} nodes in the two walls, {free} of which can move; the "
+            f"simulation keeps 1 kHz with at most {MAX_NODES} and {MAX_FREE_NODES}: use a coarser mesh"
         )
+    # The eigenvalues of the mesh are at most twice what acts on one node (Gershgorin).
+    edges = sum(min(number - 1, 2) for number in settings.nodes)
+    check_stiffness("wall", 2.0 * edges * settings.edge_stiffness + settings.anchor_stiffness, settings.node_mass)
     for axis, size, count in zip("xyz", settings.size, settings.nodes, strict=True):
         spacing = (size - 2.0 * settings.node_radius) / (count - 1)
         if spacing < 2.0 * settings.node_radius - 1e-9:
@@ -44,6 +59,24 @@ def _check_mesh(settings: WallSettings) -> None:
                 f"wall: {count} nodes of radius {settings.node_radius:g} m along {axis} do not fit side by side into "
                 f"{size:g} m: use fewer or smaller nodes"
             )
+
+
+def check_stiffness(section: str, stiffness: float, mass: float) -> None:
+    """Refuse springs of `stiffness` N/m that a simulation in steps of 1 ms cannot hold on `mass` kg.
+
+    Semi-implicit Euler steps are stable up to 4 m / dt²; half of that leaves room for contact and hardening.
+
+    Raises
+    ------
+    SceneError
+        With the greatest stiffness.
+    """
+    limit = 2.0 * mass / _STEP**2
+    if stiffness > limit:
+        raise SceneError(
+            f"{section}: springs of {stiffness:g} N/m in all on {mass:g} kg; the simulation in steps of 1 ms is stable "
+            f"up to {limit:g} N/m: use softer springs or more mass"
+        )
 
 
 def _make_wall(settings: WallSettings, center: Array, fixed_level: int) -> Wall:

@@ -65,3 +65,11 @@ def overlap_depths(starts: Array, ends: Array, centers: Array, radius: float) ->
     share = np.clip(np.sum(offset * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
     distance = np.linalg.norm(offset - share[..., None] * axis, axis=-1)
     return RADII[:, None] + radius - distance
+
+
+def base_distances(points: Array) -> Array:
+    """Distances of points (..., 3) from the surface of the base, (...), m; negative inside."""
+    capsule = iiwa14.BASE_CAPSULE
+    offset = points - np.array(capsule.start)
+    offset[..., 2] = points[..., 2] - np.clip(points[..., 2], capsule.start[2], capsule.end[2])
+    return np.linalg.norm(offset, axis=-1) - capsule.radius

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.errors import SceneError, SettingsError
-from contact_reach_ros.resources import share_directory
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
+from contact_reach_ros.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
@@ -27,6 +25,9 @@ class TargetSettings(Settings):
     min_distance: float = setting(0.2, "least distance from the start", unit="m", minimum=0.0, maximum=1.5)
     start: tuple[float, ...] = setting(
         iiwa14.HOME_POSITION, "joint angles at the start", unit="rad", minimum=-3.05, maximum=3.05
+    )
+    position: tuple[float, ...] | None = setting(
+        None, "the target, instead of one drawn in the box", unit="m", minimum=-1.5, maximum=1.5, optional_length=3
     )
 
 
@@ -51,6 +52,14 @@ class BallSettings(Settings):
     )
     start_clearance: float = setting(
         0.01, "least distance of the arm from the ball at the start", unit="m", minimum=0.0, maximum=0.5
+    )
+    center: tuple[float, ...] | None = setting(
+        None,
+        "where the ball is, instead of a place on the free path",
+        unit="m",
+        minimum=-1.5,
+        maximum=1.5,
+        optional_length=3,
     )
 
 
@@ -86,6 +95,12 @@ class WallSettings(Settings):
     damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
     contact_stiffness: float = setting(1000.0, "of the foam itself", unit="N/m", minimum=50.0, maximum=50000.0)
     friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
+    planner_stiffness_scale: float = setting(
+        1.0,
+        "factor on the springs in the planner's mesh, which does not harden; bench foam --fit finds it",
+        minimum=0.05,
+        maximum=20.0,
+    )
     gap: float = setting(0.15, "between the walls", unit="m", minimum=0.0, maximum=1.0)
     min_overlap: float = setting(
         0.04,
@@ -121,6 +136,24 @@ class WallSettings(Settings):
     target_clearance: float = setting(
         0.06, "least distance of the target behind the walls", unit="m", minimum=0.0, maximum=1.0
     )
+    center: tuple[float, ...] | None = setting(
+        None,
+        "where the middle of the gap is, instead of a place on the free path",
+        unit="m",
+        minimum=-1.5,
+        maximum=1.5,
+        optional_length=3,
+    )
+
+    @property
+    def planner_edge_stiffness(self) -> float:
+        """Of a spring between two nodes in the planner's mesh, N/m."""
+        return self.planner_stiffness_scale * self.edge_stiffness
+
+    @property
+    def planner_anchor_stiffness(self) -> float:
+        """Of the spring from a node to its place in the planner's mesh, N/m."""
+        return self.planner_stiffness_scale * self.anchor_stiffness
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +167,26 @@ class Wall:
     fixed: NDArray[np.bool_]
     """(N,) whether a node cannot move."""
     settings: WallSettings
+
+
+@dataclass(frozen=True)
+class MismatchSettings(Settings):
+    """How the simulated robot and its surroundings differ from what controller, observer and planner know."""
+
+    inertia_set: str = setting("alternative", "inertial parameters of the simulated arm", choices=iiwa14.INERTIA_SETS)
+    payload: float = setting(0.5, "unknown mass at the flange", unit="kg", minimum=0.0, maximum=14.0)
+    friction_scale: float = setting(3.0, "factor on both joint frictions", minimum=0.0, maximum=20.0)
+    noise_scale: float = setting(2.0, "factor on the noise of the joint sensors", minimum=0.0, maximum=100.0)
+    foam_variation: float = setting(
+        0.3,
+        "greatest share by which the simulated foam is stiffer or softer, drawn by the seed",
+        minimum=0.0,
+        maximum=0.9,
+    )
+
+
+NO_MISMATCH = MismatchSettings("nominal", payload=0.0, friction_scale=1.0, noise_scale=1.0, foam_variation=0.0)
+"""What the simulated robot is without a mismatch."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +205,10 @@ class Scene:
         Flange position to reach, (3,), m, base frame.
     balls, walls
         Obstacles. Where they are listed by sphere, balls come first, then the nodes of one wall after the other.
+    mismatch
+        How the simulation differs from the models.
+    foam_scale
+        Factor on all stiffnesses of the obstacles in the simulation, which the planner does not know.
     """
 
     name: str
@@ -160,64 +217,19 @@ class Scene:
     target: Array
     balls: tuple[Ball, ...] = ()
     walls: tuple[Wall, ...] = ()
+    mismatch: MismatchSettings = NO_MISMATCH
+    foam_scale: float = 1.0
 
 
 @dataclass(frozen=True)
 class SceneFile:
-    """The content of a scene's YAML file."""
+    """The content of a scene's YAML file, its base included."""
 
     name: str
     target: TargetSettings
     ball: BallSettings | None = None
     wall: WallSettings | None = None
-
-
-_SECTIONS = {"target": TargetSettings, "ball": BallSettings, "wall": WallSettings}
-
-
-def scene_names() -> list[str]:
-    """The scenes that come with the package."""
-    return sorted(file.stem for file in (share_directory() / "config" / "scenes").glob("*.yaml"))
-
-
-def read_scene(name: str) -> SceneFile:
-    """Read a scene by its name, or by the path of a YAML file.
-
-    Raises
-    ------
-    SceneError
-        If there is no such scene; the message lists those there are.
-    SettingsError
-        If the file has an unknown section or key, a value out of range, or a lower bound above its upper one.
-    """
-    file = Path(name) if name.endswith((".yaml", ".yml")) else share_directory() / "config" / "scenes" / f"{name}.yaml"
-    if not file.is_file():
-        raise SceneError(f"scene '{name}' is unknown; expected one of {', '.join(scene_names())}, or a YAML file")
-    content = read_yaml(file)
-    for key, section in content.items():
-        if key not in _SECTIONS:
-            raise SettingsError(unknown_key(str(key), _SECTIONS, str(file)))
-        if not isinstance(section, dict):
-            raise SettingsError(f"{file}: {key} = {section!r}; expected a mapping of keys to values")
-    target = TargetSettings.from_mapping(content.get("target", {}), f"{file}: target")
-    ball = BallSettings.from_mapping(content["ball"], f"{file}: ball") if "ball" in content else None
-    wall = WallSettings.from_mapping(content["wall"], f"{file}: wall") if "wall" in content else None
-    if ball is not None and wall is not None:
-        raise SettingsError(f"{file}: has both ball and wall; expected at most one of them")
-    if any(low > high for low, high in zip(target.minimum, target.maximum, strict=True)):
-        raise SettingsError(f"{file}: target: minimum = {target.minimum}: expected at most maximum = {target.maximum}")
-    for name, angle, limit in zip(iiwa14.JOINT_NAMES, target.start, iiwa14.POSITION_LIMITS, strict=True):
-        if abs(angle) > limit:
-            raise SettingsError(
-                f"{file}: target: start = {target.start}: expected {name} in [{-limit:.3f}, {limit:.3f}] rad"
-            )
-    for section, obstacle in (("ball", ball), ("wall", wall)):
-        if obstacle is not None and obstacle.min_overlap > obstacle.max_overlap:
-            raise SettingsError(
-                f"{file}: {section}: min_overlap = {obstacle.min_overlap:g}: expected at most max_overlap = "
-                f"{obstacle.max_overlap:g} m"
-            )
-    return SceneFile(file.stem, target, ball, wall)
+    mismatch: MismatchSettings = NO_MISMATCH
 
 
 def parse_target(text: str) -> Array | None:

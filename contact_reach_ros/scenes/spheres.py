@@ -40,10 +40,10 @@ def obstacle_spheres(scene: Scene, positions: Array) -> Spheres:
     for wall in scene.walls:
         settings = wall.settings
         edges.append(wall.edges + len(radius))
-        edge_stiffness += [settings.edge_stiffness] * len(wall.edges)
+        edge_stiffness += [settings.planner_edge_stiffness] * len(wall.edges)
         radius += [settings.node_radius] * len(wall.rest)
         damping += [settings.damping] * len(wall.rest)
-        stiffness += np.where(wall.fixed, FIXED_STIFFNESS, settings.anchor_stiffness).tolist()
+        stiffness += np.where(wall.fixed, FIXED_STIFFNESS, settings.planner_anchor_stiffness).tolist()
     return Spheres(
         center=positions,
         rest=rest_positions(scene),

@@ -8,8 +8,9 @@ from contact_reach_ros.control.controller import Controller, ControllerSettings,
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.plant.plant import Actuation
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.scene import MismatchSettings
 
 MS = 1_000_000
 REAL = {"sensors": SensorSettings(), "joints": JointSettings()}
@@ -86,7 +87,7 @@ def test_compliant_stop_after_the_hold_limit_leaves_the_arm_still():
 
 
 @pytest.mark.parametrize("late", [0, 1, 2], ids="{} ticks late".format)
-@pytest.mark.parametrize("arm", [{}, {**REAL, "mismatch": MismatchSettings(enabled=True)}], ids=["ideal", "mismatch"])
+@pytest.mark.parametrize("arm", [{}, {**REAL, "mismatch": MismatchSettings()}], ids=["ideal", "mismatch"])
 def test_compliant_stop_brakes_a_fast_arm_even_when_commands_come_late(arm, late):
     plant = ideal_plant(**arm)
     plant.data.qvel[:] = 0.7 * VELOCITY_LIMITS * np.array([1, -1, 1, -1, 1, -1, 1])

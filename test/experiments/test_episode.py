@@ -8,9 +8,9 @@ from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import read_scene
 from contact_reach_ros.scenes.spheres import rest_positions
 
 
@@ -41,7 +41,7 @@ class StraightPlanner:
 def episode():
     scene = make_scene(read_scene("wall"), 0)
     planner = StraightPlanner(scene)
-    options = EpisodeOptions(period=0.1, settle=0.6, timeout=3.0)
+    options = EpisodeOptions(period=0.1, settle=0.6, timeout=6.0)
     return scene, planner, run_episode(scene, ReferenceMethod(planner, ControllerSettings()), options)
 
 

@@ -57,6 +57,15 @@ def test_a_missing_parameter_file_is_named(tmp_path):
     assert "none.yaml" in result.stderr
 
 
+def test_a_scene_that_cannot_be_keeps_the_driver_from_starting(tmp_path):
+    file = tmp_path / "bad.yaml"
+    file.write_text("base: ball\ntarget: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.26, 0.3]}\n")
+    result = start("driver", "-p", f"scene:={file}")
+    assert result.returncode == 2
+    assert str(file) in result.stderr and "40.0 mm inside the ball" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
 def test_an_unknown_scene_lists_the_scenes():
     result = start("driver", "-p", "scene:=moon")
     assert result.returncode != 0

@@ -13,6 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
 
+from contact_reach_ros.scenes.files import scene_names
 from contact_reach_ros.scenes.scene import WallSettings
 from contact_reach_ros.scenes.spheres import WALL_SPHERES
 
@@ -148,7 +149,14 @@ def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):
 def test_an_unknown_scene_lists_the_scenes(tmp_path):
     result = demo(tmp_path, "--scene", "moon")
     assert result.returncode == 2
-    assert "ball, free" in result.stderr
+    assert ", ".join(scene_names()) in result.stderr and "Traceback" not in result.stderr
+
+
+def test_a_scene_that_cannot_be_is_refused_before_anything_starts(tmp_path):
+    (tmp_path / "bad.yaml").write_text("base: ball\nball: {center: [0.3, 0.0, 0.6]}\n")
+    result = demo(tmp_path, "--scene", str(tmp_path / "bad.yaml"))
+    assert result.returncode == 2
+    assert "mm deep in the ball" in result.stderr and "Traceback" not in result.stderr
 
 
 def test_the_version_is_printed():

@@ -1,6 +1,7 @@
 """The pages in msg_docs say what the code does: each parameter with its default, each topic, each service."""
 
 import pytest
+from setting_rows import setting_row
 
 from contact_reach_ros.nodes import bringup, topics
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -21,23 +22,12 @@ SECTIONS = {
 }
 
 
-def shown(value):
-    if isinstance(value, bool):
-        return str(value).lower()
-    if value == ():
-        return "(empty)"
-    if isinstance(value, tuple):
-        return "[" + ", ".join(f"{item:g}" for item in value) + "]"
-    return f"{value:g}" if isinstance(value, float) else str(value) or "(empty)"
-
-
 @pytest.mark.parametrize("node", SECTIONS)
 def test_every_parameter_is_listed_with_its_default_and_range(node):
     page = (share_directory() / "msg_docs" / f"{node}.md").read_text()
     for prefix, settings in SECTIONS[node].items():
         for entry in settings.declared():
-            name = full_name(prefix, entry.name)
-            row = f"| `{name}` | {shown(entry.default)} | {entry.accepts} | {entry.description} |"
+            row = setting_row(full_name(prefix, entry.name), entry)
             assert row in page, f"msg_docs/{node}.md lacks the row {row}"
 
 

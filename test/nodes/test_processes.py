@@ -4,7 +4,7 @@ import pytest
 from stack_helpers import parameter_file
 
 from contact_reach_ros.nodes.processes import StackOptions, processes
-from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.spheres import WALL_SPHERES
 
 
@@ -13,7 +13,10 @@ def planner_parameters(**options):
     return planner.parameters
 
 
-@pytest.mark.parametrize(("scene", "spheres"), [("free", 0), ("ball", 1), ("wall", WALL_SPHERES)])
+@pytest.mark.parametrize(
+    ("scene", "spheres"),
+    [("free", 0), ("ball", 1), ("wall", WALL_SPHERES), ("ball_mismatch", 1), ("wall_mismatch", WALL_SPHERES)],
+)
 def test_the_planner_looks_at_as_many_spheres_as_the_scene_needs(scene, spheres):
     assert planner_parameters(scene=scene)["max_spheres"] == spheres
 
@@ -23,6 +26,13 @@ def test_the_planner_is_told_what_walls_are_made_of():
     assert told["edge_stiffness"] == wall.edge_stiffness
     assert told["node_damping"] == wall.damping
     assert told["node_stiffness"] == wall.anchor_stiffness
+
+
+def test_the_planner_is_told_its_own_stiffness(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("base: wall\nwall: {edge_stiffness: 50.0, anchor_stiffness: 4.0, planner_stiffness_scale: 1.5}\n")
+    told = planner_parameters(scene=str(file))
+    assert (told["edge_stiffness"], told["node_stiffness"]) == (75.0, 6.0)
 
 
 def test_what_the_parameter_file_says_holds(tmp_path):

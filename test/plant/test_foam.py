@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, IDEAL_SENSORS, NO_FRICTION
 
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.plant.foam import Foam
 from contact_reach_ros.plant.plant import CONTACT_BODIES, Plant
 from contact_reach_ros.plant.press import press_in_model, press_in_plant, stiffness_matrix
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings
+from contact_reach_ros.plant.settings import JointSettings
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.lattice import make_walls
 from contact_reach_ros.scenes.overlap import capsule_segments
-from contact_reach_ros.scenes.scene import Scene, WallSettings, read_scene
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettings
 from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
 
 FOREARM = 3
@@ -27,7 +29,7 @@ def wall_scene() -> Scene:
 
 
 def braked(scene: Scene) -> Plant:
-    return Plant(scene, IDEAL_SENSORS, JointSettings(), MismatchSettings())
+    return Plant(scene, IDEAL_SENSORS, JointSettings())
 
 
 def scene_beside_the_forearm(depth: float, **changes) -> Scene:
@@ -115,6 +117,34 @@ def test_a_pressed_node_gives_way_as_the_planner_thinks(node, direction):
     assert constants[0] == pytest.approx(constants[1], rel=0.3)
 
 
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+def test_foam_of_a_mismatch_is_stiffer_or_softer_throughout(scale):
+    """With all stiffnesses scaled, a force that is scaled too moves everything alike once it has settled."""
+    scene = dataclasses.replace(wall_scene(), foam_scale=scale)
+    number = node_at(scene, 1, 0, 5, 0)
+    force = np.array([PRESS, 0.0, 0.0])
+    nominal = press_in_plant(braked(wall_scene()), number, force, 1500)[-1]
+    scaled = press_in_plant(braked(scene), number, scale * force, 1500)[-1]
+    np.testing.assert_allclose(scaled, nominal, rtol=0.02, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+def test_contact_and_spring_of_a_ball_are_scaled(scale):
+    starts, ends = capsule_segments(HOME)
+    middle = (starts[FOREARM] + ends[FOREARM]) / 2
+    ball = Ball(middle + np.array([0.0, 0.08 + 0.1 - 0.03, 0.0]), BallSettings())
+    scene = Scene("test", 0, HOME, np.zeros(3), (ball,), foam_scale=scale)
+    plant = braked(scene)
+    for _ in range(3000):
+        plant.step()
+    force = plant.contact_forces().max()
+    (contact,) = plant.data.contact
+    settings = ball.settings
+    moved = np.linalg.norm(plant.obstacle_positions()[0] - ball.center)
+    assert force == pytest.approx(scale * settings.stiffness * moved, rel=0.02)
+    assert force == pytest.approx(-scale * settings.contact_stiffness * contact.dist, rel=0.06)
+
+
 def test_a_fixed_node_does_not_give_way():
     scene = wall_scene()
     number = node_at(scene, 1, 0, 5, 2)
@@ -153,10 +183,29 @@ class TestFoam:
 def test_same_scene_same_motion_bit_for_bit():
     tracks = []
     for _ in range(2):
-        plant = Plant(scene_beside_the_forearm(0.03), IDEAL_SENSORS, NO_FRICTION, MismatchSettings())
+        plant = Plant(scene_beside_the_forearm(0.03), IDEAL_SENSORS, NO_FRICTION)
         rows = []
         for _ in range(200):
             plant.step()
             rows.append(np.concatenate([plant.obstacle_positions().ravel(), plant.contact_forces()]))
         tracks.append(np.array(rows))
     np.testing.assert_array_equal(*tracks)
+
+
+def test_the_stiffest_mesh_that_is_accepted_comes_to_rest():
+    """Half of what semi-implicit Euler steps hold, so that there is room for hardening."""
+    scene = wall_scene()
+    settings = dataclasses.replace(scene.walls[0].settings, edge_stiffness=2000.0, node_mass=0.01, damping=0.1)
+    walls = make_walls(settings, np.array([0.55, 0.0, 0.4]))
+    with pytest.raises(SceneError, match="use softer springs or more mass"):
+        make_walls(dataclasses.replace(settings, edge_stiffness=2001.0), np.zeros(3))
+    scene = dataclasses.replace(scene, walls=walls)
+    track = press_in_plant(braked(scene), node_at(scene, 1, 0, 5, 0), np.array([3 * PRESS, 0.0, 0.0]), 3000)[:, 0]
+    settled = press_in_model(
+        obstacle_spheres(scene, rest_positions(scene)),
+        node_at(scene, 1, 0, 5, 0),
+        np.array([3 * PRESS, 0.0, 0.0]),
+        np.array([np.inf]),
+    )[0, 0]
+    assert np.abs(track).max() < 3 * settled
+    assert track[-500:].mean() == pytest.approx(settled, rel=0.1)

@@ -5,11 +5,12 @@ import pytest
 from arm_simulation import HOME, NO_FRICTION, REST, TORQUE_LIMITS, ideal_plant, random_states
 
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import read_scene
+from contact_reach_ros.scenes.scene import NO_MISMATCH, MismatchSettings
 
 FRICTION = JointSettings()
 
@@ -23,10 +24,10 @@ def joint_speed(plant: Plant) -> float:
     return float(np.abs(plant.data.qvel[:7]).max())
 
 
-@pytest.mark.parametrize("mismatch", [False, True])
+@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MismatchSettings()], ids=["none", "mismatch"])
 def test_brakes_hold_the_arm_from_the_first_step_on(mismatch):
     for q in 0.9 * random_states(3)[0]:
-        plant = ideal_plant(q, joints=FRICTION, mismatch=MismatchSettings(enabled=mismatch))
+        plant = ideal_plant(q, joints=FRICTION, mismatch=mismatch)
         assert plant.actuation is Actuation.BRAKED
         run(plant, 0.5)
         assert np.abs(plant.data.qpos - q).max() < 1e-9
@@ -119,16 +120,14 @@ def test_viscous_friction_takes_its_share_of_the_torque():
 
 class TestMismatch:
     def test_model_error_is_as_large_as_the_inertia_sets_differ(self):
-        plant = ideal_plant(mismatch=MismatchSettings(enabled=True, payload=0.0))
+        plant = ideal_plant(mismatch=MismatchSettings(payload=0.0))
         true = RobotModel("alternative").gravity_at(HOME)
         np.testing.assert_allclose(plant.data.qfrc_bias, true, rtol=0, atol=1e-9)
         assert np.abs(true - RobotModel().gravity_at(HOME)).max() > 1.0
 
     def test_payload_pulls_the_flange_down(self):
         payload = 2.0
-        with_payload, without = (
-            ideal_plant(mismatch=MismatchSettings(enabled=True, payload=mass)) for mass in (payload, 0.0)
-        )
+        with_payload, without = (ideal_plant(mismatch=MismatchSettings(payload=mass)) for mass in (payload, 0.0))
         model = RobotModel()
         model.update(HOME, REST)
         # The payload hangs 5 cm in front of the flange.
@@ -141,7 +140,7 @@ class TestMismatch:
     def test_friction_is_scaled(self):
         speeds = {}
         for scale in (1.0, 5.0):
-            mismatch = MismatchSettings(enabled=True, payload=0.0, friction_scale=scale)
+            mismatch = MismatchSettings(payload=0.0, friction_scale=scale)
             viscous = JointSettings(viscous_friction=0.5, coulomb_friction=0.0)
             plant = ideal_plant(joints=viscous, mismatch=mismatch)
             plant.set_actuation(Actuation.COMMANDED)
@@ -151,13 +150,18 @@ class TestMismatch:
             speeds[scale] = plant.data.qvel[6]
         assert speeds[1.0] == pytest.approx(5.0 * speeds[5.0], rel=0.02)
 
-    def test_values_do_nothing_while_it_is_off(self):
-        plain = ideal_plant(joints=FRICTION)
-        off = ideal_plant(joints=FRICTION, mismatch=MismatchSettings(payload=5.0, friction_scale=20.0))
-        for plant in (plain, off):
-            plant.set_actuation(Actuation.COMMANDED)
-            run(plant, 0.1, np.ones(7))
-        np.testing.assert_array_equal(plain.data.qpos, off.data.qpos)
+    def test_noise_is_scaled(self):
+        plain, noisy = (
+            ideal_plant(sensors=SensorSettings(position_resolution=0.0), mismatch=MismatchSettings(noise_scale=scale))
+            for scale in (1.0, 4.0)
+        )
+        for reading, larger in ((plain.read(), noisy.read()) for _ in range(10)):
+            np.testing.assert_allclose(larger.position - HOME, 4.0 * (reading.position - HOME), rtol=1e-6)
+            np.testing.assert_allclose(larger.velocity, 4.0 * reading.velocity)
+
+    def test_inertias_may_stay_nominal(self):
+        plant = ideal_plant(mismatch=MismatchSettings("nominal", payload=0.0))
+        np.testing.assert_allclose(plant.data.qfrc_bias, RobotModel().gravity_at(HOME), rtol=0, atol=1e-9)
 
 
 class TestSensors:
@@ -210,7 +214,7 @@ class TestSensors:
 def recording(seed: int) -> np.ndarray:
     """Everything that can be seen of a short episode among obstacles."""
     scene = make_scene(read_scene("ball"), seed)
-    plant = Plant(scene, SensorSettings(), JointSettings(), MismatchSettings())
+    plant = Plant(scene, SensorSettings(), JointSettings())
     plant.set_actuation(Actuation.COMMANDED)
     rows, model = [], RobotModel()
     for _ in range(300):

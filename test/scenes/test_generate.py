@@ -11,15 +11,17 @@ from arm_simulation import HOME, POSITION_LIMITS, mobility
 
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.plant.plant import Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes import generate
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.overlap import capsule_segments, overlap_depths
-from contact_reach_ros.scenes.scene import Scene, TargetSettings, read_scene
+from contact_reach_ros.scenes.scene import Scene, TargetSettings
+from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
 
 SEEDS = range(31)
 MIDDLE = ("capsule_3", "capsule_4", "capsule_5")
@@ -44,7 +46,7 @@ class Depths:
     """How deep the ball lies in each capsule, by MuJoCo's own geometry."""
 
     def __init__(self, scene: Scene) -> None:
-        self.plant = Plant(scene, SensorSettings(), JointSettings(), MismatchSettings())
+        self.plant = Plant(scene, SensorSettings(), JointSettings())
         names = [self.plant.model.geom(index).name for index in range(self.plant.model.ngeom)]
         self.capsules = {name: index for index, name in enumerate(names) if name.startswith("capsule")}
         self.ball = names.index("ball_0")
@@ -124,7 +126,7 @@ def test_given_target_is_kept():
 @pytest.mark.parametrize("target", [(1.2, 0.0, 0.3), (0.0, 0.0, 0.4), (-0.6, 0.0, 0.3), (0.4, 0.0, -2.0)])
 @pytest.mark.parametrize("name", ["free", "ball"])
 def test_impossible_target_is_refused_with_the_reason(name, target):
-    with pytest.raises(SceneError, match=r"target \[.*\] m cannot be reached .*choose another target"):
+    with pytest.raises(SceneError, match=r"target \[.*\] m cannot be reached.*choose another target"):
         make_scene(read_scene(name), 0, np.array(target))
 
 
@@ -141,6 +143,100 @@ def test_box_without_targets_is_refused_with_what_to_change():
     box = TargetSettings(min_distance=1.5)
     with pytest.raises(SceneError, match=r"scene 'free', seed 3: no target found .*widen the target's box"):
         make_scene(dataclasses.replace(file, target=box), 3)
+
+
+class TestWhatTheFilePlaces:
+    TARGET, CENTER = (0.5, 0.2, 0.3), (0.55, -0.2, 0.5)
+
+    def file(self, position=None, center=None, name="ball"):
+        file = read_scene(name)
+        target = dataclasses.replace(file.target, position=position)
+        return dataclasses.replace(file, target=target, ball=dataclasses.replace(file.ball, center=center))
+
+    def test_everything_stands_where_the_file_says_whatever_the_seed(self):
+        for seed in range(3):
+            scene = make_scene(self.file(self.TARGET, self.CENTER), seed)
+            np.testing.assert_array_equal(scene.target, self.TARGET)
+            np.testing.assert_array_equal(scene.balls[0].center, self.CENTER)
+
+    def test_the_seed_draws_the_target_that_is_left(self):
+        scenes = [make_scene(self.file(center=self.CENTER), seed) for seed in range(3)]
+        assert len({tuple(scene.target) for scene in scenes}) == 3
+        assert {tuple(scene.balls[0].center) for scene in scenes} == {self.CENTER}
+
+    def test_the_seed_draws_the_ball_that_is_left(self):
+        scenes = [make_scene(self.file(self.TARGET), seed) for seed in range(3)]
+        assert {tuple(scene.target) for scene in scenes} == {self.TARGET}
+        assert len({tuple(scene.balls[0].center) for scene in scenes}) == 3
+
+    def test_drawn_targets_are_not_in_the_ball(self):
+        file = self.file(center=(0.4, 0.2, 0.2))
+        file = dataclasses.replace(file, ball=dataclasses.replace(file.ball, radius=0.2))
+        for seed in range(20):
+            assert np.linalg.norm(make_scene(file, seed).target - file.ball.center) >= 0.2
+
+    def test_walls_stand_where_the_file_says(self):
+        file, placed = read_scene("wall"), make_scene(read_scene("wall"), 0)
+        center = np.concatenate([wall.rest for wall in placed.walls]).mean(axis=0)
+        file = dataclasses.replace(file, wall=dataclasses.replace(file.wall, center=tuple(center)))
+        scene = make_scene(file, 5)
+        for one, other in zip(scene.walls, placed.walls, strict=True):
+            np.testing.assert_allclose(one.rest, other.rest, rtol=0, atol=1e-12)
+        assert not np.array_equal(scene.target, placed.target)
+
+    def test_commanded_target_is_taken_instead(self):
+        target = np.array([0.45, 0.15, 0.35])
+        np.testing.assert_array_equal(make_scene(self.file(self.TARGET, self.CENTER), 0, target).target, target)
+
+    def test_commanded_target_in_the_ball_is_refused_with_how_deep(self):
+        inside = np.add(self.CENTER, (0.0, 0.0, -0.07))
+        with pytest.raises(SceneError, match=r"scene 'ball': target .* lies 30\.0 mm inside the ball .* move"):
+            make_scene(self.file(center=self.CENTER), 0, inside)
+
+    def test_commanded_target_in_a_node_is_refused(self):
+        scene = make_scene(read_scene("wall"), 0)
+        file = read_scene("wall")
+        nodes = np.concatenate([wall.rest for wall in scene.walls])
+        file = dataclasses.replace(file, wall=dataclasses.replace(file.wall, center=tuple(nodes.mean(axis=0))))
+        # The gap moves up until the target is in the corner node of the lower wall.
+        corner = scene.walls[0].rest[np.linalg.norm(scene.walls[0].rest - scene.target, axis=1).argmin()]
+        center = nodes.mean(axis=0) + scene.target - corner
+        moved = dataclasses.replace(file, wall=dataclasses.replace(file.wall, center=tuple(center)))
+        with pytest.raises(SceneError, match=r"lies 25\.0 mm inside node \(1, \d+, 2\) of the lower wall"):
+            make_scene(moved, 0, scene.target)
+
+    def test_hand_in_the_fixture_at_the_target_is_refused(self):
+        scene = make_scene(read_scene("wall"), 0)
+        file = read_scene("wall")
+        # The fixed row of the lower wall stands beside the flange.
+        lower = scene.walls[0]
+        fixture = lower.rest[lower.fixed][np.linalg.norm(lower.rest[lower.fixed] - scene.target, axis=1).argmin()]
+        center = np.concatenate([wall.rest for wall in scene.walls]).mean(axis=0)
+        center += scene.target - fixture + np.array([0.0, 0.045, 0.0])
+        moved = dataclasses.replace(file, wall=dataclasses.replace(file.wall, center=tuple(center)))
+        with pytest.raises(SceneError, match=r"the hand lies .* mm deep in node \(\d, \d+, 0\) .* which is fixed"):
+            make_scene(moved, 0, scene.target)
+
+
+class TestFoamOfAMismatch:
+    def test_is_drawn_apart_so_that_everything_else_stays(self):
+        for seed in range(3):
+            plain, mismatched = make_scene(read_scene("ball"), seed), make_scene(read_scene("ball_mismatch"), seed)
+            np.testing.assert_array_equal(mismatched.target, plain.target)
+            np.testing.assert_array_equal(mismatched.balls[0].center, plain.balls[0].center)
+            assert plain.foam_scale == 1.0
+
+    def test_fills_the_declared_range_and_follows_the_seed(self):
+        file = dataclasses.replace(read_scene("ball_mismatch"), ball=None)
+        scales = np.array([make_scene(file, seed).foam_scale for seed in range(40)])
+        assert 0.7 <= scales.min() < 0.75 and 1.25 < scales.max() <= 1.3
+        assert make_scene(file, 7).foam_scale == scales[7]
+
+    def test_is_what_the_planner_does_not_know(self):
+        plain, mismatched = make_scene(read_scene("ball"), 1), make_scene(read_scene("ball_mismatch"), 1)
+        first, second = (obstacle_spheres(scene, rest_positions(scene)) for scene in (plain, mismatched))
+        assert mismatched.foam_scale != 1.0
+        np.testing.assert_array_equal(first.stiffness, second.stiffness)
 
 
 class TestFreePath:

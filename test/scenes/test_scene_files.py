@@ -1,12 +1,14 @@
 """Scene files: what they may say, and what is said about those that may not."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from contact_reach_ros.errors import SceneError, SettingsError
-from contact_reach_ros.scenes.scene import BallSettings, TargetSettings, parse_target, read_scene, scene_names
+from contact_reach_ros.scenes.files import matching_scene_names, read_scene, scene_names
+from contact_reach_ros.scenes.scene import NO_MISMATCH, BallSettings, MismatchSettings, TargetSettings, parse_target
 
 
 @pytest.fixture
@@ -43,7 +45,7 @@ def test_own_file_replaces_what_it_names(file):
     ("content", "message"),
     [
         ("bal: {}", "unknown key 'bal'; did you mean 'ball'?"),
-        ("1: {}", "unknown key '1'; known keys: ball, target"),
+        ("1: {}", "unknown key '1'; known keys: ball, base, mismatch, target, wall"),
         ("target:", "target = None; expected a mapping"),
         ("ball: [1]", "ball = [1]; expected a mapping"),
         ("target: {start_position: 1}", "target: unknown key 'start_position'"),
@@ -76,3 +78,111 @@ def test_target_is_three_numbers():
 def test_target_that_is_not_is_refused(text):
     with pytest.raises(SceneError, match="expected three finite numbers 'x y z' in m"):
         parse_target(text)
+
+
+class TestBase:
+    def test_sections_are_taken_over_key_by_key(self, file):
+        file.write_text("base: ball\ntarget: {min_distance: 0.3}\nball: {mass: 0.2}\nmismatch: {}\n")
+        scene, base = read_scene(str(file)), read_scene("ball")
+        assert scene.name == "own"
+        assert scene.target == dataclasses.replace(base.target, min_distance=0.3)
+        assert scene.ball == dataclasses.replace(base.ball, mass=0.2)
+        assert scene.mismatch == MismatchSettings()
+
+    def test_base_of_a_base_is_found_beside_its_file(self, tmp_path):
+        (tmp_path / "folder").mkdir()
+        (tmp_path / "folder" / "middle.yaml").write_text("base: bottom.yaml\nball: {radius: 0.08}\n")
+        (tmp_path / "folder" / "bottom.yaml").write_text("base: ball\nball: {radius: 0.07, mass: 0.3}\n")
+        (tmp_path / "top.yaml").write_text("base: folder/middle.yaml\nball: {friction: 0.5}\n")
+        assert read_scene(str(tmp_path / "top.yaml")).ball == BallSettings(radius=0.08, mass=0.3, friction=0.5)
+
+    def test_null_takes_back_what_the_base_places(self, tmp_path, file):
+        (tmp_path / "placed.yaml").write_text("ball: {center: [0.5, 0.0, 0.3]}\n")
+        file.write_text("base: placed.yaml\nball: {center: null}\n")
+        assert read_scene(str(file)).ball == BallSettings()
+
+    def test_circle_is_refused_with_the_files(self, tmp_path, file):
+        file.write_text("base: other.yaml\n")
+        (tmp_path / "other.yaml").write_text("base: ./own.yaml\n")
+        with pytest.raises(SceneError, match=r"own\.yaml -> .*other\.yaml -> .*own\.yaml"):
+            read_scene(str(file))
+        file.write_text("base: own.yaml\n")
+        with pytest.raises(SceneError, match="leads back to where it started"):
+            read_scene(str(file))
+
+    @pytest.mark.parametrize("base", ["moon", "missing.yaml", "[ball]", "7"])
+    def test_unknown_base_is_refused_with_the_scenes(self, file, base):
+        file.write_text(f"base: {base}\n")
+        with pytest.raises(SceneError, match=r"own\.yaml: base = .*expected one of ball, ball_mismatch, free"):
+            read_scene(str(file))
+
+    def test_wrong_value_is_named_with_the_file_that_has_it(self, tmp_path, file):
+        (tmp_path / "below.yaml").write_text("ball: {raduis: 0.1}\n")
+        file.write_text("base: below.yaml\n")
+        with pytest.raises(SettingsError, match=r"below\.yaml: ball: unknown key 'raduis'"):
+            read_scene(str(file))
+
+    def test_what_does_not_go_together_is_refused(self, file):
+        file.write_text("base: ball\nwall: {}\n")
+        with pytest.raises(SettingsError, match="has both ball and wall"):
+            read_scene(str(file))
+
+
+class TestMismatch:
+    @pytest.mark.parametrize("name", ["ball", "wall"])
+    def test_only_the_mismatch_differs_from_the_base(self, name):
+        with_mismatch, plain = read_scene(f"{name}_mismatch"), read_scene(name)
+        assert with_mismatch.mismatch == MismatchSettings()
+        assert plain.mismatch == NO_MISMATCH
+        assert dataclasses.replace(with_mismatch, name=name, mismatch=NO_MISMATCH) == plain
+
+    def test_scenes_without_it_are_told_apart(self):
+        assert matching_scene_names() == ["ball", "free", "wall"]
+        assert set(scene_names()) > set(matching_scene_names())
+
+    def test_wrong_inertia_set_lists_those_there_are(self, file):
+        file.write_text("base: free\nmismatch: {inertia_set: other}\n")
+        with pytest.raises(SettingsError, match="inertia_set = 'other': expected one of nominal, alternative"):
+            read_scene(str(file))
+
+
+class TestWhatNoSeedMakesPossible:
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            # The flange starts at (0.528, 0, 0.378); the forearm ends 0.126 m above it.
+            (
+                "ball: {center: [0.528, 0.0, 0.6]}",
+                r"at the start lbr_link_\d lies \d+\.\d mm deep in the ball \(at \[0\.528, 0\.0, 0\.6\] m, radius",
+            ),
+            ("ball: {center: [0.0, 0.15, 0.2]}", r"at the start lbr_link_0 lies 60\.0 mm deep in the ball"),
+            (
+                "base: wall\nwall: {center: [0.4, 0.0, 0.5]}",
+                r"deep in node \(\d, \d+, \d\) of the (lower|upper) wall",
+            ),
+            (
+                "target: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.26, 0.3]}",
+                r"target \[0\.5, 0\.2, 0\.3\] m lies 40\.0 mm inside the ball \(at \[0\.5, 0\.26, 0\.3\] m",
+            ),
+            (
+                "target: {position: [0.9, 0.3, 0.3]}",
+                r"\[0\.9, 0\.3, 0\.3\] m cannot be reached: .* is 0\.951 m",
+            ),
+            ("target: {position: [0.05, 0.0, 0.2]}", "lies inside the base; expected at least 0.11 m from its axis"),
+            (
+                "target: {minimum: [0.9, 0.1, 0.3], maximum: [1.0, 0.2, 0.5]}",
+                r"nearest point of the box .* is 0\.906 m from the shoulder .* reaches 0\.85 m; move the box",
+            ),
+            ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 nodes in the two walls"),
+            ("ball: {mass: 0.001, stiffness: 2500.0}", "ball: springs of 2500 N/m .* stable up to 2000 N/m"),
+        ],
+    )
+    def test_is_refused_when_the_file_is_read(self, file, content, message):
+        file.write_text(content)
+        with pytest.raises(SceneError, match=message) as raised:
+            read_scene(str(file))
+        assert str(raised.value).startswith(f"{file}: ")
+
+    def test_what_just_fits_is_accepted(self, file):
+        file.write_text("target: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.301, 0.3]}\n")
+        assert read_scene(str(file)).ball.center == (0.5, 0.301, 0.3)

@@ -11,6 +11,7 @@ from contact_reach_ros.errors import SceneError, SettingsError
 from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes import generate, wall_placement
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.lattice import make_walls
@@ -23,7 +24,7 @@ from contact_reach_ros.scenes.overlap import (
     path_segments,
     swivelled_segments,
 )
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettings, read_scene
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettings
 from contact_reach_ros.scenes.spheres import FIXED_STIFFNESS, obstacle_spheres, rest_positions
 
 SEEDS = range(5)
@@ -79,7 +80,15 @@ class TestLattice:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"nodes": (4, 21, 5), "node_radius": 0.01}, r"\(4, 21, 5\) has 672 nodes .* at most 200: use a coarser"),
+            (
+                {"nodes": (4, 21, 5), "node_radius": 0.01},
+                "makes 840 nodes .* 672 of which .* at most 300 and 200: use",
+            ),
+            ({"nodes": (2, 40, 2), "node_radius": 0.01}, "makes 320 nodes in the two walls, 160 of which can move"),
+            (
+                {"edge_stiffness": 2500.0},
+                "springs of 25000 N/m in all on 0.01 kg; .* stable up to 20000 N/m",
+            ),
             ({"nodes": (3, 11, 3)}, "3 nodes of radius 0.025 m along x do not fit side by side into 0.1 m"),
             ({"node_radius": 0.04}, "2 nodes of radius 0.04 m along x do not fit"),
         ],
@@ -205,6 +214,22 @@ class TestObstacleSpheres:
         )
         np.testing.assert_array_equal(spheres.edges[: len(lower.edges)], lower.edges + 1)
         np.testing.assert_array_equal(spheres.edges[len(lower.edges) :], upper.edges + 1 + count)
+
+    def test_planners_stiffness_is_scaled_and_the_fixtures_is_not(self):
+        plain = WallSettings(anchor_stiffness=7.0)
+        scaled = dataclasses.replace(plain, planner_stiffness_scale=1.5)
+        first, second = (
+            obstacle_spheres(scene, rest_positions(scene))
+            for scene in (
+                Scene("test", 0, HOME, np.zeros(3), (), make_walls(settings, np.zeros(3)))
+                for settings in (plain, scaled)
+            )
+        )
+        np.testing.assert_allclose(second.edge_stiffness, 1.5 * first.edge_stiffness)
+        fixed = first.stiffness == FIXED_STIFFNESS
+        assert fixed.any() and not fixed.all()
+        np.testing.assert_array_equal(second.stiffness[fixed], first.stiffness[fixed])
+        np.testing.assert_allclose(second.stiffness[~fixed], 1.5 * 7.0)
 
     def test_no_obstacles_are_no_spheres(self):
         spheres = obstacle_spheres(Scene("free", 0, HOME, np.zeros(3)), np.zeros((0, 3)))
