@@ -24,6 +24,7 @@ class Everything(Settings):
     name: str = setting("abc", "a name")
     mode: str = setting("slow", "a mode", choices=("slow", "fast"))
     corner: tuple[float, ...] = setting((1.0, 2.0, 3.0), "a corner", unit="m", minimum=-5.0, maximum=5.0)
+    place: tuple[float, ...] | None = setting(None, "a place, if any", unit="m", maximum=5.0, optional_length=2)
 
 
 def make(**values) -> Everything:
@@ -46,6 +47,7 @@ def test_defaults_hold_for_what_is_not_given():
             "name": st.text(),
             "mode": st.sampled_from(["slow", "fast"]),
             "corner": st.lists(st.floats(-5, 5), min_size=3, max_size=3),
+            "place": st.none() | st.lists(st.floats(-5, 5), min_size=2, max_size=2),
         }
     )
 )
@@ -77,6 +79,9 @@ def test_values_within_the_declarations_are_taken_as_they_are(values):
         ("free", 10**400, "a number"),
         ("name", 5, "a string"),
         ("mode", "medium", "one of slow, fast"),
+        ("place", [1.0], "null, or a list of 2 values, each a number in [-inf, 5] m"),
+        ("place", 1.0, "null, or a list of 2 values, each a number in [-inf, 5] m"),
+        ("place", "ab", "null, or a list of 2 values, each a number in [-inf, 5] m"),
         ("mode", 1, "one of slow, fast"),
         ("corner", (1.0, 2.0), "a list of 3 values, each a number in [-5, 5] m"),
         ("corner", (1.0, 2.0, 3.0, 4.0), "a list of 3 values, each a number in [-5, 5] m"),
@@ -135,12 +140,12 @@ def test_unknown_key_that_resembles_none_lists_them_all():
 
 def test_declarations_tell_what_there_is():
     declared = {entry.name: entry for entry in Everything.declared()}
-    assert list(declared) == ["switch", "count", "gain", "limit", "free", "name", "mode", "corner"]
+    assert list(declared) == ["switch", "count", "gain", "limit", "free", "name", "mode", "corner", "place"]
     assert declared["gain"].unit == "1/s"
     assert declared["gain"].default == 0.5
     assert declared["gain"].description == "a gain"
     kinds = [entry.kind for entry in declared.values()]
-    assert kinds == [bool, int, float, float, float, str, str, float]
+    assert kinds == [bool, int, float, float, float, str, str, float, float]
 
 
 class TestYamlFiles:

@@ -32,7 +32,7 @@ def check_file(file: SceneFile) -> None:
     """
     target = file.target
     if file.ball is not None:
-        check_stiffness("ball", file.ball.stiffness, file.ball.mass)
+        check_stiffness("ball", file.ball.stiffness + file.ball.contact_stiffness, file.ball.mass)
     if file.wall is not None:
         check_mesh(file.wall)
     if target.position is None:

@@ -49,9 +49,10 @@ def check_mesh(settings: WallSettings) -> None:
             f"wall: nodes = {settings.nodes} makes {count} nodes in the two walls, {free} of which can move; the "
             f"simulation keeps 1 kHz with at most {MAX_NODES} and {MAX_FREE_NODES}: use a coarser mesh"
         )
-    # The eigenvalues of the mesh are at most twice what acts on one node (Gershgorin).
+    # The eigenvalues of the mesh are at most twice what the edges of one node add up to (Gershgorin).
     edges = sum(min(number - 1, 2) for number in settings.nodes)
-    check_stiffness("wall", 2.0 * edges * settings.edge_stiffness + settings.anchor_stiffness, settings.node_mass)
+    stiffness = 2.0 * edges * settings.edge_stiffness + settings.anchor_stiffness + settings.contact_stiffness
+    check_stiffness("wall", stiffness, settings.node_mass)
     for axis, size, count in zip("xyz", settings.size, settings.nodes, strict=True):
         spacing = (size - 2.0 * settings.node_radius) / (count - 1)
         if spacing < 2.0 * settings.node_radius - 1e-9:
@@ -62,9 +63,9 @@ def check_mesh(settings: WallSettings) -> None:
 
 
 def check_stiffness(section: str, stiffness: float, mass: float) -> None:
-    """Refuse springs of `stiffness` N/m that a simulation in steps of 1 ms cannot hold on `mass` kg.
+    """Refuse springs and contact of `stiffness` N/m that a simulation in steps of 1 ms cannot hold on `mass` kg.
 
-    Semi-implicit Euler steps are stable up to 4 m / dt²; half of that leaves room for contact and hardening.
+    Semi-implicit Euler steps are stable up to 4 m / dt²; half of that leaves room for hardening and mismatch.
 
     Raises
     ------
@@ -74,8 +75,8 @@ def check_stiffness(section: str, stiffness: float, mass: float) -> None:
     limit = 2.0 * mass / _STEP**2
     if stiffness > limit:
         raise SceneError(
-            f"{section}: springs of {stiffness:g} N/m in all on {mass:g} kg; the simulation in steps of 1 ms is stable "
-            f"up to {limit:g} N/m: use softer springs or more mass"
+            f"{section}: springs and contact of {stiffness:g} N/m in all on {mass:g} kg; the simulation in steps of "
+            f"1 ms is stable up to {limit:g} N/m: use softer foam or more mass"
         )
 
 

@@ -174,7 +174,10 @@ class TestWhatNoSeedMakesPossible:
                 r"nearest point of the box .* is 0\.906 m from the shoulder .* reaches 0\.85 m; move the box",
             ),
             ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 nodes in the two walls"),
-            ("ball: {mass: 0.001, stiffness: 2500.0}", "ball: springs of 2500 N/m .* stable up to 2000 N/m"),
+            (
+                "ball: {mass: 0.001, stiffness: 2500.0}",
+                "ball: .* of 3500 N/m in all .* stable up to 2000 N/m",
+            ),
         ],
     )
     def test_is_refused_when_the_file_is_read(self, file, content, message):

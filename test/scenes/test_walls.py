@@ -85,10 +85,8 @@ class TestLattice:
                 "makes 840 nodes .* 672 of which .* at most 300 and 200: use",
             ),
             ({"nodes": (2, 40, 2), "node_radius": 0.01}, "makes 320 nodes in the two walls, 160 of which can move"),
-            (
-                {"edge_stiffness": 2500.0},
-                "springs of 25000 N/m in all on 0.01 kg; .* stable up to 20000 N/m",
-            ),
+            ({"edge_stiffness": 2500.0}, "26000 N/m in all on 0.01 kg; .* is stable up to 20000 N/m"),
+            ({"contact_stiffness": 50000.0}, "50600 N/m in all on 0.01 kg; .* is stable up to 20000 N/m"),
             ({"nodes": (3, 11, 3)}, "3 nodes of radius 0.025 m along x do not fit side by side into 0.1 m"),
             ({"node_radius": 0.04}, "2 nodes of radius 0.04 m along x do not fit"),
         ],
