@@ -69,6 +69,27 @@ def test_arm_reaches_a_free_goal(planner):
     assert 0.15 / 0.088 < tick / 1000 < 2 * 0.15 / 0.088
 
 
+def test_law_6_pulls_to_one_posture_and_leaves_the_rest_to_the_task():
+    posture = (0.1, 0.2, 0.3, -0.4, 0.5, 0.6, 0.7)
+    planner = make_planner(null_space="reference_posture", reference_posture=posture)
+    plan = plan_from(planner)
+    np.testing.assert_allclose(plan.postures, np.tile(posture, (3, 1)), rtol=0, atol=1e-6)
+    assert plan.cost_terms["null_motion"] == 0.0
+    distances = np.linalg.norm(plan.predicted_positions - GOAL.position, axis=1)
+    assert (np.diff(distances) < 0.0).all()
+    # What the planner expects is what law (2) with this q_d does to the arm.
+    plant, model, law = ideal_plant(), RobotModel(), ImpedanceLaw(ImpedanceSettings())
+    plant.set_actuation(Actuation.COMMANDED)
+    for _ in range(100):
+        model.update(plant.data.qpos[:7].copy(), plant.data.qvel[:7].copy())
+        reference = Reference(plan.positions[0], plan.rotations[0], plan.postures[0])
+        error = pose_error(model.position, model.rotation, reference)
+        difference = plant.data.qpos[:7] - reference.posture
+        plant.step(law.torque(model, plant.data.qvel[:7].copy(), difference, error) + model.bias)
+    np.testing.assert_allclose(plant.data.qpos[:7], plan.predicted_q[1], rtol=0, atol=0.01)
+    assert np.abs(plan.predicted_q[1] - plan.predicted_q[0]).max() > 0.05
+
+
 def test_ball_in_the_way_is_pushed_with_less_than_the_permitted_force(planner):
     elbow = ORIGINS[4] + ROTATIONS[4] @ (0.0, 0.0, 0.11) + np.array([0.0, 0.185, 0.0])
     q, v, spheres = HOME, REST, ball_at(elbow)
