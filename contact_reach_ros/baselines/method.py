@@ -37,6 +37,9 @@ class Method(Protocol):
     def stop_reason(self) -> str:
         """Why the arm was stopped; empty if it was not."""
 
+    def warm_up(self, progress: Callable[[str], None]) -> None:
+        """Prepare whatever the first plan would have to wait for; `progress` is called with a line for the user."""
+
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin an episode with the arm at rest at `q` (7,), rad; hold it until there is a plan."""
 
@@ -62,7 +65,7 @@ class ReferenceMethod:
     Parameters
     ----------
     planner
-        Warmed up, with room for the scene's obstacles.
+        With room for the scene's obstacles.
     settings
         Of the controller.
     """
@@ -76,6 +79,10 @@ class ReferenceMethod:
     def stop_reason(self) -> str:
         """Why the controller stopped the arm; empty if it did not."""
         return self._controller.stop_reason if self._controller.mode is Mode.STOPPED else ""
+
+    def warm_up(self, progress: Callable[[str], None]) -> None:
+        """Warm the planner up."""
+        self.planner.warm_up(progress)
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin with a new controller, and without earlier plans."""

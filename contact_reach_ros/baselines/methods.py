@@ -1,0 +1,66 @@
+"""All ways to reach a goal, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from contact_reach_ros.baselines.method import Method, ReferenceMethod
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+
+METHODS = {
+    "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
+    "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
+    "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
+    "gradient": "the method with many gradient steps per step of Algorithm 1",
+}
+"""What each name stands for, in one line with what the paper calls it."""
+
+_CHANGES: dict[str, dict[str, str]] = {
+    "contact_reach": {"null_space": "planned", "solver": "hybrid"},
+    "reference_posture": {"null_space": "reference_posture", "solver": "hybrid"},
+    "cma_es": {"null_space": "planned", "solver": "cma"},
+    "gradient": {"null_space": "planned", "solver": "gradient"},
+}
+"""Settings that make the difference; all others are the same for every method."""
+
+
+def make_method(
+    name: str,
+    capacity: int,
+    permitted_force: float,
+    seed: int,
+    settings: PlanningSettings | None = None,
+    controller: ControllerSettings | None = None,
+) -> Method:
+    """A method that is not warmed up yet; only its `warm_up` takes long.
+
+    Parameters
+    ----------
+    name
+        One of `METHODS`.
+    capacity
+        Number of obstacle spheres that its plans look at, see `sphere_capacity`.
+    permitted_force
+        ε of (4d), N.
+    seed
+        Of its random numbers; replaces that of the settings.
+    settings
+        Of the planner; those that make the method what it is are set here.
+    controller
+        Of the controller, whose gains the planner plans with.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such method; the message lists those there are.
+    """
+    if name not in METHODS:
+        raise SettingsError(f"method '{name}' is unknown; expected one of {', '.join(METHODS)}")
+    controller = ControllerSettings() if controller is None else controller
+    settings = PlanningSettings() if settings is None else settings
+    settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
+    planner = RecedingHorizonPlanner(settings, controller.impedance, permitted_force, capacity)
+    return ReferenceMethod(planner, controller)
