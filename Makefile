@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 
 # A sourced ROS 2 provides rclpy through PYTHONPATH, also inside .venv; otherwise rclpy comes as wheels.
 SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
-EXTRAS := $(if $(SOURCED),test,ros$(comma)test)
+EXTRAS := baselines$(comma)$(if $(SOURCED),test,ros$(comma)test)
 STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
 .DEFAULT_GOAL := help

@@ -62,6 +62,7 @@ setup(
         "scipy",
     ],
     extras_require={
+        "baselines": ["ompl"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "test": ["cma", "colcon-common-extensions", "hypothesis", "mypy", "pytest", "ruff"],
     },

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
+from contact_reach_ros.baselines.collision_free import CollisionFreePlanner
 from contact_reach_ros.baselines.method import Method, ReferenceMethod
+from contact_reach_ros.baselines.rrt_star import PathSettings
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -13,6 +15,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
+    "collision_free": "RRT* in joint space (paper: 'collision-free'), once, then followed without planning again",
     "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
     "gradient": "the method with many gradient steps per step of Algorithm 1",
 }
@@ -24,7 +27,7 @@ _CHANGES: dict[str, dict[str, str]] = {
     "cma_es": {"null_space": "planned", "solver": "cma"},
     "gradient": {"null_space": "planned", "solver": "gradient"},
 }
-"""Settings that make the difference; all others are the same for every method."""
+"""Settings that make the difference between methods with the same planner; all others are the same."""
 
 
 def make_method(
@@ -61,6 +64,8 @@ def make_method(
         raise SettingsError(f"method '{name}' is unknown; expected one of {', '.join(METHODS)}")
     controller = ControllerSettings() if controller is None else controller
     settings = PlanningSettings() if settings is None else settings
+    if name == "collision_free":
+        return ReferenceMethod(CollisionFreePlanner(settings, controller.impedance, PathSettings(), seed), controller)
     settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
     planner = RecedingHorizonPlanner(settings, controller.impedance, permitted_force, capacity)
     return ReferenceMethod(planner, controller)

@@ -15,6 +15,7 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import Reference, State, System
+from contact_reach_ros.robot.kinematics import link_frames
 
 MAX_PIECES = 128
 """Steps that one prediction may take."""
@@ -29,6 +30,12 @@ class HeldReference(NamedTuple):
     """(3, 3)."""
     posture: Array
     """(7,), rad."""
+
+
+def hold_at(q: Array) -> HeldReference:
+    """The reference that holds the arm at joint angles `q` (7,)."""
+    rotations, origins = link_frames(q)
+    return HeldReference(origins[-1], rotations[-1], q)
 
 
 class Piece(NamedTuple):

@@ -17,7 +17,7 @@ from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import Problem, Rollout, Weights
 from contact_reach_ros.planning.objectives import action_bounds, actions_of, make_objective, scaled_cost
 from contact_reach_ros.planning.obstacles import ObstacleReader
-from contact_reach_ros.planning.prediction import MAX_PIECES, HeldReference, Predictor, pieces_between
+from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between
 from contact_reach_ros.planning.problem import Array, Goal, Plan, Spheres
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -28,7 +28,6 @@ from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
 
 _JUMP_SLACK = 0.05
 """A joint that is further from its last angle than its speed limit allows, plus this, has jumped; rad."""
@@ -101,7 +100,7 @@ class RecedingHorizonPlanner:
         q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
         goal = Goal(np.array([0.5, 0.0, 0.4]))
         obstacles, _ = self._obstacles.read(q, Spheres.none())
-        pieces = pieces_between((), _hold(q), 0, 10_000_000, self._settings.knot_duration)
+        pieces = pieces_between((), hold_at(q), 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
         self._predictor.predict(q, v, obstacles, pieces)
         progress("planner: preparing the evaluation of plans")
@@ -165,7 +164,7 @@ class RecedingHorizonPlanner:
         self._reset_if_jumped(q, state_ns)
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
-        pieces = pieces_between(self._plans, _hold(q), state_ns, effect_ns, timestep)
+        pieces = pieces_between(self._plans, hold_at(q), state_ns, effect_ns, timestep)
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal)
 
         distribution, start_cost = self._start(problem, goal, effect_ns)
@@ -298,9 +297,3 @@ def _joints(name: str, values: ArrayLike) -> Array:
     if array.shape != (iiwa14.N_JOINTS,) or not np.isfinite(array).all():
         raise InputError(f"{name} = {array.tolist()}: expected {iiwa14.N_JOINTS} finite numbers")
     return array
-
-
-def _hold(q: Array) -> HeldReference:
-    """The reference that holds the arm where it is."""
-    rotations, origins = link_frames(q)
-    return HeldReference(origins[-1], rotations[-1], q)

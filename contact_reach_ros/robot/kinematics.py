@@ -53,6 +53,27 @@ def link_frames(q: ArrayLike) -> tuple[list[Array], list[Array]]:
     return [*rotations, rotation], [*origins, origin + rotation @ iiwa14.FLANGE_OFFSET]
 
 
+def link_frames_of_many(q: Array) -> tuple[Array, Array]:
+    """The same as `link_frames` for postures `q` (N, 7), with the posture last.
+
+    Returns the axes (8, 3, 3, N) of the frames, indexed [frame, axis, coordinate], and the origins (8, 3, N).
+    """
+    cosine, sine = np.cos(q.T), np.sin(q.T)
+    axes, origins = np.empty((8, 3, 3, len(q))), np.empty((8, 3, len(q)))
+    frame, origin = np.repeat(np.eye(3)[:, :, None], len(q), axis=2), np.zeros((3, len(q)))
+    for joint, (offset, step) in enumerate(zip(_OFFSETS, _ROTATIONS, strict=True)):
+        flat = frame.reshape(3, -1)
+        origin = origins[joint] = origin + (offset @ flat).reshape(3, -1)
+        x, y, z = (step.T @ flat).reshape(3, 3, -1)
+        frame = axes[joint]
+        frame[0] = cosine[joint] * x + sine[joint] * y
+        frame[1] = cosine[joint] * y - sine[joint] * x
+        frame[2] = z
+    axes[7] = frame
+    origins[7] = origin + (np.array(iiwa14.FLANGE_OFFSET) @ frame.reshape(3, -1)).reshape(3, -1)
+    return axes, origins
+
+
 def aligned_link_frames(q: ArrayLike) -> tuple[list[Array], list[Array]]:
     """The same as `link_frames` for the second description, whose frames are parallel to the base at angle zero."""
     rotation, origin = np.eye(3), np.zeros(3)
