@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 from contact_reach_ros.baselines.collision_free import CollisionFreePlanner
+from contact_reach_ros.baselines.joint_torque import JointTorqueMethod, TorquePlanner
 from contact_reach_ros.baselines.method import Method, ReferenceMethod
 from contact_reach_ros.baselines.rrt_star import PathSettings
-from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.controller import ControllerSettings, stop_damping
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -16,6 +17,7 @@ METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
     "collision_free": "RRT* in joint space (paper: 'collision-free'), once, then followed without planning again",
+    "joint_torque": "plans joint torques (paper: 'joint torque') with Algorithm 1, applied without any control law",
     "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
     "gradient": "the method with many gradient steps per step of Algorithm 1",
 }
@@ -66,6 +68,12 @@ def make_method(
     settings = PlanningSettings() if settings is None else settings
     if name == "collision_free":
         return ReferenceMethod(CollisionFreePlanner(settings, controller.impedance, PathSettings(), seed), controller)
+    if name == "joint_torque":
+        settings = dataclasses.replace(settings, seed=seed, solver="hybrid")
+        damping = stop_damping(controller.supervision)
+        planner = TorquePlanner(settings, controller.impedance, permitted_force, capacity, damping)
+        return JointTorqueMethod(planner, controller)
     settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
-    planner = RecedingHorizonPlanner(settings, controller.impedance, permitted_force, capacity)
-    return ReferenceMethod(planner, controller)
+    return ReferenceMethod(
+        RecedingHorizonPlanner(settings, controller.impedance, permitted_force, capacity), controller
+    )

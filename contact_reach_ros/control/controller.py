@@ -75,9 +75,7 @@ class Controller:
         self._observer_ns: int | None = None
         self._clock_ns: int | None = None
         self._observer_stopped = ""
-        limits = np.array(iiwa14.TORQUE_LIMITS)
-        # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
-        self._stop_damping = settings.supervision.stop_damping * limits / limits.max()
+        self._stop_damping = stop_damping(settings.supervision)
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin to hold the arm at the state at hand; the first command is the torque that holds it.
@@ -240,6 +238,13 @@ class Controller:
         silence = self._observer_silence(clock_ns)
         if silence is not None:
             self.stop(f"observer silent for {1000 * silence:.0f} ms")
+
+
+def stop_damping(settings: SupervisionSettings) -> Array:
+    """Damping (7,) of each joint in the compliant stop, N m s/rad."""
+    limits = np.array(iiwa14.TORQUE_LIMITS)
+    # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
+    return settings.stop_damping * limits / limits.max()
 
 
 def _check_start(q: Array, v: Array) -> None:

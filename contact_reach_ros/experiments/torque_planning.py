@@ -1,12 +1,6 @@
 """The paper's comparison in Section V-B: planning joint torques instead of references of the control law.
 
-The same cost, the same solver and the same stop rule, but the decision variables are the torques τ_t of (4c) beyond
-C + g, which is known, and no law stands between plan and arm. The paper does not say for how long a torque is held. Law
-(3) changes its torque as fast as its poles, the fastest of which decays in 11 ms; a torque that stays the same for a
-knot of 0.1 s would leave an undamped arm on its own for as long as the law needs to settle. So there is one torque
-vector per step of the transfer model, 25 ms by default: 84 variables instead of 39. Their bounds are the largest torque
-that the law can ask for at rest with actions within γ, so that both planners may accelerate the arm alike.
-
+What torques are planned, and within which bounds, is said in `baselines.joint_torque`.
 Both plan against the transfer model itself: from each start, a plan is made, its first knot is carried out, the plan is
 shifted by one knot, and so on, as in (4).
 """
@@ -22,91 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.control.law import ImpedanceLaw
+from contact_reach_ros.baselines.joint_torque import make_torque_objective, torque_bounds
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.cost import Objective, Problem
 from contact_reach_ros.planning.objectives import action_bounds, make_objective
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import fresh
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.closed_loop import Reference, driven_acceleration
-from contact_reach_ros.planning.transfer.contact import contact_step
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
-from contact_reach_ros.planning.transfer.kinematics import link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep, single
-from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, N_ACTION, State
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.pipeline import N_ACTION, State
 from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class TorqueObjective(Objective):
-    """Cost (5) of joint torques: actions are (H, 7 * substeps, B), N m, step after step."""
-
-    def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
-        """Run the transfer model without the laws under the actions, knot by knot."""
-        start = _start(self, problem, actions.shape[-1])
-        pose = pipeline.flange_pose(self.system, start)
-
-        def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
-            state, link_force = self.advance(state, action)
-            pose = pipeline.flange_pose(self.system, state)
-            contact = jax.vmap(self._measure)(link_force)
-            return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0))
-
-        _, (q, poses, link_force, contact) = jax.lax.scan(knot, start, actions)
-        poses = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses)
-        # There are no references; the cost does not look at them.
-        reference = Reference(poses.position[:-1], poses.rotation[:-1], q)
-        return Rollout(jnp.concatenate([start.q[None], q]), poses, reference, link_force, contact)
-
-    def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
-        """As for references, less the cost of Δq, which does not exist."""
-        weights = problem.weights._replace(null_motion=0.0)
-        return super().terms(problem._replace(weights=weights), actions, rollout)
-
-    def advance(self, state: State, action: jax.Array) -> tuple[State, jax.Array]:
-        """State after one knot under an action (7 * substeps, B), and the forces (substeps, 6, B) on the links."""
-
-        def step(state: State, torque: jax.Array) -> tuple[State, jax.Array]:
-            state = self._step(state, torque)
-            return state, state.link_force
-
-        torques = action.reshape(self.substeps, iiwa14.N_JOINTS, -1)
-        return jax.lax.scan(step, state, torques)
-
-    def _step(self, state: State, torque: jax.Array) -> State:
-        """As `pipeline.step`, with given torques (7, B)."""
-        system, timestep = self.system, self.system.timestep
-        keep = make_keep(state.q)
-        q = state.q + (0.5 * timestep) * state.qd
-        frames = link_frames(system.arm, q, keep)
-        obstacles, link_force = state.obstacles, state.link_force
-        if obstacles is not None:
-            contact = contact_step(system.arm, frames, obstacles, system.contact_stiffness, timestep, keep)
-            obstacles, link_force = obstacles._replace(center=contact.center), contact.link_force
-            torque = torque + contact.joint_torque
-        acceleration = driven_acceleration(arm_dynamics(system.arm, frames, keep), torque)
-        qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
-        return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
-
-
-def torque_bounds(settings: PlanningSettings, gains: ImpedanceSettings, q: Array) -> Array:
-    """Largest torque (7,) beyond C + g that law (3) can ask for at rest at `q` (7,) with actions within γ, N m."""
-    model = RobotModel()
-    rest = np.zeros(iiwa14.N_JOINTS)
-    model.update(q, rest)
-    law = ImpedanceLaw(gains)
-    total = np.zeros(iiwa14.N_JOINTS)
-    for variable, bound in enumerate(action_bounds(settings)[:N_ACTION]):
-        action = np.zeros(N_ACTION)
-        action[variable] = bound
-        total += np.abs(law.torque(model, rest, -action[6:], -action[:6]))
-    return np.minimum(total, iiwa14.TORQUE_LIMITS)
 
 
 @dataclass(frozen=True)
@@ -152,11 +74,11 @@ class _Planning:
             return objective.cost(problem, actions(points))
 
         def first_knot(problem: Problem, point: jax.Array) -> Problem:
-            state, _ = advance(_start(objective, problem, 1), actions(point[:, None])[0])
+            state, _ = advance(objective.start(problem, 1), actions(point[:, None])[0])
             return problem._replace(q=state.q, v=state.qd, obstacles=state.obstacles)
 
         def distance(problem: Problem) -> jax.Array:
-            position = pipeline.flange_pose(objective.system, _start(objective, problem, 1)).position
+            position = pipeline.flange_pose(objective.system, objective.start(problem, 1)).position
             return jnp.linalg.norm(position - problem.goal_position)
 
         self._solver: HybridSolver[Problem] = HybridSolver(cost, len(self.bounds), settings)
@@ -207,7 +129,7 @@ def compare_with_torques(
     What each way took, by the names 'references' and 'torques'.
     """
     references = make_objective(settings, gains)
-    torques = TorqueObjective(references.system, references.horizon, references.substeps, references.contact_measure)
+    torques = make_torque_objective(settings, gains)
 
     def latched(state: State, action: jax.Array) -> tuple[State, jax.Array]:
         reference = pipeline.latch(state.q, pipeline.flange_pose(references.system, state), action)
@@ -230,12 +152,3 @@ def compare_with_torques(
         for way in ways.values():
             way.run(start, knots)
     return {name: way.record for name, way in ways.items()}
-
-
-def _start(objective: Objective, problem: Problem, lanes: int) -> State:
-    obstacles = problem.obstacles
-    if obstacles is not None:
-        obstacles = obstacles._replace(center=jnp.broadcast_to(obstacles.center, (*obstacles.center.shape[:2], lanes)))
-    shape = (iiwa14.N_JOINTS, lanes)
-    q, v = jnp.broadcast_to(problem.q, shape), jnp.broadcast_to(problem.v, shape)
-    return pipeline.init(objective.system, q, v, obstacles)

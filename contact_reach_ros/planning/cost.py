@@ -120,10 +120,7 @@ class Objective:
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model under the actions (H, 13, B), knot by knot."""
-        lanes = actions.shape[-1]
-        start = pipeline.init(
-            self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), _obstacles(problem.obstacles, lanes)
-        )
+        start = self.start(problem, actions.shape[-1])
         pose = pipeline.flange_pose(self.system, start)
 
         def knot(carry: tuple[State, Pose], action: jax.Array) -> tuple[tuple[State, Pose], tuple]:
@@ -145,6 +142,12 @@ class Objective:
             reference=reference,
             link_force=link_force,
             contact=contact,
+        )
+
+    def start(self, problem: Problem, lanes: int) -> State:
+        """The state that a problem starts from, in each lane."""
+        return pipeline.init(
+            self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), _obstacles(problem.obstacles, lanes)
         )
 
     def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:

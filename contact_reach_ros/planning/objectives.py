@@ -52,6 +52,6 @@ def scaled_cost(objective: Objective, bounds: Array) -> Callable[[Problem, jax.A
 
 
 def actions_of(points: jax.Array, bounds: Array, horizon: int) -> jax.Array:
-    """Actions (H, 13, B) of points (n, B) in units of the bounds (n,); Δq is zero where it is not a variable."""
+    """Actions (H, at least 13, B) of points (n, B) in units of the bounds (n,), filled up with zeros."""
     actions = (points * bounds[:, None]).reshape(horizon, len(bounds) // horizon, -1)
-    return jnp.pad(actions, ((0, 0), (0, N_ACTION - actions.shape[1]), (0, 0)))
+    return jnp.pad(actions, ((0, 0), (0, max(0, N_ACTION - actions.shape[1])), (0, 0)))

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from contact_reach_ros.planning.problem import Array, Plan
+from contact_reach_ros.planning.problem import Array, HeldReference, HeldTorque, Plan
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.transfer.pipeline import Reference, State, System
+from contact_reach_ros.planning.transfer.pipeline import State, System
 from contact_reach_ros.robot.kinematics import link_frames
 
 MAX_PIECES = 128
 """Steps that one prediction may take."""
 
-
-class HeldReference(NamedTuple):
-    """x_d and q_d that do not change with time."""
-
-    position: Array
-    """(3,), m."""
-    rotation: Array
-    """(3, 3)."""
-    posture: Array
-    """(7,), rad."""
+Held = HeldReference | HeldTorque
+"""What plans put in force, piece by piece."""
 
 
 def hold_at(q: Array) -> HeldReference:
@@ -39,42 +31,34 @@ def hold_at(q: Array) -> HeldReference:
 
 
 class Piece(NamedTuple):
-    """A stretch of time with one reference."""
+    """A stretch of time in which nothing changes."""
 
     duration: float
     """s."""
-    reference: HeldReference
+    held: Held
 
 
-def reference_at(plans: Sequence[Plan], time_ns: int) -> HeldReference | None:
-    """The reference in force at a time: that of the latest plan which has taken effect, None if it has run out."""
+def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
+    """What is in force at a time: that of the latest plan which has taken effect, None if it has run out."""
     for plan in reversed(plans):
         if plan.effect_ns < time_ns:
-            # Knot i holds in (effect + i dt, effect + (i + 1) dt].
-            knot = (time_ns - plan.effect_ns - 1) // plan.knot_duration_ns
-            if knot >= len(plan.positions):
-                return None
-            return HeldReference(plan.positions[knot], plan.rotations[knot], plan.postures[knot])
+            return plan.in_force(time_ns)
     return None
 
 
-def pieces_between(
-    plans: Sequence[Plan], hold: HeldReference, start_ns: int, end_ns: int, longest: float
-) -> list[Piece]:
-    """Cut (start, end] where the reference changes and into pieces of at most `longest` seconds.
+def pieces_between(plans: Sequence[Plan], hold: Held, start_ns: int, end_ns: int, longest: float) -> list[Piece]:
+    """Cut (start, end] where what is in force changes and into pieces of at most `longest` seconds.
 
     `hold` is in force where no plan is.
     """
-    changes = {
-        plan.effect_ns + knot * plan.knot_duration_ns for plan in plans for knot in range(len(plan.positions) + 1)
-    }
+    changes = {instant for plan in plans for instant in plan.changes_ns}
     instants = [start_ns, *sorted(instant for instant in changes if start_ns < instant < end_ns), end_ns]
     pieces = []
     for begin, end in itertools.pairwise(instants):
-        reference = reference_at(plans, end) or hold
+        held = reference_at(plans, end) or hold
         duration = (end - begin) * 1e-9
         count = max(1, int(np.ceil(duration / longest - 1e-9)))
-        pieces += [Piece(duration / count, reference)] * count
+        pieces += [Piece(duration / count, held)] * count
     return pieces
 
 
@@ -85,10 +69,13 @@ class Predictor:
     ----------
     system
         The closed loop; its time step is the longest that a piece may take.
+    step
+        Advances it by one time step under what a piece holds.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, step: Callable[[System, State, Any], State] = pipeline.step) -> None:
         self._system = system
+        self._step = step
         self._run = jax.jit(self._advance)
 
     def predict(
@@ -99,17 +86,13 @@ class Predictor:
         durations = np.zeros(MAX_PIECES, np.float32)
         durations[:count] = [piece.duration for piece in pieces]
 
-        def rows(values: Sequence[Array]) -> jax.Array:
+        def rows(*values: Array) -> jax.Array:
             padded = np.zeros((MAX_PIECES, *values[0].shape, 1), np.float32)
             padded[:count, ..., 0] = values
             return single(padded)
 
-        references = Reference(
-            position=rows([piece.reference.position for piece in pieces]),
-            rotation=rows([piece.reference.rotation for piece in pieces]),
-            posture=rows([piece.reference.posture for piece in pieces]),
-        )
-        state = self._run(single(q[:, None]), single(v[:, None]), obstacles, references, durations, count)
+        held = jax.tree.map(rows, *(piece.held for piece in pieces))
+        state = self._run(single(q[:, None]), single(v[:, None]), obstacles, held, durations, count)
         return state.q, state.qd, state.obstacles
 
     def _advance(
@@ -117,12 +100,12 @@ class Predictor:
         q: jax.Array,
         v: jax.Array,
         obstacles: Obstacles | None,
-        references: Reference,
+        held: Any,
         durations: jax.Array,
         count: jax.Array,
     ) -> State:
         def piece(index: jax.Array, state: State) -> State:
             system = dataclasses.replace(self._system, timestep=durations[index])
-            return pipeline.step(system, state, jax.tree.map(lambda rows: rows[index], references))
+            return self._step(system, state, jax.tree.map(lambda rows: rows[index], held))
 
         return jax.lax.fori_loop(0, count, piece, pipeline.init(self._system, q, v, obstacles))

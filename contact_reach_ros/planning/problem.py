@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +119,26 @@ class Spheres:
         return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
+class HeldReference(NamedTuple):
+    """x_d and q_d that do not change with time."""
+
+    position: Array
+    """(3,), m."""
+    rotation: Array
+    """(3, 3)."""
+    posture: Array
+    """(7,), rad."""
+
+
+class HeldTorque(NamedTuple):
+    """A command τ − D q̇ beyond C + g that does not change with time, for plans of joint torques."""
+
+    torque: Array
+    """(7,) τ, N m."""
+    damping: Array | None
+    """(7,) diagonal of D, N m s/rad, or None for no damping."""
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """References of H knots and what the planner expects of them.
@@ -162,6 +183,18 @@ class Plan:
     def knot_duration_ns(self) -> int:
         """dt, ns."""
         return round(self.knot_duration_s * 1e9)
+
+    @property
+    def changes_ns(self) -> list[int]:
+        """When what is in force changes, ns: the effect, the ends of the knots but the last, and the expiry."""
+        return [self.effect_ns + knot * self.knot_duration_ns for knot in range(len(self.positions) + 1)]
+
+    def in_force(self, time_ns: int) -> HeldReference | HeldTorque | None:
+        """What holds at a time after the effect, ns; None once the plan has run out."""
+        knot = (time_ns - self.effect_ns - 1) // self.knot_duration_ns
+        if knot >= len(self.positions):
+            return None
+        return HeldReference(self.positions[knot], self.rotations[knot], self.postures[knot])
 
 
 def _checked(name: str, values: object, shape: tuple[int, ...]) -> Array:

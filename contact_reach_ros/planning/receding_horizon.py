@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.planning.cost import Problem, Rollout, Weights
+from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
 from contact_reach_ros.planning.objectives import action_bounds, actions_of, make_objective, scaled_cost
 from contact_reach_ros.planning.obstacles import ObstacleReader
-from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between
+from contact_reach_ros.planning.prediction import MAX_PIECES, Held, Predictor, hold_at, pieces_between
 from contact_reach_ros.planning.problem import Array, Goal, Plan, Spheres
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -73,13 +73,13 @@ class RecedingHorizonPlanner:
         configure_jax(cache_directory() / "jax", settings.device)
         self._settings = settings
         self._obstacles = ObstacleReader(capacity)
-        self._objective = make_objective(settings, gains)
+        self._objective = self._make_objective(gains)
         self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
-        self._bounds = action_bounds(settings)
+        self._bounds = self._make_bounds(gains)
         self._spread = _PAPER_SIGMA / self._bounds
         if settings.sampling == "bounds":
             self._spread = np.full_like(self._bounds, settings.sigma)
-        self._predictor = Predictor(self._objective.system)
+        self._predictor = self._make_predictor()
         self._solver = self._make_solver(scaled_cost(self._objective, self._bounds))
         self._evaluate = jax.jit(self._roll_out)
         self._plans: deque[Plan] = deque(maxlen=16)
@@ -100,7 +100,7 @@ class RecedingHorizonPlanner:
         q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
         goal = Goal(np.array([0.5, 0.0, 0.4]))
         obstacles, _ = self._obstacles.read(q, Spheres.none())
-        pieces = pieces_between((), hold_at(q), 0, 10_000_000, self._settings.knot_duration)
+        pieces = pieces_between((), self._hold(q), 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
         self._predictor.predict(q, v, obstacles, pieces)
         progress("planner: preparing the evaluation of plans")
@@ -164,7 +164,7 @@ class RecedingHorizonPlanner:
         self._reset_if_jumped(q, state_ns)
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
-        pieces = pieces_between(self._plans, hold_at(q), state_ns, effect_ns, timestep)
+        pieces = pieces_between(self._plans, self._hold(q), state_ns, effect_ns, timestep)
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal)
 
         distribution, start_cost = self._start(problem, goal, effect_ns)
@@ -218,20 +218,19 @@ class RecedingHorizonPlanner:
 
     def _start(self, problem: Problem, goal: Goal, effect_ns: int) -> tuple[Distribution, float]:
         """Where the solver starts: at the rest of the last plan, or at standing still if that costs less."""
-        still = np.zeros_like(self._bounds)
+        still = self._still(problem)
         points = self._points(still)
         carried = None
         memory = self._memory
         if memory is not None:
             elapsed = (effect_ns - memory.plan.effect_ns) / memory.plan.knot_duration_ns
             if 0.0 <= elapsed < self._settings.horizon:
-                shifted = shift_solution(memory.best, self._settings.horizon, elapsed)
+                count, passed = self._vectors_per_knot * self._settings.horizon, self._vectors_per_knot * elapsed
+                shifted = shift_solution(memory.best, count, passed)
                 points = self._points(shifted, still)
                 # A distribution that has settled on another goal would search in the wrong directions.
                 if goal.same_as(memory.goal):
-                    carried = shift_distribution(
-                        memory.distribution, shifted, self._spread, self._settings.horizon, elapsed
-                    )
+                    carried = shift_distribution(memory.distribution, shifted, self._spread, count, passed)
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
         costs = np.where(np.isfinite(costs), costs, np.inf)
@@ -246,6 +245,29 @@ class RecedingHorizonPlanner:
     def _points(self, first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
         """Two points (n, 2) for the evaluation, the first one twice if there is no second."""
         return np.stack([first, first if second is None else second], axis=1).astype(np.float32)
+
+    # What follows depends on what is planned; another planner than one of references overrides it.
+
+    _vectors_per_knot = 1
+    """Of decision variables, one after the other in time."""
+
+    def _make_objective(self, gains: ImpedanceSettings) -> Objective:
+        return make_objective(self._settings, gains)
+
+    def _make_bounds(self, gains: ImpedanceSettings) -> Array:
+        """(n,) of the decision variables, knot after knot."""
+        return action_bounds(self._settings)
+
+    def _make_predictor(self) -> Predictor:
+        return Predictor(self._objective.system)
+
+    def _hold(self, q: Array) -> Held:
+        """What is in force where no plan is, at joint angles `q` (7,)."""
+        return hold_at(q)
+
+    def _still(self, problem: Problem) -> Array:
+        """The point (n,) that stands for keeping the arm still."""
+        return np.zeros_like(self._bounds)
 
     def _make_solver(self, cost: CostFunction[Problem]) -> HybridSolver[Problem]:
         return HybridSolver(cost, len(self._bounds), self._settings)

@@ -52,14 +52,14 @@ def test_time_is_cut_where_the_reference_changes():
     assert max(piece.duration for piece in pieces) <= 0.025 + 1e-9
     duration = {}
     for piece in pieces:
-        label = piece.reference.position[0]
+        label = piece.held.position[0]
         duration[label] = duration.get(label, 0.0) + piece.duration
     assert duration == pytest.approx({10.0: 0.04, 11.0: 0.03, 20.0: 0.1, 21.0: 0.04})
 
 
 def test_arm_is_held_where_no_plan_is_in_force():
     pieces = pieces_between([], HOLD, 0, 50 * MS, 0.025)
-    assert [piece.reference for piece in pieces] == [HOLD, HOLD]
+    assert [piece.held for piece in pieces] == [HOLD, HOLD]
 
 
 def test_no_time_needs_no_real_piece():

@@ -1,0 +1,274 @@
+"""The paper's comparison in Section V-B: planning joint torques instead of references of the control law.
+
+The same cost, the same solver and the same stop rule, but the decision variables are the torques τ_t of (4c) beyond
+C + g, which is known, and no law stands between plan and arm. The paper does not say for how long a torque is held. Law
+(3) changes its torque as fast as its poles, the fastest of which decays in 11 ms; a torque that stays the same for a
+knot of 0.1 s would leave an undamped arm on its own for as long as the law needs to settle. So there is one torque
+vector per step of the transfer model, 25 ms by default: 84 variables instead of 39. Their bounds are the largest torque
+that the law can ask for at rest with actions within γ, so that both planners may accelerate the arm alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode, stop_damping
+from contact_reach_ros.control.law import ImpedanceLaw
+from contact_reach_ros.control.limits import JointLimitRepulsion
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.objectives import action_bounds, make_objective
+from contact_reach_ros.planning.prediction import Held, Predictor, reference_at
+from contact_reach_ros.planning.problem import Goal, HeldTorque, Plan, Spheres
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver.hybrid import Solution
+from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.closed_loop import Reference, driven_acceleration
+from contact_reach_ros.planning.transfer.contact import contact_step
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
+from contact_reach_ros.planning.transfer.kinematics import link_frames
+from contact_reach_ros.planning.transfer.lanes import make_keep
+from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, N_ACTION, State, System
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+
+Array = NDArray[np.float64]
+
+
+def torque_bounds(settings: PlanningSettings, gains: ImpedanceSettings, q: Array) -> Array:
+    """Largest torque (7,) beyond C + g that law (3) can ask for at rest at `q` (7,) with actions within γ, N m."""
+    model = RobotModel()
+    rest = np.zeros(iiwa14.N_JOINTS)
+    model.update(q, rest)
+    law = ImpedanceLaw(gains)
+    total = np.zeros(iiwa14.N_JOINTS)
+    bounds = action_bounds(dataclasses.replace(settings, null_space="planned"))[:N_ACTION]
+    for variable, bound in enumerate(bounds):
+        action = np.zeros(N_ACTION)
+        action[variable] = bound
+        total += np.abs(law.torque(model, rest, -action[6:], -action[:6]))
+    return np.minimum(total, iiwa14.TORQUE_LIMITS)
+
+
+def torque_step(system: System, state: State, act: HeldTorque) -> State:
+    """As `pipeline.step`, under a command (7, B) instead of law (3); `damping` may be None where there is none."""
+    timestep = system.timestep
+    keep = make_keep(state.q)
+    q = state.q + (0.5 * timestep) * state.qd
+    frames = link_frames(system.arm, q, keep)
+    torque: Any = act.torque
+    obstacles, link_force = state.obstacles, state.link_force
+    if obstacles is not None:
+        contact = contact_step(system.arm, frames, obstacles, system.contact_stiffness, timestep, keep)
+        obstacles, link_force = obstacles._replace(center=contact.center), contact.link_force
+        torque = torque + contact.joint_torque
+    dynamics = arm_dynamics(system.arm, frames, keep)
+    if act.damping is not None:
+        # Implicit: the wrist's inertia is too small for its damping at such steps.
+        torque = torque - act.damping * state.qd
+        added = timestep * act.damping[:, None] * np.eye(iiwa14.N_JOINTS)[:, :, None]
+        dynamics = dynamics._replace(mass_matrix=dynamics.mass_matrix + added)
+    acceleration = driven_acceleration(dynamics, torque)
+    qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
+    return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueObjective(Objective):
+    """Cost (5) of joint torques: actions are (H, 7 * substeps, B), N m, step after step."""
+
+    def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
+        """Run the transfer model without the laws under the actions, knot by knot."""
+        start = self.start(problem, actions.shape[-1])
+        pose = pipeline.flange_pose(self.system, start)
+
+        def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
+            state, link_force = self.advance(state, action)
+            pose = pipeline.flange_pose(self.system, state)
+            contact = jax.vmap(self._measure)(link_force)
+            return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0))
+
+        _, (q, poses, link_force, contact) = jax.lax.scan(knot, start, actions)
+        poses = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses)
+        # There are no references; the cost does not look at them.
+        reference = Reference(poses.position[1:], poses.rotation[1:], q)
+        return Rollout(jnp.concatenate([start.q[None], q]), poses, reference, link_force, contact)
+
+    def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
+        """As for references, less the cost of Δq, which does not exist."""
+        weights = problem.weights._replace(null_motion=0.0)
+        return super().terms(problem._replace(weights=weights), actions, rollout)
+
+    def advance(self, state: State, action: jax.Array) -> tuple[State, jax.Array]:
+        """State after one knot under an action (7 * substeps, B), and the forces (substeps, 6, B) on the links."""
+
+        def step(state: State, torque: Any) -> tuple[State, jax.Array]:
+            state = torque_step(self.system, state, HeldTorque(torque, None))
+            return state, state.link_force
+
+        # With few substeps, the planner fills actions up to the size of those of references.
+        torques = action[: iiwa14.N_JOINTS * self.substeps]
+        return jax.lax.scan(step, state, torques.reshape(self.substeps, iiwa14.N_JOINTS, -1))
+
+
+def make_torque_objective(settings: PlanningSettings, gains: ImpedanceSettings) -> TorqueObjective:
+    """The cost over the transfer model without the laws."""
+    closed = make_objective(dataclasses.replace(settings, pipeline="closed_loop"), gains)
+    return TorqueObjective(closed.system, closed.horizon, closed.substeps, closed.contact_measure)
+
+
+@dataclass(frozen=True, eq=False)
+class TorquePlan(Plan):
+    """A plan of torques; `positions`, `rotations` and `postures` are what it expects at the ends of its knots."""
+
+    torques: Array
+    """(S, 7) beyond C + g, N m, each in force for an equal part of the plan's time."""
+
+    @property
+    def changes_ns(self) -> list[int]:
+        """When the torque changes, ns, from the effect to the expiry."""
+        duration_ns = self.knot_duration_ns * len(self.positions)
+        count = len(self.torques)
+        return [self.effect_ns + round(index * duration_ns / count) for index in range(count + 1)]
+
+    def in_force(self, time_ns: int) -> HeldTorque | None:
+        """The torque at a time after the effect, ns; None once the plan has run out."""
+        index = int(np.searchsorted(self.changes_ns, time_ns, side="left")) - 1
+        if index >= len(self.torques):
+            return None
+        return HeldTorque(self.torques[index], np.zeros(iiwa14.N_JOINTS))
+
+
+class TorquePlanner(RecedingHorizonPlanner):
+    """Plans joint torques as `RecedingHorizonPlanner` plans references.
+
+    Parameters
+    ----------
+    settings, gains, permitted_force, capacity
+        As there; the gains shape the bounds only.
+    damping
+        (7,) of the joints where no plan is in force, N m s/rad.
+    """
+
+    def __init__(
+        self,
+        settings: PlanningSettings,
+        gains: ImpedanceSettings,
+        permitted_force: float,
+        capacity: int,
+        damping: Array,
+    ) -> None:
+        self._damping = damping
+        self._vectors_per_knot = settings.substeps
+        self._model = RobotModel()
+        super().__init__(settings, gains, permitted_force, capacity)
+
+    def _make_objective(self, gains: ImpedanceSettings) -> Objective:
+        return make_torque_objective(self._settings, gains)
+
+    def _make_bounds(self, gains: ImpedanceSettings) -> Array:
+        bounds = torque_bounds(self._settings, gains, np.array(iiwa14.HOME_POSITION))
+        return np.tile(bounds, self._settings.horizon * self._settings.substeps)
+
+    def _make_predictor(self) -> Predictor:
+        return Predictor(self._objective.system, torque_step)
+
+    def _hold(self, q: Array) -> Held:
+        return HeldTorque(np.zeros(iiwa14.N_JOINTS), self._damping)
+
+    def _still(self, problem: Problem) -> Array:
+        """Torques that would stop the arm within the first knot; none at all would let it coast on."""
+        q, v = (np.asarray(values, float)[:, 0] for values in (problem.q, problem.v))
+        self._model.update(q, v)
+        point = np.zeros((self._settings.horizon, self._settings.substeps, iiwa14.N_JOINTS))
+        point[0] = -self._model.mass_matrix @ v / self._settings.knot_duration
+        return np.clip(point.ravel() / self._bounds, -1.0, 1.0)
+
+    def _plan_of(
+        self,
+        solution: Solution,
+        rollout: Rollout,
+        terms: dict[str, jax.Array],
+        effect_ns: int,
+        left_out: int,
+        begin: float,
+    ) -> TorquePlan:
+        plan = super()._plan_of(solution, rollout, terms, effect_ns, left_out, begin)
+        torques = (solution.best * self._bounds).reshape(-1, iiwa14.N_JOINTS)
+        values = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan)}
+        return TorquePlan(**values, torques=torques)
+
+
+class JointTorqueMethod:
+    """Applies planned torques plus C + g as they are, without feedback other than planning again.
+
+    Until the first plan takes effect, the controller holds the arm; when a plan has run out, joints are damped. Torques
+    are capped at the data sheet's limits, and joints near their limits are pushed back, as with the other methods.
+
+    Parameters
+    ----------
+    planner
+        With room for the scene's obstacles.
+    settings
+        Of the controller that holds the arm at first.
+    """
+
+    def __init__(self, planner: TorquePlanner, settings: ControllerSettings) -> None:
+        self.planner = planner
+        self._settings = settings
+        self._model = RobotModel()
+        self._controller = Controller(settings, self._model)
+        self._repulsion = JointLimitRepulsion(settings.limits)
+        self._damping = stop_damping(settings.supervision)
+        self._plans: list[Plan] = []
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm was stopped; empty if it was not."""
+        return self._controller.stop_reason if self._controller.mode is Mode.STOPPED else ""
+
+    def warm_up(self, progress: Callable[[str], None]) -> None:
+        """Warm the planner up."""
+        self.planner.warm_up(progress)
+
+    def start(self, q: Array, v: Array, now_ns: int) -> None:
+        """Begin to hold the arm, without earlier plans."""
+        self.planner.reset()
+        self._plans.clear()
+        self._controller = Controller(self._settings, self._model)
+        self._controller.start(q, v, now_ns)
+
+    def plan(self, q: Array, v: Array, now_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
+        """Let the planner plan; its torques are in force from `effect_ns` on."""
+        plan = self.planner.plan(q, v, now_ns, effect_ns, goal, spheres)
+        # The newest plan that is in force, and those that are not yet.
+        newest = max((other.effect_ns for other in self._plans if other.effect_ns <= now_ns), default=now_ns)
+        self._plans = [other for other in self._plans if other.effect_ns >= newest] + [plan]
+        return plan
+
+    def torque(self, q: Array, v: Array, now_ns: int) -> Array:
+        """The torque of the plan in force, or what holds or stops the arm."""
+        if self.stop_reason or not any(plan.effect_ns <= now_ns for plan in self._plans):
+            return self._controller.tick(q, v, now_ns, now_ns)
+        self._model.update(q, v)
+        held = reference_at(self._plans, now_ns + 1)
+        torque = self._model.bias.copy()
+        torque += held.torque if isinstance(held, HeldTorque) else -self._damping * v
+        repulsion = self._repulsion.torque(q, v)
+        if repulsion is not None:
+            torque += repulsion
+        limits = np.array(iiwa14.TORQUE_LIMITS)
+        return np.clip(torque, -limits, limits)
+
+    def observer_report(self, stopped_because: str, now_ns: int) -> None:
+        """A non-empty reason brings the controller's compliant stop."""
+        self._controller.observer_report(stopped_because, now_ns)
