@@ -43,6 +43,13 @@ from contact_reach_ros.robot.model import RobotModel
 
 Array = NDArray[np.float64]
 
+SIGMA = 0.05
+"""Initial standard deviation of the candidates as a share of the bounds.
+
+The planner's own default, 0.3, suits references, which the law follows smoothly. Torques drawn that widely throw the
+arm about: none of them is better than standing still, and the arm stays in front of a ball.
+"""
+
 
 def torque_bounds(settings: PlanningSettings, gains: ImpedanceSettings, q: Array) -> Array:
     """Largest torque (7,) beyond C + g that law (3) can ask for at rest at `q` (7,) with actions within γ, N m."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from contact_reach_ros.baselines.collision_free import CollisionFreePlanner
-from contact_reach_ros.baselines.joint_torque import JointTorqueMethod, TorquePlanner
+from contact_reach_ros.baselines.joint_torque import SIGMA, JointTorqueMethod, TorquePlanner
 from contact_reach_ros.baselines.method import Method, ReferenceMethod
 from contact_reach_ros.baselines.rrt_star import PathSettings
 from contact_reach_ros.control.controller import ControllerSettings, stop_damping
@@ -69,7 +69,7 @@ def make_method(
     if name == "collision_free":
         return ReferenceMethod(CollisionFreePlanner(settings, controller.impedance, PathSettings(), seed), controller)
     if name == "joint_torque":
-        settings = dataclasses.replace(settings, seed=seed, solver="hybrid")
+        settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
         damping = stop_damping(controller.supervision)
         planner = TorquePlanner(settings, controller.impedance, permitted_force, capacity, damping)
         return JointTorqueMethod(planner, controller)
