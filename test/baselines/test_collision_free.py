@@ -17,8 +17,8 @@ from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import read_scene
 
 SETTINGS = PlanningSettings()
 QUICK = PathSettings(searches=2, iterations=300, goal_samples=600)

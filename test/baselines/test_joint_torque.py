@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from arm_simulation import HOME, ideal_plant
 
 from contact_reach_ros.baselines.joint_torque import (
     JointTorqueMethod,
@@ -23,8 +23,7 @@ from contact_reach_ros.planning.problem import Goal, HeldTorque, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.plant.plant import Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, MismatchSettings, SensorSettings
+from contact_reach_ros.plant.plant import Actuation
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
@@ -101,12 +100,7 @@ def test_where_the_plan_has_run_out_the_joints_are_damped(planner):
 
 
 def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
-    plant = Plant(
-        Scene("free", 0, HOME, np.zeros(3)),
-        SensorSettings(0.0, 0.0, 0.0, 0.0),
-        JointSettings(viscous_friction=0.0, coulomb_friction=0.0),
-        MismatchSettings(),
-    )
+    plant = ideal_plant()
     plant.set_actuation(Actuation.COMMANDED)
     torque = np.array([4.0, -6.0, 3.0, 5.0, 0.4, -0.3, 0.2])
     system = make_objective(PlanningSettings(), GAINS).system

@@ -11,8 +11,9 @@ from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene, read_scene
+from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
 
 QUICK = PathSettings(searches=2, iterations=300, goal_samples=600)
