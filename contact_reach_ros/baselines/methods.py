@@ -16,12 +16,18 @@ from contact_reach_ros.planning.settings import PlanningSettings
 METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
-    "collision_free": "RRT* in joint space (paper: 'collision-free'), once, then followed without planning again",
+    "collision_free": "RRT* in joint space, the shortest of several simplified paths, then followed without re-planning",
+    "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
     "joint_torque": "plans joint torques (paper: 'joint torque') with Algorithm 1, applied without any control law",
     "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
     "gradient": "the method with many gradient steps per step of Algorithm 1",
 }
 """What each name stands for, in one line with what the paper calls it."""
+
+_PATHS = {
+    "collision_free": PathSettings(),
+    "rrt_star": PathSettings(searches=1, iterations=1000, informed=False, simplify=False),
+}
 
 _CHANGES: dict[str, dict[str, str]] = {
     "contact_reach": {"null_space": "planned", "solver": "hybrid"},
@@ -66,8 +72,8 @@ def make_method(
         raise SettingsError(f"method '{name}' is unknown; expected one of {', '.join(METHODS)}")
     controller = ControllerSettings() if controller is None else controller
     settings = PlanningSettings() if settings is None else settings
-    if name == "collision_free":
-        return ReferenceMethod(CollisionFreePlanner(settings, controller.impedance, PathSettings(), seed), controller)
+    if name in _PATHS:
+        return ReferenceMethod(CollisionFreePlanner(settings, controller.impedance, _PATHS[name], seed), controller)
     if name == "joint_torque":
         settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
         damping = stop_damping(controller.supervision)

@@ -55,6 +55,8 @@ class PathSettings(Settings):
         minimum=0.1,
         maximum=3600.0,
     )
+    informed: bool = setting(True, "once there is a path, look only where a shorter one can be")
+    simplify: bool = setting(True, "shorten and smooth the path of each run")
     max_step: float = setting(1.5, "longest edge of the tree", unit="rad", minimum=0.05, maximum=20.0)
 
 
@@ -220,8 +222,8 @@ class _Search:
             problem.setOptimizationObjective(objective)
             planner = geometric.RRTstar(information)
             planner.setRange(self._settings.max_step)
-            # Once there is a path, only where a shorter one can be: converges in a fraction of the iterations.
-            planner.setInformedSampling(True)
+            # Converges in a fraction of the iterations.
+            planner.setInformedSampling(self._settings.informed)
             planner.setProblemDefinition(problem)
             planner.setup()
 
@@ -234,7 +236,8 @@ class _Search:
                 return None
             path = problem.getSolutionPath()
             raw_length = float(path.length())
-            geometric.PathSimplifier(information, goal, objective).simplify(path, _MAX_SIMPLIFICATION, True)
+            if self._settings.simplify:
+                geometric.PathSimplifier(information, goal, objective).simplify(path, _MAX_SIMPLIFICATION, True)
             # Plain arrays only: OMPL's objects are freed here, all at once.
             return np.array([_posture(state) for state in path.getStates()]), raw_length
 
