@@ -23,3 +23,7 @@ class SceneError(ContactReachError):
 
 class BagError(ContactReachError):
     """A bag cannot be written or read."""
+
+
+class RenderingError(ContactReachError):
+    """A picture cannot be made: the renderer is unknown or cannot be used on this machine, say."""

@@ -14,17 +14,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION
 
 SUCCESS_DISTANCE = 0.01
 
-# Okabe and Ito's palette, told apart with any colour vision.
-_BLUE, _VERMILION, _GREY = "#0072B2", "#D55E00", "#555555"
-_JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00")
+_JOINT_COLOURS = (BLACK, ORANGE, SKY_BLUE, GREEN, PURPLE, BLUE, VERMILION)
 _DOTS = (0, (1, 3))
 _MARKER_STYLES: dict[str, dict[str, Any]] = {
-    "goal": {"color": _BLUE, "linestyle": "-"},
-    "reached": {"color": "#009E73", "linestyle": "--"},
-    "safety": {"color": _VERMILION, "linestyle": ":"},
+    "goal": {"color": BLUE, "linestyle": "-"},
+    "reached": {"color": GREEN, "linestyle": "--"},
+    "safety": {"color": VERMILION, "linestyle": ":"},
 }
 _MAXIMUM_ROWS = 6
 _SHORTEST = 1e-3
@@ -156,8 +155,8 @@ def episode_figure(
 
 
 def _draw_distance(panel: Axes, time: np.ndarray, distance: np.ndarray, success: float) -> None:
-    panel.plot(time, distance, color=_BLUE, linewidth=1.8, label="distance")
-    panel.axhline(success, color=_GREY, linewidth=1.0, linestyle="--", label=f"success, {success:g} m")
+    panel.plot(time, distance, color=BLUE, linewidth=1.8, label="distance")
+    panel.axhline(success, color=GREY, linewidth=1.0, linestyle="--", label=f"success, {success:g} m")
     panel.set_ylabel("distance to goal [m]")
     panel.set_yscale("log")
     positive = distance[distance > 0.0]
@@ -169,9 +168,9 @@ def _draw_distance(panel: Axes, time: np.ndarray, distance: np.ndarray, success:
 
 def _draw_contact(panel: Axes, curves: EpisodeCurves, zero: float, permitted: float) -> None:
     time = curves.contact_time - zero
-    panel.plot(time, curves.contact_sum, color="#E69F00", linewidth=1.4, label="sum of all bodies")
-    panel.plot(time, curves.contact_maximum, color="#000000", linewidth=1.4, label="largest of any body")
-    panel.axhline(permitted, color=_VERMILION, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
+    panel.plot(time, curves.contact_sum, color=ORANGE, linewidth=1.4, label="sum of all bodies")
+    panel.plot(time, curves.contact_maximum, color=BLACK, linewidth=1.4, label="largest of any body")
+    panel.axhline(permitted, color=VERMILION, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
     panel.set_ylabel("contact force [N]")
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panel.set_ylim(0.0, 1.15 * max(permitted, np.nanmax(curves.contact_sum, initial=0.0)))
@@ -188,7 +187,7 @@ def _draw_torque(panel: Axes, time: np.ndarray, torque: np.ndarray, thresholds: 
         for value in (-threshold, threshold):
             panel.axhline(value, color=colour, linewidth=0.9, linestyle=_DOTS, alpha=0.7)
     if len(thresholds):
-        panel.plot([], [], color=_GREY, linewidth=0.9, linestyle=_DOTS, label="stop thresholds")
+        panel.plot([], [], color=GREY, linewidth=0.9, linestyle=_DOTS, label="stop thresholds")
         # The nearest threshold stays in view; those far above must not flatten the curves.
         largest = max(largest, min(thresholds))
     panel.set_ylim(-1.15 * (largest or 1.0), 1.15 * (largest or 1.0))
@@ -196,7 +195,7 @@ def _draw_torque(panel: Axes, time: np.ndarray, torque: np.ndarray, thresholds: 
 
 def _finish(panel: Axes, recorded: bool) -> None:
     if not recorded:
-        panel.text(0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", color=_GREY)
+        panel.text(0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", color=GREY)
     panel.grid(True, color="#dddddd", linewidth=0.6)
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)

@@ -1,0 +1,1 @@
+"""Pictures of the arm among its obstacles, without a display."""
