@@ -9,7 +9,7 @@ from contact_reach_ros.experiments.metrics import kinematic_limit, measure, rms_
 from contact_reach_ros.planning.settings import PlanningSettings
 
 START = np.array([0.4, 0.0, 0.5])
-TARGET = START + [0.12, 0.0, 0.16]
+TARGET = START + np.array([0.12, 0.0, 0.16])
 TIMES = 0.001 * np.arange(1, 2001)
 
 
