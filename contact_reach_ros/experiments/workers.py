@@ -126,7 +126,8 @@ class DaskCrew:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.executor.shutdown(wait=kind is None, cancel_futures=kind is not None)
+        # Dask's executor cancels what is not finished when it is not to wait.
+        self.executor.shutdown(wait=kind is None)
         self._client.close()
 
 
