@@ -39,7 +39,8 @@ from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.table1_report import document, tables
 from contact_reach_ros.experiments.workers import Crew, DaskCrew, ProcessCrew, run_all
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.scenes.scene import SceneFile, read_scene
+from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.scenes.scene import SceneFile
 
 Report = dict[str, Any]
 

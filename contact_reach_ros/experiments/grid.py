@@ -32,6 +32,9 @@ Record = dict[str, Any]
 
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
 
+_SOLVER_SEEDS = 2**24
+"""Few enough that a search of several runs can make seeds of 32 bits of each."""
+
 _process = threading.Lock()
 """Methods are kept, and each can run one episode at a time; a Dask worker may have several threads."""
 
@@ -104,7 +107,7 @@ def cells(
 def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
     """Seeds of solver and sensor noise, the same for every scene, goal and method."""
     solver, noise = np.random.SeedSequence((target, repeat)).generate_state(2)
-    return int(solver >> 1), int(noise)
+    return int(solver) % _SOLVER_SEEDS, int(noise)
 
 
 def run_cell(task: EpisodeTask) -> Record:
