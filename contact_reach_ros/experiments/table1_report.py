@@ -310,19 +310,20 @@ def _why(report: Report, results: Results, scene: str, goal: str, method: str, f
 
 
 def _failures(report: Report) -> Iterator[str]:
-    """Why goals were not reached, by method."""
-    counts: dict[tuple[str, str, str, str], int] = {}
+    """Why goals were not reached: how often in each cell, with one of the messages."""
+    found: dict[tuple[str, str, str], dict[str, list[str]]] = {}
     for entry in report["episodes"]:
         if not entry["reached"]:
-            why = entry["stop_reason"] or entry["failure"] or "out of time"
-            key = (entry["scene"], entry["goal"], entry["method"], why)
-            counts[key] = counts.get(key, 0) + 1
-    if counts:
+            kind = "stopped" if entry["stop_reason"] else "no plan" if entry["failure"] else "out of time"
+            kinds = found.setdefault((entry["scene"], entry["goal"], entry["method"]), {})
+            kinds.setdefault(kind, []).append(entry["stop_reason"] or entry["failure"])
+    if found:
         yield ""
         yield "Goals that were not reached:"
         yield ""
-    for (scene, goal, method, why), count in counts.items():
-        yield f"- {scene}, {GOAL_NAMES[goal]}, {method}: {count} × {why}"
+    for (scene, goal, method), kinds in found.items():
+        said = [f"{len(why)} × {kind}" + (f" ({why[0]})" if why[0] else "") for kind, why in kinds.items()]
+        yield f"- {scene}, {GOAL_NAMES[goal]}, {method}: {'; '.join(said)}"
 
 
 def _latencies(report: Report) -> Iterator[str]:

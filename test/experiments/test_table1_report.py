@@ -74,7 +74,10 @@ def page(tmp_path):
         *episodes("free", "contact_reach", [2.0, 1.0, 3.0], [4.0, 4.1, 4.2]),
         *episodes("free", "reference_posture", [1.0, 3.0, 2.0], [4.0, 4.1, 4.2]),
         *episodes("hold", "collision_free", [0.0, 0.0, 0.0], [16.0, 16.0, 16.0]),
-        *[record(goal="free", method="collision_free", target=target, failure="no path") for target in range(3)],
+        *[
+            record(goal="free", method="collision_free", target=target, failure=f"no path to {target}")
+            for target in range(3)
+        ],
     ]
     return document(report(made), tmp_path)
 
@@ -113,7 +116,7 @@ def test_a_baseline_that_is_ahead_is_told_with_its_reason(page):
     assert "presses with 4.0 N where the method presses with 1.0 N" in line
     (line,) = re.findall(r"- ball, orientation held: collision_free presses less.*", page)
     assert "keeps clear of all obstacles, and takes 16.0 s where the method takes 4.1 s" in line
-    assert "- ball, position only, collision_free: 3 × no path" in page
+    assert "- ball, position only, collision_free: 3 × no plan (no path to 0)" in page
 
 
 def test_without_episodes_of_a_kind_there_is_still_a_page(tmp_path):
