@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 MIN_LATENCY = 0.01
 """Nobody is asked for plans more often, s: those who plan once only hand out the next piece of their path."""
 
-_PLANS, _ENOUGH_PLANS, _PATIENCE = 40, 4, 6.0
+_PLANS, _ENOUGH_PLANS, _PATIENCE = 30, 4, 6.0
 """Plans that the median is taken of; fewer, but not fewer than enough, when they take longer than this, s."""
 _PERIODS = (0.08, 0.5)
 """Least and greatest time between plans while measuring, s: a few seconds of motion, contact included."""
