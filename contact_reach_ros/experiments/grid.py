@@ -17,7 +17,7 @@ from contact_reach_ros.baselines.method import Method
 from contact_reach_ros.baselines.methods import make_method
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure, speed_limit
+from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import make_scene
@@ -122,8 +122,8 @@ def run_cell(task: EpisodeTask) -> Record:
             result = run_episode(scene, method, task.setup.options(task.cell.goal, task.latency, noise_seed))
     except Exception as error:
         return failed(task.cell, f"{type(error).__name__}: {error}")
-    fastest = speed_limit(task.setup.planning, task.setup.controller.impedance)
-    metrics = measure(result, scene.target, fastest, task.setup.budget.permitted_force)
+    gains, permitted_force = task.setup.controller.impedance, task.setup.budget.permitted_force
+    metrics = measure(result, scene.target, task.setup.planning, gains, permitted_force)
     times = [plan.solve_s for plan in result.plans]
     timing = {
         "wall_s": time.perf_counter() - begin,

@@ -11,6 +11,7 @@ from scipy.signal import savgol_filter
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeResult
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.plant.plant import TICK
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ class EpisodeMetrics:
     time
         To the goal, s; None if it was not reached.
     time_ratio
-        `time` over the least time that the bound γ on Δx permits, see `kinematic_limit`.
+        `time` over the least time that the bound γ on Δx permits, see `least_duration`.
     max_contact_force
         Largest force on any one body of the arm, N, from the simulation.
     contact_impulse
@@ -72,7 +73,9 @@ class EpisodeMetrics:
     solver_steps: int
 
 
-def measure(result: EpisodeResult, target: Array, fastest: float, permitted_force: float) -> EpisodeMetrics:
+def measure(
+    result: EpisodeResult, target: Array, planning: PlanningSettings, gains: ImpedanceSettings, permitted_force: float
+) -> EpisodeMetrics:
     """The figures of an episode.
 
     Parameters
@@ -81,8 +84,8 @@ def measure(result: EpisodeResult, target: Array, fastest: float, permitted_forc
         Of the episode.
     target
         (3,), m.
-    fastest
-        From `speed_limit`, m/s.
+    planning, gains
+        What bounds the speed of the flange.
     permitted_force
         ε of the contact budget, N.
     """
@@ -94,7 +97,7 @@ def measure(result: EpisodeResult, target: Array, fastest: float, permitted_forc
     return EpisodeMetrics(
         reached=result.reached,
         time=time,
-        time_ratio=None if time is None else time / kinematic_limit(target - result.start_position, fastest),
+        time_ratio=None if time is None else time / least_duration(result.start_position, target, planning, gains),
         max_contact_force=float(forces.max()),
         contact_impulse=float(forces.sum()) * TICK,
         over_budget=int((forces > permitted_force).sum()) * TICK,
@@ -108,16 +111,6 @@ def measure(result: EpisodeResult, target: Array, fastest: float, permitted_forc
         plans=len(result.plans),
         solver_steps=sum(plan.steps for plan in result.plans),
     )
-
-
-def speed_limit(planning: PlanningSettings, gains: ImpedanceSettings) -> float:
-    """γ Kp/Kd, m/s: with these gains no axis of the flange moves faster, since γ bounds Δx."""
-    return planning.translation_bound * gains.task_stiffness / gains.task_damping
-
-
-def kinematic_limit(displacement: Array, fastest: float) -> float:
-    """Least time, s, to move the flange by `displacement` (3,), m, when no axis is faster than `fastest`, m/s."""
-    return float(np.abs(displacement).max()) / fastest
 
 
 def rms_jerk(positions: Array) -> float | None:

@@ -5,7 +5,7 @@ import pytest
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeResult
-from contact_reach_ros.experiments.metrics import kinematic_limit, measure, rms_jerk, speed_limit
+from contact_reach_ros.experiments.metrics import measure, rms_jerk
 from contact_reach_ros.planning.settings import PlanningSettings
 
 START = np.array([0.4, 0.0, 0.5])
@@ -37,7 +37,7 @@ def straight(count=2000, speed=0.1):
 
 
 def test_a_straight_motion_is_as_long_as_its_displacement():
-    metrics = measure(episode(straight()), TARGET, 0.088, 10.0)
+    metrics = measure(episode(straight()), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
     assert metrics.path_length == pytest.approx(0.2)
     assert metrics.path_ratio == pytest.approx(1.0)
     assert metrics.jerk == pytest.approx(0.0, abs=1e-3)
@@ -51,7 +51,7 @@ def test_a_straight_motion_is_as_long_as_its_displacement():
 def test_half_a_circle_is_longer_than_its_diameter():
     angle = np.pi * TIMES / TIMES[-1]
     circle = START + 0.1 * np.stack([1.0 - np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    metrics = measure(episode(circle), circle[-1], 0.088, 10.0)
+    metrics = measure(episode(circle), circle[-1], PlanningSettings(), ImpedanceSettings(), 10.0)
     assert metrics.path_ratio == pytest.approx(np.pi / 2, rel=1e-4)
     # Of a uniform circular motion: r ω³.
     assert metrics.jerk == pytest.approx(0.1 * (np.pi / 2) ** 3, rel=1e-3)
@@ -70,7 +70,13 @@ def test_forces_torques_and_impulse():
     forces[100:600, 2], forces[100:600, 3] = 12.0, 4.0
     forces[700:900, 5] = 5.0
     torques[50, 4], torques[60, 1] = -7.5, 3.0
-    metrics = measure(episode(straight(), link_forces=forces, external_torques=torques), TARGET, 0.088, 10.0)
+    metrics = measure(
+        episode(straight(), link_forces=forces, external_torques=torques),
+        TARGET,
+        PlanningSettings(),
+        ImpedanceSettings(),
+        10.0,
+    )
     assert metrics.max_contact_force == 12.0
     assert metrics.contact_impulse == pytest.approx(12.0 * 0.5 + 5.0 * 0.2)
     assert metrics.over_budget == pytest.approx(0.5)
@@ -78,8 +84,10 @@ def test_forces_torques_and_impulse():
 
 
 def test_what_was_stopped_or_out_of_time_has_no_time():
-    stopped = measure(episode(straight(), stop_reason="external torque on A2"), START, 0.088, 10.0)
-    late = measure(episode(straight(), duration=float("nan")), START, 0.088, 10.0)
+    stopped = measure(
+        episode(straight(), stop_reason="external torque on A2"), START, PlanningSettings(), ImpedanceSettings(), 10.0
+    )
+    late = measure(episode(straight(), duration=float("nan")), START, PlanningSettings(), ImpedanceSettings(), 10.0)
     for metrics in (stopped, late):
         assert not metrics.reached
         assert metrics.time is metrics.time_ratio is metrics.path_ratio is None
@@ -88,11 +96,6 @@ def test_what_was_stopped_or_out_of_time_has_no_time():
 
 def test_without_a_first_plan_there_is_nothing_to_measure():
     empty = episode(np.zeros((0, 3)), duration=float("nan"), failure="no path")
-    metrics = measure(empty, TARGET, 0.088, 10.0)
+    metrics = measure(empty, TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
     assert (metrics.failure, metrics.end_error, metrics.jerk, metrics.path_length) == ("no path", None, None, 0.0)
     assert metrics.max_contact_force == metrics.max_external_torque == 0.0
-
-
-def test_the_limit_of_the_paper():
-    assert speed_limit(PlanningSettings(), ImpedanceSettings()) == pytest.approx(0.088)
-    assert kinematic_limit(np.array([0.1, -0.176, 0.0]), 0.088) == pytest.approx(2.0)
