@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 JERK_WINDOW = 0.1
 """Length of the filter that jerk is measured with, s."""
 _JERK_ORDER = 4
+_END_TICKS = 10
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,8 @@ class EpisodeMetrics:
         Root mean square of the flange's jerk, m/s³, see `rms_jerk`; None for an episode shorter than the filter.
     end_error
         Distance from the target at the end, m; None if the episode ended at once.
+    end_speed
+        Of the flange over the last 10 ms, m/s: a goal counts as reached when the flange is near, even if it passes by.
     stop_reason, failure
         As in `EpisodeResult`.
     plans, solver_steps
@@ -67,6 +70,7 @@ class EpisodeMetrics:
     path_ratio: float | None
     jerk: float | None
     end_error: float | None
+    end_speed: float | None
     stop_reason: str
     failure: str
     plans: int
@@ -106,6 +110,7 @@ def measure(
         path_ratio=length / straight if result.reached and straight > 0.0 else None,
         jerk=rms_jerk(result.positions),
         end_error=float(result.distances[-1]) if len(result.distances) else None,
+        end_speed=_end_speed(result.positions),
         stop_reason=result.stop_reason,
         failure=result.failure,
         plans=len(result.plans),
@@ -131,3 +136,9 @@ def rms_jerk(positions: Array) -> float | None:
     # At the ends the filter only extrapolates.
     inner = jerk[window // 2 : len(jerk) - window // 2]
     return float(np.sqrt(np.mean(np.sum(inner**2, axis=1))))
+
+
+def _end_speed(positions: Array) -> float | None:
+    if len(positions) <= _END_TICKS:
+        return None
+    return float(np.linalg.norm(positions[-1] - positions[-1 - _END_TICKS])) / (_END_TICKS * TICK)

@@ -24,6 +24,7 @@ _COLUMNS = (
     ("path / straight", "path_ratio", 1.0, 2),
     ("jerk, m/s³", "jerk", 1.0, 1),
     ("end error, mm", "end_error", 1e3, 1),
+    ("end speed, m/s", "end_speed", 1.0, 3),
     ("plans", "plans", 1.0, 0),
 )
 
@@ -39,7 +40,8 @@ residual of the momentum observer on any joint, which includes the friction it d
 the bound γ on Δx permits at best, max |d_i| / (γ Kp/Kd); *impulse* the integral of the force; *over ε* the time above \
 the permitted force; *path / straight* the flange's path over the distance between its ends; *jerk* the root mean \
 square of the third derivative of the flange's position, from a Savitzky-Golay filter of 0.1 s; *end error* the \
-distance from the target when the episode ended. A goal is reached within {success:g} mm, in {timeout:g} s at most."""
+distance from the target when the episode ended, *end speed* that of the flange then. A goal is reached within \
+{success:g} mm, in {timeout:g} s at most."""
 
 _RATIO_LEGEND = """\
 A ratio is that of the means over all episodes, on targets for which both methods have the figure, with the {share} % \
@@ -290,6 +292,9 @@ def _why(report: Report, results: Results, scene: str, goal: str, method: str, f
     force, own_force = means("max_contact_force")
     path, own_path = means("path_length")
     if figure == "time":
+        ratio, _ = means("time_ratio")
+        if ratio < 1.0:
+            reasons.append("is not held to the speed γ Kp/Kd of those that follow law (1)")
         latency, own_latency = (report["latencies"][scene][name]["latency_s"] for name in (method, paper.METHOD))
         if latency < 0.9 * own_latency:
             reasons.append(f"plans {own_latency / latency:.1f} times as often, and x_d moves on with every plan")

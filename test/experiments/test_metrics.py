@@ -46,6 +46,7 @@ def test_a_straight_motion_is_as_long_as_its_displacement():
     # The slowest axis decides: 0.16 m at 0.088 m/s.
     assert metrics.time_ratio == pytest.approx(2.0 / (0.16 / 0.088))
     assert metrics.end_error == 0.009
+    assert metrics.end_speed == pytest.approx(0.1)
 
 
 def test_half_a_circle_is_longer_than_its_diameter():
@@ -97,5 +98,6 @@ def test_what_was_stopped_or_out_of_time_has_no_time():
 def test_without_a_first_plan_there_is_nothing_to_measure():
     empty = episode(np.zeros((0, 3)), duration=float("nan"), failure="no path")
     metrics = measure(empty, TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
-    assert (metrics.failure, metrics.end_error, metrics.jerk, metrics.path_length) == ("no path", None, None, 0.0)
+    assert (metrics.failure, metrics.end_error, metrics.jerk, metrics.end_speed) == ("no path", None, None, None)
+    assert metrics.path_length == 0.0
     assert metrics.max_contact_force == metrics.max_external_torque == 0.0
