@@ -58,13 +58,15 @@ setup(
         "numpy",
         "pin",
         "pyyaml",
+        "rich",
         "rosbags",
         "scipy",
     ],
     extras_require={
         "baselines": ["ompl"],
+        "dask": ["distributed"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
-        "test": ["cma", "colcon-common-extensions", "hypothesis", "mypy", "pytest", "ruff"],
+        "test": ["cma", "colcon-common-extensions", "distributed", "hypothesis", "mypy", "pytest", "ruff"],
     },
     entry_points={
         "console_scripts": [

@@ -91,6 +91,30 @@ def _parser() -> argparse.ArgumentParser:
     chosen.add_argument("--targets", type=int, default=10, help="episodes per scene and value (default: 10)")
     chosen.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     chosen.set_defaults(run=_bench_setting)
+    table1 = benches.add_parser("table1", help="the paper's Table I: every method in every scene")
+    table1.add_argument(
+        "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: those of the paper)"
+    )
+    table1.add_argument(
+        "--goals", nargs="+", metavar="GOAL", help="hold the orientation, or leave it free (default: both)"
+    )
+    table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: all)")
+    table1.add_argument("--targets", type=int, default=10, help="targets per scene (default: 10)")
+    table1.add_argument("--repeats", type=int, default=3, help="episodes per target (default: 3)")
+    table1.add_argument("--seed", type=int, default=0, help="of the first target (default: 0)")
+    table1.add_argument("--timeout", type=float, default=20.0, help="simulated time to reach a goal, s (default: 20)")
+    table1.add_argument(
+        "--latency", type=float, metavar="SECONDS", help="time of a plan (default: measured beforehand)"
+    )
+    table1.add_argument("--workers", type=int, metavar="W", help="processes (default: one per core)")
+    table1.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run the episodes instead"
+    )
+    table1.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    table1.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
+    table1.add_argument("--results", type=Path, metavar="FILE", help="write a page of results, as docs/results.md")
+    table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
+    table1.set_defaults(run=_bench_table1)
     solver = benches.add_parser("solver", help="Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", default="wall", help="scene: a name or a YAML file (default: wall)")
     solver.add_argument("--seeds", type=int, default=20, help="states to start from (default: 20)")
@@ -158,6 +182,32 @@ def _bench_setting(options: argparse.Namespace) -> int:
 
     values = [yaml.safe_load(value) for value in options.values]
     bench_setting(options.name, values, options.scene, options.targets, options.json)
+    return 0
+
+
+def _bench_table1(options: argparse.Namespace) -> int:
+    from contact_reach_ros.errors import SettingsError
+    from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, report_table1
+
+    if options.report_only:
+        if options.json is None:
+            raise SettingsError("--report-only needs --json FILE, the result of a finished run")
+        report_table1(options.json, options.results)
+        return 0
+    standard = Table1()
+    bench = Table1(
+        scenes=tuple(options.scenes or standard.scenes),
+        goals=tuple(options.goals or standard.goals),
+        methods=tuple(options.methods or standard.methods),
+        targets=options.targets,
+        repeats=options.repeats,
+        seed=options.seed,
+        timeout=options.timeout,
+        latency=options.latency,
+        workers=options.workers,
+        scheduler=options.scheduler,
+    )
+    bench_table1(bench, options.json, options.results, options.resume)
     return 0
 
 

@@ -113,6 +113,11 @@ class CollisionFreePlanner:
         self._goal = self._points = self.path = None
         self._progress = 0
 
+    def reseed(self, seed: int) -> None:
+        """Forget path and plans, and search with another seed from now on."""
+        self.reset()
+        self._seed = seed
+
     def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
         """References from the path's furthest point within γ of where the arm will be, knot after knot.
 

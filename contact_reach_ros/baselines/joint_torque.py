@@ -247,6 +247,10 @@ class JointTorqueMethod:
         """Warm the planner up."""
         self.planner.warm_up(progress)
 
+    def reseed(self, seed: int) -> None:
+        """Reseed the planner."""
+        self.planner.reseed(seed)
+
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin to hold the arm, without earlier plans."""
         self.planner.reset()

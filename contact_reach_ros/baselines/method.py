@@ -26,6 +26,9 @@ class Planner(Protocol):
     def reset(self) -> None:
         """Forget the plans made so far."""
 
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on."""
+
     def plan(self, q: Array, v: Array, state_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
         """As `RecedingHorizonPlanner.plan`; `PlanningError` if there is no way to the goal."""
 
@@ -39,6 +42,9 @@ class Method(Protocol):
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Prepare whatever the first plan would have to wait for; `progress` is called with a line for the user."""
+
+    def reseed(self, seed: int) -> None:
+        """Draw the random numbers of the next episodes from this seed; what was prepared stays."""
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin an episode with the arm at rest at `q` (7,), rad; hold it until there is a plan."""
@@ -83,6 +89,10 @@ class ReferenceMethod:
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Warm the planner up."""
         self.planner.warm_up(progress)
+
+    def reseed(self, seed: int) -> None:
+        """Reseed the planner."""
+        self.planner.reseed(seed)
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin with a new controller, and without earlier plans."""

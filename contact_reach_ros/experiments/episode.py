@@ -47,6 +47,8 @@ class EpisodeOptions:
         Distance that counts as reached, m.
     hold_orientation
         Whether the goal holds the orientation of the start; otherwise it is left free.
+    noise_seed
+        Of the sensor noise; that of the scene if there is none.
     """
 
     period: float = 0.04
@@ -55,6 +57,7 @@ class EpisodeOptions:
     timeout: float = 20.0
     success: float = 0.01
     hold_orientation: bool = True
+    noise_seed: int | None = None
     budget: ContactBudget = field(default_factory=ContactBudget)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     joints: JointSettings = field(default_factory=JointSettings)
@@ -132,7 +135,7 @@ def run_episode(
     watch
         Called after each tick with its number and the plant.
     """
-    plant = Plant(scene, options.sensors, options.joints)
+    plant = Plant(scene, options.sensors, options.joints, options.noise_seed)
     drive = Drive(plant, WatchdogSettings())
     observer = MomentumObserver(MomentumSettings(), RobotModel())
     monitor = SafetyMonitor(SafetySettings(), options.budget)

@@ -125,6 +125,11 @@ class RecedingHorizonPlanner:
         self._memory = None
         self._last_state = None
 
+    def reseed(self, seed: int) -> None:
+        """Forget the plans made so far and draw other candidates from now on, as with that seed in the settings."""
+        self.reset()
+        self._solver.reseed(seed)
+
     def plan(
         self,
         q: ArrayLike,

@@ -61,8 +61,13 @@ class Plant:
         What stands around the arm.
     """
 
-    def __init__(self, scene: Scene, sensors: SensorSettings, joints: JointSettings) -> None:
-        """Build the simulation at the scene's start, with its mismatch; `scene.seed` seeds the sensor noise."""
+    def __init__(
+        self, scene: Scene, sensors: SensorSettings, joints: JointSettings, noise_seed: int | None = None
+    ) -> None:
+        """Build the simulation at the scene's start, with its mismatch.
+
+        `noise_seed`, else `scene.seed`, seeds the sensor noise.
+        """
         mismatch = scene.mismatch
         bodies = [ball_body(index, ball, scene.foam_scale) for index, ball in enumerate(scene.balls)]
         for index, wall in enumerate(scene.walls):
@@ -79,7 +84,7 @@ class Plant:
         self._joints = joints
         self._friction_scale = mismatch.friction_scale
         self._noise_scale = mismatch.noise_scale
-        self._random = np.random.default_rng(scene.seed)
+        self._random = np.random.default_rng(scene.seed if noise_seed is None else noise_seed)
         self._arm = slice(0, iiwa14.N_JOINTS)
         self._torque_limits = np.array(iiwa14.TORQUE_LIMITS)
         self._torque = np.full(iiwa14.N_JOINTS, np.nan)

@@ -61,3 +61,17 @@ def test_pushing_through_is_felt(episode):
     assert result.contact_forces.max() > 2.0
     assert result.distances[-1] < 0.8 * result.distances[0]
     assert not result.contact_forces[:100].any()
+
+
+def test_the_noise_has_a_seed_of_its_own(episode):
+    scene, _, _ = episode
+
+    def joints(noise_seed):
+        options = EpisodeOptions(period=0.1, settle=0.6, timeout=0.2, noise_seed=noise_seed)
+        result = run_episode(scene, ReferenceMethod(StraightPlanner(scene), ControllerSettings()), options)
+        return result.joints
+
+    # Without one it is the scene's, 0.
+    np.testing.assert_array_equal(joints(None), joints(0))
+    assert not np.array_equal(joints(0), joints(1))
+    np.testing.assert_allclose(joints(0), joints(1), atol=1e-2)

@@ -115,6 +115,17 @@ def test_same_calls_after_a_reset_give_the_same_plans_bit_for_bit(planner):
         assert a.number < b.number
 
 
+def test_a_seed_decides_the_candidates_and_begins_afresh(planner):
+    plans = []
+    for seed in (7, 8, 7):
+        planner.reseed(seed)
+        plans.append(plan_from(planner))
+    planner.reseed(0)
+    np.testing.assert_array_equal(plans[0].postures, plans[2].postures)
+    assert not np.array_equal(plans[0].postures, plans[1].postures)
+    np.testing.assert_allclose(plans[0].positions, plans[1].positions, atol=2e-3)
+
+
 def test_plan_starts_from_the_state_predicted_under_the_plan_in_force(planner):
     first = plan_from(planner)
     second = plan_from(planner, HOME, REST, 0, 100)

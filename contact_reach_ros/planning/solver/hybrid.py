@@ -97,6 +97,7 @@ class HybridSolver(Generic[ProblemT]):
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
         self._cost = cost
         self._settings = settings
+        self._seed = settings.seed
         self._rates = Rates.of(n, settings.elite)
         self._gradient_steps = {"hybrid": 1, "cma": 0, "gradient": settings.gradient_steps}[settings.solver]
         # Separate programs, so that candidates and line search share the one that costs them: half the compilation
@@ -106,6 +107,10 @@ class HybridSolver(Generic[ProblemT]):
         self._select = jax.jit(self._select_elite)
         self._line = jax.jit(self._points_on_line)
         self._conclude = jax.jit(self._update_search)
+
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on; no program has to be compiled again."""
+        self._seed = seed
 
     def solve(
         self,
@@ -126,7 +131,7 @@ class HybridSolver(Generic[ProblemT]):
         start_cost
             Cost of the distribution's mean; infinity if it is not finite.
         number
-            Selects the random numbers, together with the seed of the settings.
+            Selects the random numbers, together with the seed.
         until
             Instant of `time.perf_counter` by which to return, looked at between steps; one is always taken.
         """
@@ -140,7 +145,7 @@ class HybridSolver(Generic[ProblemT]):
             if len(costs) > 1 and now + longest_step > until:
                 reason = "deadline"
                 break
-            search = self._advance(problem, search, (settings.seed, number, len(costs)))
+            search = self._advance(problem, search, (self._seed, number, len(costs)))
             costs.append(float(search.best_cost))
             longest_step, now = max(longest_step, time.perf_counter() - now), time.perf_counter()
             # From an infinite cost to an infinite cost the decrease is not a number, which counts as stagnant too.
@@ -164,7 +169,7 @@ class HybridSolver(Generic[ProblemT]):
         times = []
         for repetition in range(1 + _REPETITIONS):
             begin = time.perf_counter()
-            jax.block_until_ready(self._advance(problem, search, (self._settings.seed, 0, repetition)))
+            jax.block_until_ready(self._advance(problem, search, (self._seed, 0, repetition)))
             times.append(time.perf_counter() - begin)
         return min(times[1:])
 

@@ -1,0 +1,170 @@
+"""The episodes of Table I: each a pure function of its cell and the settings, to be run in any process in any order."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.baselines.method import Method
+from contact_reach_ros.baselines.methods import make_method
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import Scene, SceneFile
+from contact_reach_ros.scenes.spheres import sphere_capacity
+
+GOALS = ("hold", "free")
+"""What goals ask for: the orientation of the start held, or a position only."""
+
+Record = dict[str, Any]
+"""Cell, figures and timing of one episode, as JSON has them."""
+
+METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
+
+_SOLVER_SEEDS = 2**24
+"""Few enough that a search of several runs can make seeds of 32 bits of each."""
+
+_process = threading.Lock()
+"""Methods are kept, and each can run one episode at a time; a Dask worker may have several threads."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One episode.
+
+    Attributes
+    ----------
+    scene
+        Name of the scene file.
+    goal
+        One of `GOALS`.
+    method
+        One of `METHODS`.
+    target
+        Seed of the scene: its target and where its obstacles are.
+    repeat
+        With the target it seeds solver and sensor noise; the scene does not depend on it.
+    """
+
+    scene: str
+    goal: str
+    method: str
+    target: int
+    repeat: int
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all episodes have in common."""
+
+    planning: PlanningSettings = field(default_factory=lambda: PlanningSettings(deadline=0.0))
+    """Without a deadline, so that results do not depend on how busy the machine is."""
+    controller: ControllerSettings = field(default_factory=ControllerSettings)
+    budget: ContactBudget = field(default_factory=ContactBudget)
+    timeout: float = 20.0
+    """Time to reach the goal, s."""
+
+    def options(self, goal: str, latency: float, noise_seed: int | None = None) -> EpisodeOptions:
+        """How an episode is run with plans that take `latency`, s, one after the other."""
+        return EpisodeOptions(
+            period=latency,
+            latency=latency,
+            timeout=self.timeout,
+            hold_orientation=goal == "hold",
+            budget=self.budget,
+            noise_seed=noise_seed,
+        )
+
+
+@dataclass(frozen=True)
+class EpisodeTask:
+    """All that a worker needs to run one episode; `latency` in s."""
+
+    cell: Cell
+    scene: SceneFile
+    latency: float
+    setup: Setup
+
+
+def cells(
+    scenes: Iterable[str], goals: Iterable[str], methods: Iterable[str], targets: Iterable[int], repeats: Iterable[int]
+) -> list[Cell]:
+    """All combinations."""
+    return [Cell(*values) for values in itertools.product(scenes, goals, methods, targets, repeats)]
+
+
+def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
+    """Seeds of solver and sensor noise, the same for every scene, goal and method."""
+    solver, noise = np.random.SeedSequence((target, repeat)).generate_state(2)
+    return int(solver) % _SOLVER_SEEDS, int(noise)
+
+
+def run_cell(task: EpisodeTask) -> Record:
+    """Run an episode; an error is reported as a failed episode, with its message."""
+    begin = time.perf_counter()
+    try:
+        with _process:
+            scene = concrete_scene(task.scene, task.cell.target)
+            method = prepared(task.cell.method, task.scene, task.setup)
+            solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
+            method.reseed(solver_seed)
+            result = run_episode(scene, method, task.setup.options(task.cell.goal, task.latency, noise_seed))
+    except Exception as error:
+        return failed(task.cell, f"{type(error).__name__}: {error}")
+    gains, permitted_force = task.setup.controller.impedance, task.setup.budget.permitted_force
+    metrics = measure(result, scene.target, task.setup.planning, gains, permitted_force)
+    times = [plan.solve_s for plan in result.plans]
+    timing = {
+        "wall_s": time.perf_counter() - begin,
+        "first_plan_s": times[0] if times else None,
+        "plan_s": float(np.median(times)) if times else None,
+    }
+    return {**dataclasses.asdict(task.cell), **dataclasses.asdict(metrics), "timing": timing}
+
+
+def failed(cell: Cell, message: str) -> Record:
+    """The record of an episode that has no figures."""
+    nothing: dict[str, Any] = dict.fromkeys(METRICS)
+    nothing.update(reached=False, stop_reason="", failure=message, plans=0, solver_steps=0)
+    return {**dataclasses.asdict(cell), **nothing, "timing": None}
+
+
+def cell_of(record: Record) -> Cell:
+    """The cell of a record."""
+    return Cell(*(record[field.name] for field in dataclasses.fields(Cell)))
+
+
+def by_program(tasks: Sequence[EpisodeTask]) -> list[EpisodeTask]:
+    """In an order in which workers seldom have to prepare another method."""
+    return sorted(tasks, key=lambda task: (task.cell.method, sphere_capacity(task.scene)))
+
+
+@functools.lru_cache(maxsize=16)
+def concrete_scene(file: SceneFile, target: int) -> Scene:
+    """The scene of a seed; looking for a place for walls takes a while."""
+    return make_scene(file, target)
+
+
+def prepared(method: str, file: SceneFile, setup: Setup) -> Method:
+    """A method that is ready to plan, kept for the next episode in this process."""
+    return _prepared(method, sphere_capacity(file), setup.budget.permitted_force, setup.planning, setup.controller)
+
+
+@functools.cache
+def _prepared(
+    name: str, capacity: int, permitted_force: float, planning: PlanningSettings, controller: ControllerSettings
+) -> Method:
+    method = make_method(name, capacity, permitted_force, planning.seed, planning, controller)
+    method.warm_up(lambda line: None)
+    return method

@@ -1,0 +1,144 @@
+"""What is measured of one episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.experiments.episode import EpisodeResult
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.speed_limit import least_duration
+from contact_reach_ros.plant.plant import TICK
+
+Array = NDArray[np.float64]
+
+JERK_WINDOW = 0.1
+"""Length of the filter that jerk is measured with, s."""
+_JERK_ORDER = 4
+_END_TICKS = 10
+
+
+@dataclass(frozen=True)
+class EpisodeMetrics:
+    """Figures of one episode, from the moment the goal was given until it was reached or the episode ended.
+
+    Attributes
+    ----------
+    reached
+        Whether the goal was reached in time and nothing stopped the arm.
+    time
+        To the goal, s; None if it was not reached.
+    time_ratio
+        `time` over the least time that the bound γ on Δx permits, see `least_duration`.
+    max_contact_force
+        Largest force on any one body of the arm, N, from the simulation.
+    contact_impulse
+        Integral over time of the largest force on one body, N s.
+    over_budget
+        Time in which that force was above the permitted one, s.
+    max_external_torque
+        Largest magnitude of the observer's residual on any joint, Nm. What observer and controller do not know of the
+        arm, such as friction, is part of it, as on a real robot.
+    path_length
+        Of the flange, m.
+    path_ratio
+        `path_length` over the distance between the ends of the path; None if the goal was not reached.
+    jerk
+        Root mean square of the flange's jerk, m/s³, see `rms_jerk`; None for an episode shorter than the filter.
+    end_error
+        Distance from the target at the end, m; None if the episode ended at once.
+    end_speed
+        Of the flange over the last 10 ms, m/s: a goal counts as reached when the flange is near, even if it passes by.
+    stop_reason, failure
+        As in `EpisodeResult`.
+    plans, solver_steps
+        Number of plans, and of solver steps in all of them.
+    """
+
+    reached: bool
+    time: float | None
+    time_ratio: float | None
+    max_contact_force: float
+    contact_impulse: float
+    over_budget: float
+    max_external_torque: float
+    path_length: float
+    path_ratio: float | None
+    jerk: float | None
+    end_error: float | None
+    end_speed: float | None
+    stop_reason: str
+    failure: str
+    plans: int
+    solver_steps: int
+
+
+def measure(
+    result: EpisodeResult, target: Array, planning: PlanningSettings, gains: ImpedanceSettings, permitted_force: float
+) -> EpisodeMetrics:
+    """The figures of an episode.
+
+    Parameters
+    ----------
+    result
+        Of the episode.
+    target
+        (3,), m.
+    planning, gains
+        What bounds the speed of the flange.
+    permitted_force
+        ε of the contact budget, N.
+    """
+    time = result.duration if result.reached else None
+    path = np.concatenate([result.start_position[None], result.positions])
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    straight = float(np.linalg.norm(path[-1] - path[0]))
+    forces = result.contact_forces if len(result.positions) else np.zeros(1)
+    return EpisodeMetrics(
+        reached=result.reached,
+        time=time,
+        time_ratio=None if time is None else time / least_duration(result.start_position, target, planning, gains),
+        max_contact_force=float(forces.max()),
+        contact_impulse=float(forces.sum()) * TICK,
+        over_budget=int((forces > permitted_force).sum()) * TICK,
+        max_external_torque=float(np.abs(result.external_torques).max(initial=0.0)),
+        path_length=length,
+        path_ratio=length / straight if result.reached and straight > 0.0 else None,
+        jerk=rms_jerk(result.positions),
+        end_error=float(result.distances[-1]) if len(result.distances) else None,
+        end_speed=_end_speed(result.positions),
+        stop_reason=result.stop_reason,
+        failure=result.failure,
+        plans=len(result.plans),
+        solver_steps=sum(plan.steps for plan in result.plans),
+    )
+
+
+def rms_jerk(positions: Array) -> float | None:
+    """Root mean square over time of the jerk's magnitude, m/s³; None if there are too few positions.
+
+    The third derivative comes from a Savitzky-Golay filter: a polynomial of fourth order fitted over `JERK_WINDOW`. The
+    third difference of positions at 1 kHz would show the simulation's contact steps and little of the motion.
+
+    Parameters
+    ----------
+    positions
+        (n, 3) of the flange after each tick, m.
+    """
+    window = round(JERK_WINDOW / TICK) + 1
+    if len(positions) < window:
+        return None
+    jerk = savgol_filter(positions, window, _JERK_ORDER, deriv=3, delta=TICK, axis=0)
+    # At the ends the filter only extrapolates.
+    inner = jerk[window // 2 : len(jerk) - window // 2]
+    return float(np.sqrt(np.mean(np.sum(inner**2, axis=1))))
+
+
+def _end_speed(positions: Array) -> float | None:
+    if len(positions) <= _END_TICKS:
+        return None
+    return float(np.linalg.norm(positions[-1] - positions[-1 - _END_TICKS])) / (_END_TICKS * TICK)

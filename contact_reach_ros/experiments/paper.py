@@ -1,0 +1,51 @@
+"""The figures of the paper, and what this project demands of itself: the one place where they are written down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+METHOD = "contact_reach"
+"""The paper's own method, by its name in `baselines.methods`."""
+REFERENCE_POSTURE = "reference_posture"
+COLLISION_FREE = "collision_free"
+
+
+@dataclass(frozen=True)
+class PaperCell:
+    """One cell of Table I: mean and standard deviation of the time, s, and of the maximum contact force, N."""
+
+    time: float
+    time_sd: float
+    force: float
+    force_sd: float
+
+
+TABLE_1 = {
+    ("free", COLLISION_FREE): PaperCell(11.4, 1.4, 0.0, 0.0),
+    ("free", REFERENCE_POSTURE): PaperCell(11.4, 1.4, 0.0, 0.0),
+    ("free", METHOD): PaperCell(11.4, 1.6, 0.0, 0.0),
+    ("ball", COLLISION_FREE): PaperCell(37.8, 3.9, 0.0, 0.0),
+    ("ball", REFERENCE_POSTURE): PaperCell(13.1, 0.4, 4.7, 2.3),
+    ("ball", METHOD): PaperCell(12.8, 0.5, 2.8, 1.2),
+    ("wall", REFERENCE_POSTURE): PaperCell(21.3, 2.0, 1.9, 0.7),
+    ("wall", METHOD): PaperCell(17.5, 1.5, 0.5, 0.3),
+}
+"""Table I, simulation, by scene and method; with walls there is no collision-free path."""
+
+NO_PATH = (("wall", COLLISION_FREE),)
+"""Cells of Table I for which the paper reports that there is no path."""
+
+WALL_PLANNING_TIME = {METHOD: 0.47, "joint_torque": 1.34}
+"""Section V-B: mean time of a plan in the wall scene, s."""
+
+TIME_RATIO_LIMITS = {"free": 1.4, "ball": 1.6, "wall": 2.0}
+"""Demanded here: reach time over the kinematic limit, at most."""
+
+PAPER_TIME_SHARE = 0.5
+"""Demanded here: reach time over the paper's, at most."""
+
+FORCE_RATIOS = {"ball": 1.7, "wall": 4.0}
+"""Section V-B: maximum contact force of reference posture over that of the method, at least."""
+
+COLLISION_FREE_TIME_RATIO = {"ball": 2.6}
+"""Section V-A: time of the collision-free path over that of the method, at least."""

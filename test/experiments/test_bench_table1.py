@@ -1,0 +1,166 @@
+"""The command: what it writes, how it goes on after an interruption, and what it refuses."""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from test_grid import TINY, figures
+from test_workers import ended
+
+from contact_reach_ros.cli import main
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command
+from contact_reach_ros.experiments.journal import journal_of, read_journal
+
+BENCH = Table1(
+    scenes=("free",),
+    goals=("hold",),
+    methods=("cma_es",),
+    targets=2,
+    repeats=3,
+    timeout=0.6,
+    latency=0.05,
+    workers=1,
+)
+
+
+def refuse(arguments, message, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "table1", *arguments])
+    assert end.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def whole(report):
+    """What has to be the same in two runs."""
+    return {**report, "episodes": [figures(entry) for entry in report["episodes"]], "machine": None}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Report and files of a run that nothing interrupted, on two processes."""
+    folder = tmp_path_factory.mktemp("finished")
+    file, page = folder / "table.json", folder / "docs" / "results.md"
+    report = bench_table1(dataclasses.replace(BENCH, workers=2), file, page, False, TINY)
+    return report, file, page
+
+
+def test_files_hold_what_is_returned(finished):
+    report, file, page = finished
+    assert json.loads(file.read_text()) == report
+    assert [(entry["target"], entry["repeat"]) for entry in report["episodes"]] == [
+        (target, repeat) for target in range(2) for repeat in range(3)
+    ]
+    assert not journal_of(file).exists()
+    assert report["latencies"] == {
+        "free": {"cma_es": {"latency_s": 0.05, "median_s": None, "cpu_median_s": None, "plans": 0}}
+    }
+    text = page.read_text()
+    assert "6 episodes: 2 targets per scene (seeds 0 to 1), 3 repeats" in text
+    assert "| free | cma_es | 0/6 |" in text
+    assert "- free, orientation held, cma_es: 6 × out of time" in text
+
+
+def test_a_run_that_was_terminated_goes_on_where_it_was(finished, tmp_path, capfd):
+    file = tmp_path / "table.json"
+    program = tmp_path / "run.py"
+    program.write_text(
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from pathlib import Path\n"
+        "if __name__ == '__main__':\n"
+        "    from test_bench_table1 import BENCH, TINY, bench_table1\n"
+        "    bench_table1(BENCH, Path(sys.argv[2]), None, False, TINY)\n"
+    )
+    run = subprocess.Popen([sys.executable, str(program), str(Path(__file__).parent), str(file)])
+    try:
+        while len(episodes(file)) < 2:
+            assert run.poll() is None
+            time.sleep(0.02)
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+        run.send_signal(signal.SIGTERM)
+        assert run.wait(30) == 128 + signal.SIGTERM
+    finally:
+        run.kill()
+    assert children
+    assert all(ended(int(child)) for child in children)
+    assert "--resume goes on with them" in capfd.readouterr().err
+    kept = episodes(file)
+    assert 2 <= len(kept) < 6
+
+    # Latencies come from the run that is gone on with, too.
+    resumed = bench_table1(dataclasses.replace(BENCH, latency=None), file, None, True, TINY)
+    report = whole(finished[0])
+    assert {**whole(resumed), "command": None} == {**report, "command": None}
+    assert [entry for entry in resumed["episodes"] if entry in kept] == kept
+    assert not journal_of(file).exists()
+
+
+def episodes(file):
+    journal = journal_of(file)
+    return read_journal(journal)[1] if journal.exists() else []
+
+
+def test_what_was_not_finished_is_not_overwritten(finished, tmp_path):
+    file = tmp_path / "table.json"
+    journal_of(file).write_text("{}\n")
+    with pytest.raises(SettingsError, match="go on with it by --resume, or remove the file"):
+        bench_table1(BENCH, file, None, False, TINY)
+
+
+def test_other_settings_cannot_go_on(finished):
+    _, file, _ = finished
+    before = file.read_text()
+    for change, message in (
+        ({"timeout": 0.7}, r"timeout was 0\.6 and is 0\.7 now"),
+        ({"targets": 1}, "holds 3 episodes that these options leave out"),
+        ({"targets": 3, "latency": 0.06}, "were run with 0.05 s; leave --latency out"),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            bench_table1(dataclasses.replace(BENCH, **change), file, None, True, TINY)
+    assert file.read_text() == before
+
+
+def test_the_page_is_rewritten_from_the_file_alone(finished, tmp_path, capsys):
+    _, file, page = finished
+    (tmp_path / "fig4.png").touch()
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "table1", "--report-only", "--json", str(file), "--results", str(tmp_path / "results.md")])
+    assert end.value.code == 0
+    again = (tmp_path / "results.md").read_text()
+    assert again.startswith(page.read_text().rstrip())
+    assert "(fig4.png)" in again
+    assert "fig5.png" not in again
+    assert "| free | cma_es | 0/6 |" in capsys.readouterr().out
+
+
+def test_the_command_is_what_made_the_page():
+    assert command(BENCH).startswith(
+        "contact-reach bench table1 --scenes free --goals hold --methods cma_es --targets 2"
+    )
+    assert "--scenes" not in command(Table1())
+    assert os.sep + "tmp" not in command(Table1(scenes=("/tmp/own.yaml",)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--methods", "rrt"], "--methods 'rrt' is unknown; expected one of contact_reach"),
+        (["--goals", "held"], "--goals 'held' is unknown; expected one of hold, free"),
+        (["--scenes", "sphere"], "scene 'sphere' is unknown"),
+        (["--targets", "0"], "--targets 0: expected at least 1"),
+        (["--workers", "0"], "--workers 0: expected at least 1"),
+        (["--timeout", "nan"], "--timeout nan: expected a positive time"),
+        (["--latency", "5"], "--latency 5: expected 0.001 to 1 s"),
+        (["--resume"], "--resume needs --json FILE"),
+        (["--report-only"], "--report-only needs --json FILE"),
+        (["--report-only", "--json", "nowhere.json"], "nowhere.json: cannot be read"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(arguments, message, capsys):
+    refuse(arguments, message, capsys)

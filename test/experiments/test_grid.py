@@ -1,0 +1,93 @@
+"""Episodes of the grid: the same wherever and in whatever order they are run."""
+
+import dataclasses
+
+import pytest
+
+from contact_reach_ros.experiments import grid
+from contact_reach_ros.experiments.grid import EpisodeTask, Setup, by_program, cell_of, cells, episode_seeds, run_cell
+from contact_reach_ros.experiments.latency import MIN_LATENCY, LatencyTask, measure_latency, rounded_up
+from contact_reach_ros.experiments.workers import ProcessCrew, run_all
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.scenes.files import read_scene
+
+TINY = Setup(
+    planning=PlanningSettings(
+        deadline=0.0, population=32, elite=8, line_search_points=8, horizon=1, substeps=2, max_steps=3
+    ),
+    timeout=0.6,
+)
+
+
+def tasks(method="cma_es", targets=1, repeats=2, setup=TINY):
+    scene = read_scene("free")
+    every = cells(["free"], ["hold", "free"], [method], range(targets), range(repeats))
+    return [EpisodeTask(cell, scene, 0.05, setup) for cell in every]
+
+
+def figures(record):
+    return {key: value for key, value in record.items() if key != "timing"}
+
+
+@pytest.fixture(scope="module")
+def here():
+    """Records of `tasks()`, run in this process."""
+    return [run_cell(task) for task in tasks()]
+
+
+def test_other_processes_and_another_order_give_the_same_to_the_last_bit(here):
+    with ProcessCrew(2) as crew:
+        found = {task.cell: record for task, record in run_all(crew, run_cell, tasks()[::-1])}
+    assert [figures(found[task.cell]) for task in tasks()] == [figures(record) for record in here]
+    assert {record["failure"] for record in here} == {""}
+
+
+def test_repeats_differ_in_random_numbers_and_not_in_the_target(here):
+    first, second = here[:2]
+    assert (first["repeat"], second["repeat"]) == (0, 1)
+    assert first["end_error"] != second["end_error"]
+    assert first["end_error"] == pytest.approx(second["end_error"], abs=5e-3)
+    assert first["time_ratio"] is None
+
+
+def test_seeds_of_solver_and_noise_depend_on_target_and_repeat():
+    seeds = [episode_seeds(target, repeat) for target in range(5) for repeat in range(5)]
+    for column in zip(*seeds, strict=True):
+        assert len(set(column)) == 25
+    solver = [solver for solver, _ in seeds]
+    assert max(solver) < 2**24
+    assert seeds[0] == episode_seeds(0, 0)
+
+
+def test_an_error_is_a_failed_episode_with_its_message():
+    task = tasks()[0]
+    strange = dataclasses.replace(task, cell=dataclasses.replace(task.cell, method="rrt"))
+    record = run_cell(strange)
+    assert not record["reached"]
+    assert record["failure"].startswith("SettingsError: method 'rrt' is unknown")
+    assert cell_of(record) == strange.cell
+
+
+def test_a_method_is_prepared_once(here, monkeypatch):
+    def again(*arguments):
+        raise AssertionError("made again")
+
+    monkeypatch.setattr(grid, "make_method", again)
+    assert [figures(run_cell(task)) for task in tasks()[:1]] == [figures(here[0])]
+
+
+def test_tasks_that_share_a_program_follow_each_other():
+    mixed = [task for pair in zip(tasks("gradient"), tasks("cma_es"), strict=True) for task in pair]
+    assert [task.cell.method for task in by_program(mixed)] == ["cma_es"] * 4 + ["gradient"] * 4
+
+
+def test_latency_is_the_median_of_plans_in_whole_ticks(here):
+    found = measure_latency(LatencyTask(read_scene("free"), "cma_es", 0, TINY))
+    assert found["plans"] > 3
+    assert found["cpu_median_s"] > 0.0
+    assert found["latency_s"] >= MIN_LATENCY
+    assert found["latency_s"] >= min(found["median_s"], found["cpu_median_s"])
+
+
+def test_latencies_are_rounded_up_to_ticks():
+    assert [rounded_up(seconds) for seconds in (0.0, 0.0301, 0.03, 0.6)] == [0.01, 0.031, 0.03, 0.6]

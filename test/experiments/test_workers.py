@@ -1,0 +1,134 @@
+"""Tasks on many workers: what becomes of those that fail, and of workers when their parent ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments import workers
+from contact_reach_ros.experiments.workers import DaskCrew, ProcessCrew, run_all
+
+
+def square(value: int) -> int:
+    if value == 3:
+        raise ValueError("three is refused")
+    return value * value
+
+
+def square_or_die(value: int) -> int:
+    if value == 3:
+        os._exit(1)
+    return value * value
+
+
+def own_id_for_a_minute(file: str) -> None:
+    Path(file).write_text(f"{os.getpid()}\n")
+    time.sleep(60)
+
+
+def ended(pid: int) -> bool:
+    """Whether the process is gone within some seconds, or at least a zombie that nobody has collected yet."""
+    for _ in range(200):
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def content(file: Path) -> str:
+    for _ in range(600):
+        if file.exists() and file.read_text().endswith("\n"):
+            return file.read_text()
+        time.sleep(0.1)
+    raise AssertionError(f"{file} was not written")
+
+
+def outcome(crew, function, count=6):
+    return {task: str(found) for task, found in run_all(crew, function, range(count))}
+
+
+def test_every_task_comes_back_with_its_result_or_its_error():
+    with ProcessCrew(2) as crew:
+        assert outcome(crew, square) == {0: "0", 1: "1", 2: "4", 3: "three is refused", 4: "16", 5: "25"}
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_a_process_that_dies_takes_no_other_task_with_it(size):
+    with ProcessCrew(size) as crew:
+        assert outcome(crew, square_or_die) == {
+            0: "0",
+            1: "1",
+            2: "4",
+            3: "the worker's process died",
+            4: "16",
+            5: "25",
+        }
+
+
+def test_an_interruption_ends_the_processes_at_once(tmp_path):
+    with pytest.raises(KeyboardInterrupt), ProcessCrew(1) as crew:
+        crew.executor.submit(own_id_for_a_minute, str(tmp_path / "id"))
+        pid = int(content(tmp_path / "id"))
+        raise KeyboardInterrupt
+    assert ended(pid)
+
+
+def test_processes_end_when_their_parent_is_killed(tmp_path):
+    program = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import test_workers as t\n"
+        "if __name__ == '__main__':\n"
+        "    with t.ProcessCrew(1) as crew: list(t.run_all(crew, t.own_id_for_a_minute, [sys.argv[2]]))\n"
+    )
+    script = tmp_path / "parent.py"
+    script.write_text(program)
+    parent = subprocess.Popen([sys.executable, str(script), str(Path(__file__).parent), str(tmp_path / "id")])
+    try:
+        pid = int(content(tmp_path / "id"))
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    assert ended(pid)
+
+
+class TestDask:
+    @pytest.fixture
+    def cluster(self):
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        ) as cluster:
+            yield cluster
+
+    def test_its_workers_do_the_same(self, cluster):
+        with DaskCrew(cluster.scheduler_address) as crew:
+            assert crew.size == 2
+            assert outcome(crew, square) == {0: "0", 1: "1", 2: "4", 3: "three is refused", 4: "16", 5: "25"}
+
+    def test_a_scheduler_without_workers_is_refused(self, cluster):
+        cluster.scale(0)
+        for _ in range(100):
+            if not cluster.scheduler.workers:
+                break
+            time.sleep(0.1)
+        with pytest.raises(SettingsError, match="has no workers; start some with `dask worker"):
+            DaskCrew(cluster.scheduler_address)
+
+    def test_nobody_at_the_address(self, monkeypatch):
+        pytest.importorskip("distributed")
+        monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", "1s")
+        with pytest.raises(SettingsError, match=r"'tcp://127\.0\.0\.1:1': no Dask scheduler answers"):
+            DaskCrew("tcp://127.0.0.1:1")
+
+    def test_a_missing_package_is_named(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "distributed", None)
+        with pytest.raises(SettingsError, match=r"'distributed' is missing; install it with pip install"):
+            DaskCrew("tcp://127.0.0.1:8786")
