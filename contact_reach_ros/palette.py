@@ -16,6 +16,7 @@ METHOD_COLOURS = {
     "contact_reach": BLUE,
     "reference_posture": VERMILION,
     "collision_free": PURPLE,
+    "rrt_star": GREEN,
     "joint_torque": ORANGE,
     "cma_es": SKY_BLUE,
     "gradient": BLACK,

@@ -16,7 +16,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
-    "collision_free": "RRT* in joint space, the shortest of several simplified paths, then followed without re-planning",
+    "collision_free": "RRT* in joint space, the shortest of several simplified paths, followed without re-planning",
     "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
     "joint_torque": "plans joint torques (paper: 'joint torque') with Algorithm 1, applied without any control law",
     "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 METHOD = "contact_reach"
 """The paper's own method, by its name in `baselines.methods`."""
 REFERENCE_POSTURE = "reference_posture"
-COLLISION_FREE = "collision_free"
+COLLISION_FREE = "rrt_star"
 
 
 @dataclass(frozen=True)

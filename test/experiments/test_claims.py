@@ -72,7 +72,7 @@ def test_demands_are_met_or_not():
     ours = [record(target=t, time=5.0, time_ratio=1.5, max_contact_force=2.0) for t in range(2)]
     others = [
         *(record(method="reference_posture", target=t, time=5.0, max_contact_force=4.0) for t in range(2)),
-        *(record(method="collision_free", target=t, time=12.0, max_contact_force=0.0) for t in range(2)),
+        *(record(method="rrt_star", target=t, time=12.0, max_contact_force=0.0) for t in range(2)),
     ]
     found = verdicts(ours + others)
     assert found == {

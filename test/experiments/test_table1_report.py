@@ -7,11 +7,11 @@ from test_claims import record
 
 from contact_reach_ros.experiments.table1_report import document, tables
 
-METHODS = ["contact_reach", "reference_posture", "collision_free"]
+METHODS = ["contact_reach", "reference_posture", "rrt_star"]
 
 
 def report(episodes, scenes=("ball",), goals=("hold", "free")):
-    latencies = {"contact_reach": 0.03, "reference_posture": 0.01, "collision_free": 0.01}
+    latencies = {"contact_reach": 0.03, "reference_posture": 0.01, "rrt_star": 0.01}
     return {
         "command": "contact-reach bench table1 --targets 3",
         "grid": {
@@ -73,9 +73,9 @@ def page(tmp_path):
         *episodes("hold", "reference_posture", [4.0, 5.0, 3.0], [3.0, 3.1, 3.2]),
         *episodes("free", "contact_reach", [2.0, 1.0, 3.0], [4.0, 4.1, 4.2]),
         *episodes("free", "reference_posture", [1.0, 3.0, 2.0], [4.0, 4.1, 4.2]),
-        *episodes("hold", "collision_free", [0.0, 0.0, 0.0], [16.0, 16.0, 16.0]),
+        *episodes("hold", "rrt_star", [0.0, 0.0, 0.0], [16.0, 16.0, 16.0]),
         *[
-            record(goal="free", method="collision_free", target=target, failure=f"no path to {target}")
+            record(goal="free", method="rrt_star", target=target, failure=f"no path to {target}")
             for target in range(3)
         ],
     ]
