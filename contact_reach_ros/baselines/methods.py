@@ -29,6 +29,9 @@ _PATHS = {
     "rrt_star": PathSettings(searches=1, iterations=1000, informed=False, simplify=False),
 }
 
+PATH_METHODS = tuple(_PATHS)
+"""Methods that follow a path to its end, however long it is, and know nothing of contact."""
+
 _CHANGES: dict[str, dict[str, str]] = {
     "contact_reach": {"null_space": "planned", "solver": "hybrid"},
     "reference_posture": {"null_space": "reference_posture", "solver": "hybrid"},

@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from contact_reach_ros.baselines.methods import METHODS
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.grid import (
     GOALS,
     Cell,
@@ -186,7 +187,7 @@ def _read_scenes(bench: Table1) -> dict[str, SceneFile]:
 
 def _header(bench: Table1, setup: Setup, scenes: dict[str, SceneFile]) -> Report:
     """All that is known of the run before it; the same after a way through JSON."""
-    options = setup.options(GOALS[0], latency=0.1)
+    options = setup.options(paper.METHOD, GOALS[0], latency=0.1)
     header = {
         "bench": "table1",
         "command": command(bench),

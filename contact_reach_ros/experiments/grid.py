@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.baselines.method import Method
-from contact_reach_ros.baselines.methods import make_method
+from contact_reach_ros.baselines.methods import PATH_METHODS, make_method
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
@@ -29,6 +29,9 @@ GOALS = ("hold", "free")
 
 Record = dict[str, Any]
 """Cell, figures and timing of one episode, as JSON has them."""
+
+PATH_PATIENCE = 4
+"""So many times as long have the methods that follow a path: it may be long, but it ends at the goal."""
 
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
 
@@ -73,14 +76,14 @@ class Setup:
     controller: ControllerSettings = field(default_factory=ControllerSettings)
     budget: ContactBudget = field(default_factory=ContactBudget)
     timeout: float = 20.0
-    """Time to reach the goal, s."""
+    """Time to reach the goal, s, for methods that follow no path."""
 
-    def options(self, goal: str, latency: float, noise_seed: int | None = None) -> EpisodeOptions:
+    def options(self, method: str, goal: str, latency: float, noise_seed: int | None = None) -> EpisodeOptions:
         """How an episode is run with plans that take `latency`, s, one after the other."""
         return EpisodeOptions(
             period=latency,
             latency=latency,
-            timeout=self.timeout,
+            timeout=self.timeout * (PATH_PATIENCE if method in PATH_METHODS else 1),
             hold_orientation=goal == "hold",
             budget=self.budget,
             noise_seed=noise_seed,
@@ -119,7 +122,9 @@ def run_cell(task: EpisodeTask) -> Record:
             method = prepared(task.cell.method, task.scene, task.setup)
             solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
             method.reseed(solver_seed)
-            result = run_episode(scene, method, task.setup.options(task.cell.goal, task.latency, noise_seed))
+            result = run_episode(
+                scene, method, task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
+            )
     except Exception as error:
         return failed(task.cell, f"{type(error).__name__}: {error}")
     gains, permitted_force = task.setup.controller.impedance, task.setup.budget.permitted_force

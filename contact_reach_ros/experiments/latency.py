@@ -105,7 +105,7 @@ def measure_latency(task: LatencyTask) -> dict[str, Any]:
     scene = concrete_scene(task.scene, task.target)
     for goal in GOALS:
         try:
-            run_episode(scene, watch, task.setup.options(goal, period))
+            run_episode(scene, watch, task.setup.options(task.method, goal, period))
         except _Enough:
             break
         if watch.seconds:

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.baselines.methods import METHODS
+from contact_reach_ros.baselines.methods import METHODS, PATH_METHODS
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.claims import Claim, Ratio, Results, claims, number, plus_minus, ratio_text
+from contact_reach_ros.experiments.grid import PATH_PATIENCE
 
 Report = dict[str, Any]
 
@@ -41,12 +42,17 @@ the bound γ on Δx permits at best, max |d_i| / (γ Kp/Kd); *impulse* the integ
 the permitted force; *path / straight* the flange's path over the distance between its ends; *jerk* the root mean \
 square of the third derivative of the flange's position, from a Savitzky-Golay filter of 0.1 s; *end error* the \
 distance from the target when the episode ended, *end speed* that of the flange then. A goal is reached within \
-{success:g} mm, in {timeout:g} s at most."""
+{success:g} mm, in {timeout:g} s at most, or {patience:g} s by methods that follow a path."""
 
 _RATIO_LEGEND = """\
 A ratio is that of the means over all episodes, on targets for which both methods have the figure, with the {share} % \
 interval of a bootstrap over targets; *paired median* is the median over targets of the ratio within a target. Forces \
 count from all episodes, times only from those that reached the goal."""
+
+
+def _legend(settings: Report) -> str:
+    timeout = settings["timeout"]
+    return _LEGEND.format(success=1e3 * settings["success"], timeout=timeout, patience=PATH_PATIENCE * timeout)
 
 
 def tables(report: Report) -> str:
@@ -73,7 +79,7 @@ def document(report: Report, folder: Path) -> str:
         "",
         *_tables(report, results),
         "",
-        _LEGEND.format(success=1e3 * report["settings"]["success"], timeout=report["settings"]["timeout"]),
+        _legend(report["settings"]),
         "",
         "## What is demanded",
         "",
@@ -303,7 +309,7 @@ def _why(report: Report, results: Results, scene: str, goal: str, method: str, f
         if force > own_force + _NOTICEABLE["max_contact_force"]:
             reasons.append(f"presses with {force:.1f} N where the method presses with {own_force:.1f} N")
     else:
-        if method == paper.COLLISION_FREE:
+        if method in PATH_METHODS:
             reasons.append("keeps clear of all obstacles")
         if time > own_time + _NOTICEABLE["time"]:
             reasons.append(f"takes {time:.1f} s where the method takes {own_time:.1f} s")

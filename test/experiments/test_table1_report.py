@@ -74,10 +74,7 @@ def page(tmp_path):
         *episodes("free", "contact_reach", [2.0, 1.0, 3.0], [4.0, 4.1, 4.2]),
         *episodes("free", "reference_posture", [1.0, 3.0, 2.0], [4.0, 4.1, 4.2]),
         *episodes("hold", "rrt_star", [0.0, 0.0, 0.0], [16.0, 16.0, 16.0]),
-        *[
-            record(goal="free", method="rrt_star", target=target, failure=f"no path to {target}")
-            for target in range(3)
-        ],
+        *[record(goal="free", method="rrt_star", target=target, failure=f"no path to {target}") for target in range(3)],
     ]
     return document(report(made), tmp_path)
 
@@ -85,7 +82,7 @@ def page(tmp_path):
 def test_measured_and_published_figures_stand_side_by_side(page):
     held, free = page.split("### Goals: position only")
     assert "| ball | **contact_reach** | 3/3 | 4.10 ± 0.10 | 12.8 ± 0.5 | 1.00 ± 0.20 | 2.8 ± 1.2 |" in held
-    assert "| ball | collision_free | 0/3 | – | 37.8 ± 3.9 | – | 0 |" in free
+    assert "| ball | rrt_star | 0/3 | – | 37.8 ± 3.9 | – | 0 |" in free
 
 
 def test_columns_of_every_table_agree(page):
@@ -114,9 +111,9 @@ def test_a_baseline_that_is_ahead_is_told_with_its_reason(page):
     assert "3.10 ± 0.10 against 4.10 ± 0.10 s" in line
     assert "plans 3.0 times as often" in line
     assert "presses with 4.0 N where the method presses with 1.0 N" in line
-    (line,) = re.findall(r"- ball, orientation held: collision_free presses less.*", page)
+    (line,) = re.findall(r"- ball, orientation held: rrt_star presses less.*", page)
     assert "keeps clear of all obstacles, and takes 16.0 s where the method takes 4.1 s" in line
-    assert "- ball, position only, collision_free: 3 × no plan (no path to 0)" in page
+    assert "- ball, position only, rrt_star: 3 × no plan (no path to 0)" in page
 
 
 def test_without_episodes_of_a_kind_there_is_still_a_page(tmp_path):
