@@ -8,6 +8,7 @@ METHOD = "contact_reach"
 """The paper's own method, by its name in `baselines.methods`."""
 REFERENCE_POSTURE = "reference_posture"
 COLLISION_FREE = "rrt_star"
+JOINT_TORQUE = "joint_torque"
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ TABLE_1 = {
 NO_PATH = (("wall", COLLISION_FREE),)
 """Cells of Table I for which the paper reports that there is no path."""
 
-WALL_PLANNING_TIME = {METHOD: 0.47, "joint_torque": 1.34}
+WALL_PLANNING_TIME = {METHOD: 0.47, JOINT_TORQUE: 1.34}
 """Section V-B: mean time of a plan in the wall scene, s."""
 
 TIME_RATIO_LIMITS = {"free": 1.4, "ball": 1.6, "wall": 2.0}
