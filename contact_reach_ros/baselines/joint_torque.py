@@ -20,10 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode, stop_damping
+from contact_reach_ros.control.controller import Controller, ControllerSettings, stop_damping
 from contact_reach_ros.control.law import ImpedanceLaw
 from contact_reach_ros.control.limits import JointLimitRepulsion
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.planning.cost import Objective, Problem, Rollout
 from contact_reach_ros.planning.objectives import action_bounds, make_objective
 from contact_reach_ros.planning.prediction import Held, Predictor, reference_at

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
+from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.units import NANOSECONDS

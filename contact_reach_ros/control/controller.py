@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.limits import JointLimitRepulsion, TorqueLimiter
 from contact_reach_ros.control.reference import ReferenceQueue, blend
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
@@ -29,20 +29,6 @@ class ControllerSettings:
     limits: LimitSettings = field(default_factory=LimitSettings)
     supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
 
-
-class Mode(Enum):
-    """What the controller does."""
-
-    HOLDING = "holding"
-    """No valid plan: the arm is held where it is."""
-    TRACKING = "tracking"
-    """A plan is in force."""
-    STOPPED = "stopped"
-    """Latched compliant stop: no stiffness, damping and gravity only."""
-
-
-_PAUSE_NS = 5_000_000
-"""Ticks further apart than this show that the controller itself was held up."""
 
 _NOWHERE = Reference(np.zeros(3), np.eye(3), np.zeros(iiwa14.N_JOINTS))
 """Stands where there is no reference yet."""
@@ -62,8 +48,7 @@ class Controller:
         self.repulsion = JointLimitRepulsion(settings.limits)
         self.limiter = TorqueLimiter(settings.limits)
         self.references = ReferenceQueue(settings.supervision.max_plan_lead)
-        self.mode = Mode.HOLDING
-        self.stop_reason = ""
+        self.supervisor = Supervisor(settings.supervision)
         self.error = np.zeros(6)
         """Δx of the last tick, (6,), m and rad."""
         self._started = False
@@ -72,9 +57,6 @@ class Controller:
         self._started_ns = 0
         self._last_ns = 0
         self._had_plan = False
-        self._observer_ns: int | None = None
-        self._clock_ns: int | None = None
-        self._observer_stopped = ""
         self._stop_damping = stop_damping(settings.supervision)
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
@@ -87,11 +69,12 @@ class Controller:
         InputError
             If the state is not finite or lies outside the joint limits.
         """
-        _check_start(q, v)
+        check_start(q, v)
         self.model.update(q, v)
         self.limiter.start(self._hold_torque())
         self._last_ns = now_ns
         self._restart(q, now_ns)
+        self.supervisor.happens(Event.START)
         self._started = True
 
     def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
@@ -114,9 +97,10 @@ class Controller:
         """
         if not self._started:
             raise InputError("the controller was not started: call start with the first joint state")
-        _check_state(q, v)
+        check_state(q, v)
         self.model.update(q, v)
-        self._watch_observer(clock_ns)
+        self.supervisor.watch_observer(clock_ns)
+        self.supervisor.watch_joints(q, v)
         if now_ns < self._last_ns:
             # The clock was set back: what has been going on for a while still has.
             self._started_ns -= self._last_ns - now_ns
@@ -143,18 +127,23 @@ class Controller:
         self._last_ns = now_ns
         return self.limiter.limit(torque, period)
 
+    @property
+    def mode(self) -> Mode:
+        """What the controller does."""
+        return self.supervisor.mode
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm is stopped; empty while it is not."""
+        return self.supervisor.stop_reason
+
     def observer_report(self, stopped_because: str, clock_ns: int) -> None:
         """Take the observer's sign of life; a non-empty reason stops the arm."""
-        self._observer_ns = clock_ns
-        self._observer_stopped = stopped_because
-        if stopped_because:
-            self.stop(stopped_because)
+        self.supervisor.observer_report(stopped_because, clock_ns)
 
     def stop(self, reason: str) -> None:
         """Latch the compliant stop; the first reason is kept."""
-        if self.mode is not Mode.STOPPED:
-            self.mode = Mode.STOPPED
-            self.stop_reason = reason
+        self.supervisor.stop(reason)
 
     def reset(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> None:
         """Release a stop and hold the arm where it is; earlier plans are forgotten.
@@ -165,26 +154,15 @@ class Controller:
             If the arm still moves or lies outside the joint limits, or the observer is silent or itself stopped; the
             stop stays.
         """
-        _check_start(q, v)
-        speed = float(np.abs(v).max())
-        limit = self.settings.supervision.reset_velocity
-        if not speed <= limit:
-            raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {limit:g} rad/s: wait for it")
-        if self._observer_stopped:
-            raise InputError(f"the observer is stopped ({self._observer_stopped}): reset the observer first")
-        if self._observer_silence(clock_ns) is not None:
-            raise InputError("the observer is silent: start it, then reset")
+        self.supervisor.check_reset(q, v, clock_ns)
         self.references.clear(now_ns)
-        self.mode = Mode.HOLDING
-        self.stop_reason = ""
+        self.supervisor.happens(Event.RESET)
         self.model.update(q, v)
         # Not `start`: the limiter goes on from the last torque, so that the release brings no step.
         self._restart(q, now_ns)
 
     def _restart(self, q: Array, now_ns: int) -> None:
         """Hold the pose at hand, with authority ramping in; a stop stays in force."""
-        if self.mode is not Mode.STOPPED:
-            self.mode = Mode.HOLDING
         self._started_ns = now_ns
         self._begin_hold(q, now_ns)
         self._blend_from = self._hold
@@ -198,12 +176,11 @@ class Controller:
     def _reference(self, q: Array, now_ns: int) -> Reference:
         reference = self.references.select(now_ns)
         if reference is not None:
-            self.mode = Mode.TRACKING
+            self.supervisor.happens(Event.PLAN)
             self._had_plan = True
             self._last_reference = reference
             return reference
-        if self.mode is Mode.TRACKING:
-            self.mode = Mode.HOLDING
+        if self.supervisor.happens(Event.PLAN_ENDED):
             self._blend_from = self._last_reference
             self._begin_hold(q, now_ns)
         return self._held(now_ns)
@@ -216,28 +193,10 @@ class Controller:
         """The pose to hold; after a plan the reference decays to it, and after a further limit the arm stops."""
         supervision = self.settings.supervision
         held_for = (now_ns - self._hold_since_ns) / NANOSECONDS
-        if self._had_plan and held_for > supervision.hold_limit:
-            self.stop(f"no valid plan for {supervision.hold_limit:g} s")
+        self.supervisor.watch_hold(held_for, self._had_plan)
         if held_for < supervision.hold_blend:
             return blend(self._blend_from, self._hold, held_for / supervision.hold_blend)
         return self._hold
-
-    def _observer_silence(self, clock_ns: int) -> float | None:
-        """Seconds of silence when they exceed the limit, else None; an observer never heard of is not waited for."""
-        if self._observer_ns is None:
-            return None
-        silence = (clock_ns - self._observer_ns) / NANOSECONDS
-        return silence if silence > self.settings.supervision.observer_timeout else None
-
-    def _watch_observer(self, clock_ns: int) -> None:
-        pause_ns = 0 if self._clock_ns is None else clock_ns - self._clock_ns
-        self._clock_ns = clock_ns
-        if self._observer_ns is not None and pause_ns > _PAUSE_NS:
-            # This process was held up itself, and what the observer said meanwhile is still to be read.
-            self._observer_ns += pause_ns
-        silence = self._observer_silence(clock_ns)
-        if silence is not None:
-            self.stop(f"observer silent for {1000 * silence:.0f} ms")
 
 
 def stop_damping(settings: SupervisionSettings) -> Array:
@@ -245,22 +204,3 @@ def stop_damping(settings: SupervisionSettings) -> Array:
     limits = np.array(iiwa14.TORQUE_LIMITS)
     # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
     return settings.stop_damping * limits / limits.max()
-
-
-def _check_start(q: Array, v: Array) -> None:
-    """Raise `InputError` unless the arm can be held in this state."""
-    _check_state(q, v)
-    beyond = np.abs(q) > np.array(iiwa14.POSITION_LIMITS)
-    if beyond.any():
-        names = [name for name, is_beyond in zip(iiwa14.JOINT_NAMES, beyond, strict=True) if is_beyond]
-        raise InputError(f"joint_states: {', '.join(names)} beyond the position limit; move the arm back by hand")
-
-
-def _check_state(q: Array, v: Array) -> None:
-    """Raise `InputError` unless positions and velocities are seven finite numbers each."""
-    for name, values in (("position", q), ("velocity", v)):
-        if values.shape != (iiwa14.N_JOINTS,):
-            raise InputError(f"joint_states: {name} has shape {values.shape}; expected ({iiwa14.N_JOINTS},)")
-        # A sum is finite exactly when no summand is NaN or infinite (opposite infinities make NaN).
-        if not math.isfinite(sum(values.tolist())):
-            raise InputError(f"joint_states: {name} = {values.tolist()}; expected finite values")

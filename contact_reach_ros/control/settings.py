@@ -45,6 +45,9 @@ class LimitSettings(Settings):
 class SupervisionSettings(Settings):
     """Plan age, start and stop."""
 
+    shadow: bool = setting(
+        False, "compute everything, but publish the torques on shadow/commands, where nobody acts on them"
+    )
     gravity_compensation: bool = setting(True, "send g(q); false for arms that compensate gravity themselves")
     start_ramp: float = setting(0.5, "time in which the laws get full authority", unit="s", minimum=0.0, maximum=5.0)
     hold_blend: float = setting(
@@ -69,3 +72,7 @@ class SupervisionSettings(Settings):
     reset_velocity: float = setting(
         0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
     )
+    velocity_share: float = setting(
+        1.0, "joint speed that stops the arm, as a share of the data sheet's limit", minimum=0.05, maximum=1.0
+    )
+    velocity_debounce: int = setting(3, "states in a row above that speed that stop the arm", minimum=1, maximum=100)

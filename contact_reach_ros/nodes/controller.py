@@ -10,14 +10,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
@@ -35,6 +37,15 @@ PRIORITY = 70
 
 NAME = "controller"
 
+_LOOK_AROUND_S = 0.25
+
+_EXCLUSIVE = (
+    (topics.COMMANDS, "the controller"),
+    (topics.REFERENCE_POSE, "the planner"),
+    (topics.REFERENCE_POSTURE, "the planner"),
+)
+"""Topics that may have one publisher only, and which."""
+
 
 class ControllerNode(ManagedNode):
     """Runs the controller's tick for each joint state and publishes the torque."""
@@ -48,7 +59,8 @@ class ControllerNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self._commands = self.make_publisher(topics.COMMANDS)
+        self._shadow: bool = self.settings["supervision"].shadow
+        self._commands = self.make_publisher(topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         # Plans and safety before joint states: a tick uses all that came before it.
         self.inbox.add(topics.SAFETY_STATE, self._on_safety)
@@ -69,6 +81,8 @@ class ControllerNode(ManagedNode):
         self._state = (np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
         self._compute = Histogram()
         self._published_mode: tuple[Mode, str] | None = None
+        self._rivalry = "not looked for other publishers yet"
+        self.create_timer(_LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Warm everything up."""
@@ -78,11 +92,13 @@ class ControllerNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start from the next joint state."""
         self._started = False
+        self._look_around()
         return super().on_activate(state)
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Mode, plan age and computing time."""
         controller = self._controller
+        waiting = "" if self._started else self._rivalry
         values = {
             "mode": controller.mode.value,
             "plans accepted": controller.references.accepted,
@@ -91,7 +107,20 @@ class ControllerNode(ManagedNode):
             "position error m": float(np.linalg.norm(controller.error[:3])),
             **{f"compute {key} us": value for key, value in self._compute.summary().items()},
         }
-        return controller.stop_reason, values
+        return controller.stop_reason or waiting, values
+
+    def _look_around(self) -> None:
+        """Nobody else may command the arm or publish references; runs beside the loop, a few times a second."""
+        reasons = []
+        for topic, own in _EXCLUSIVE:
+            # In the shadow of another controller there is one that commands.
+            if self.count_publishers(topic.name) > 1:
+                publishers = self.get_publishers_info_by_topic(topic.name)
+                names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
+                reasons.append(f"{len(names)} publishers on {topic.name} ({', '.join(names)}), expected {own} alone")
+        self._rivalry = "; ".join(reasons)
+        if self._rivalry and self._started:
+            self._controller.stop(self._rivalry)
 
     def _clock_ns(self) -> int:
         """Clock of the watchdogs: the steady one, or simulated time in lockstep, where real time means nothing."""
@@ -103,6 +132,8 @@ class ControllerNode(ManagedNode):
         try:
             self._state_ns, q, v, _ = self._reader.read(data)
             if not self._started:
+                if self._rivalry:
+                    raise InputError(f"{self._rivalry}: nothing is commanded; end the others")
                 controller.start(q, v, self._state_ns)
                 self._started = True
             torque = controller.tick(q, v, self._state_ns, self._clock_ns())
@@ -175,6 +206,9 @@ class ControllerNode(ManagedNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if not self._started:
             response.message = "the controller has not seen a joint state yet"
+            return response
+        if self._rivalry:
+            response.message = f"{self._rivalry}: end the others first"
             return response
         try:
             self._controller.reset(*self._state, self._state_ns, self._clock_ns())

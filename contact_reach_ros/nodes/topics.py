@@ -42,6 +42,7 @@ class Topic(NamedTuple):
 
 JOINT_STATES = Topic("joint_states", JointState)
 COMMANDS = Topic("effort_controller/commands", Float64MultiArray)
+SHADOW_COMMANDS = Topic("shadow/commands", Float64MultiArray)
 GOAL_POSE = Topic("goal_pose", PoseStamped)
 REFERENCE_POSE = Topic("reference/pose", MultiDOFJointTrajectory)
 REFERENCE_POSTURE = Topic("reference/posture", JointTrajectory)

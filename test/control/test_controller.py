@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, POSITION_LIMITS, REST, SECOND_NS, TICK_NS, offer_plan
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
+from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.robot.model import RobotModel
 

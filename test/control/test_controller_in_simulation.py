@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, REST, VELOCITY_LIMITS, ClosedLoop, ideal_plant, offer_plan, random_states
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, Mode
+from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.plant.plant import Actuation
 from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot.model import RobotModel

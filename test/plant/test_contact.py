@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, ClosedLoop, ideal_plant, offer_plan
 
-from contact_reach_ros.control.controller import Mode
 from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.plant.plant import CONTACT_BODIES, Plant
 from contact_reach_ros.plant.settings import JointSettings
 from contact_reach_ros.robot import iiwa14
