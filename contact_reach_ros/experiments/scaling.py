@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.recorded_runs import RecordingPlanner
+from contact_reach_ros.palette import BLUE
 from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.robot import iiwa14
@@ -75,7 +76,7 @@ def plot_scaling(curves: dict[str, Any], file: Path) -> None:
     FigureCanvasAgg(figure)
     highest = max(max(curve["step_ms"]) for curve in curves.values())
     for axes, (name, curve) in zip(np.ravel(figure.subplots(1, len(curves))), curves.items(), strict=True):
-        axes.plot(curve["value"], curve["step_ms"], marker="o", color="#0072B2")
+        axes.plot(curve["value"], curve["step_ms"], marker="o", color=BLUE)
         axes.set_xlabel(labels[name])
         axes.set_ylim(0.0, 1.1 * math.ceil(highest))
         axes.set_xlim(left=0.0)

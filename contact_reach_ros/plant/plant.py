@@ -48,6 +48,25 @@ class Reading:
     torque: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Where the arm is touched.
+
+    Attributes
+    ----------
+    bodies
+        (n,) places in `CONTACT_BODIES`.
+    points
+        (n, 3), m, base frame.
+    forces
+        (n, 3) on the arm, N, base frame.
+    """
+
+    bodies: NDArray[np.intp]
+    points: Array
+    forces: Array
+
+
 class Plant:
     """The arm and the obstacles of one scene.
 
@@ -155,7 +174,7 @@ class Plant:
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `CONTACT_BODIES`, (6,), N: the vector sum over its contacts."""
         sums = [[0.0, 0.0, 0.0] for _ in CONTACT_BODIES]
-        for body, force, frame in self._contacts():
+        for _, body, force, frame in self._contact_rows():
             total = sums[body]
             for row, along in enumerate(force):
                 total[0] += along * frame[3 * row]
@@ -166,9 +185,21 @@ class Plant:
     def normal_forces(self) -> Array:
         """Sum of the normal forces of the contacts on each of `CONTACT_BODIES`, (6,), N, without friction."""
         sums = [0.0] * len(CONTACT_BODIES)
-        for body, force, _ in self._contacts():
+        for _, body, force, _ in self._contact_rows():
             sums[body] += force[0]
         return np.array(sums)
+
+    def contacts(self) -> Contacts:
+        """Each contact with the arm; over the contacts of a body the forces sum up to that of `contact_forces`."""
+        rows, contact = list(self._contact_rows()), self.data.contact
+        indices = [index for index, *_ in rows]
+        forces = np.zeros((len(rows), 3))
+        for total, (index, _, force, frame) in zip(forces, rows, strict=True):
+            # MuJoCo tells the force on the second geometry of the two.
+            sign = 1.0 if self._body_of_geom[contact.geom[index, 1]] >= 0 else -1.0
+            total[:] = sign * (np.array(force) @ np.reshape(frame, (3, 3))[: len(force)])
+        bodies = np.array([body for _, body, _, _ in rows], np.intp)
+        return Contacts(bodies, contact.pos[indices].reshape(-1, 3), forces)
 
     def obstacle_positions(self) -> Array:
         """Where the obstacles are, (K, 3), m, base frame, in the order of `rest_positions`."""
@@ -195,11 +226,11 @@ class Plant:
         impedance = _BRAKE_IMPEDANCE if self.actuation is Actuation.BRAKED else _IMPEDANCE
         self.model.dof_solimp[self._arm, :2] = impedance
 
-    def _contacts(self) -> Iterator[tuple[int, list[float], list[float]]]:
-        """Of each contact with the arm: place of the body in `CONTACT_BODIES`, force and frame, as plain numbers.
+    def _contact_rows(self) -> Iterator[tuple[int, int, list[float], list[float]]]:
+        """Of each contact with the arm: its index, place of the body in `CONTACT_BODIES`, force and frame.
 
-        The force (1,) or (3,), N, is normal and, with friction, tangential; the frame (9,) is what MuJoCo calls so: a
-        rotation, row after row, whose first row is the normal.
+        All are plain numbers. The force (1,) or (3,), N, is normal and, with friction, tangential; the frame (9,) is
+        what MuJoCo calls so: a rotation, row after row, whose first row is the normal.
         """
         data = self.data
         if data.ncon == 0:
@@ -209,11 +240,11 @@ class Plant:
         contact, bodies, forces = data.contact, self._body_of_geom, data.efc_force.tolist()
         columns = (contact.geom, contact.efc_address, contact.dim, contact.frame)
         rows = zip(*(column.tolist() for column in columns), strict=True)
-        for (first, second), address, dim, frame in rows:
+        for index, ((first, second), address, dim, frame) in enumerate(rows):
             body = max(bodies[first], bodies[second])
             # MuJoCo leaves out contacts without an address, which carry no force.
             if body >= 0 and address >= 0:
-                yield body, forces[address : address + dim], frame
+                yield index, body, forces[address : address + dim], frame
 
     def _contact_body_indices(self) -> list[int]:
         """For each geometry, its place in `CONTACT_BODIES`, or -1."""

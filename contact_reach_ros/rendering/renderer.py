@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,10 +24,27 @@ RENDERERS = (AUTO, *BACKENDS, MATPLOTLIB)
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """Pictures, each (height, width, 3), and the name of the renderer that made them."""
+    """Pictures, and what made them.
+
+    Attributes
+    ----------
+    pictures
+        Each (height, width, 3).
+    renderer
+        Name of the renderer.
+    refusals
+        Of each renderer that `AUTO` tried before, why it cannot be used on this machine.
+    """
 
     pictures: list[Picture]
     renderer: str
+    refusals: tuple[str, ...] = ()
+
+
+def check_renderer(renderer: str) -> None:
+    """Raise `RenderingError` if there is no such renderer; the message lists those there are."""
+    if renderer not in RENDERERS:
+        raise RenderingError(f"renderer '{renderer}' is unknown; expected one of {', '.join(RENDERERS)}")
 
 
 def render(views: Sequence[View], renderer: str = AUTO) -> Rendering:
@@ -39,26 +55,27 @@ def render(views: Sequence[View], renderer: str = AUTO) -> Rendering:
     RenderingError
         If the renderer is unknown, or cannot be used on this machine.
     """
-    if renderer not in RENDERERS:
-        raise RenderingError(f"renderer '{renderer}' is unknown; expected one of {', '.join(RENDERERS)}")
+    check_renderer(renderer)
     layers = [layer for view in views for layer in _layers(view)]
-    pictures, name = _render_layers(layers, renderer)
-    remaining = iter(pictures)
+    rendering = _render_layers(layers, renderer)
+    remaining = iter(rendering.pictures)
     mixed = []
     for view in views:
         solid = next(remaining)
         mixed.append(_overlay(solid, [(next(remaining), ghost.opacity) for ghost in view.ghosts]))
-    return Rendering(mixed, name)
+    return dataclasses.replace(rendering, pictures=mixed)
 
 
-def _render_layers(layers: Sequence[View], renderer: str) -> tuple[list[Picture], str]:
-    if renderer == AUTO:
-        for backend in BACKENDS:
-            with contextlib.suppress(RenderingError):
-                return render_offscreen(layers, backend), backend
+def _render_layers(layers: Sequence[View], renderer: str) -> Rendering:
+    refusals: list[str] = []
+    for backend in BACKENDS if renderer == AUTO else ():
+        try:
+            return Rendering(render_offscreen(layers, backend), backend, tuple(refusals))
+        except RenderingError as error:
+            refusals.append(str(error))
     if renderer in BACKENDS:
-        return render_offscreen(layers, renderer), renderer
-    return [draw(layer) for layer in layers], MATPLOTLIB
+        return Rendering(render_offscreen(layers, renderer), renderer)
+    return Rendering([draw(layer) for layer in layers], MATPLOTLIB, tuple(refusals))
 
 
 def _layers(view: View) -> list[View]:

@@ -47,7 +47,9 @@ def test_without_opengl_the_picture_is_drawn(monkeypatch):
         raise RenderingError(f"no {backend}")
 
     monkeypatch.setattr("contact_reach_ros.rendering.renderer.render_offscreen", broken)
-    assert render([View(arm_shapes(HOME), CAMERA)]).renderer == "matplotlib"
+    rendering = render([View(arm_shapes(HOME), CAMERA)])
+    assert rendering.renderer == "matplotlib"
+    assert rendering.refusals == ("no egl", "no osmesa")
     with pytest.raises(RenderingError, match="no egl"):
         render([View(arm_shapes(HOME), CAMERA)], "egl")
 
