@@ -56,6 +56,7 @@ setup(
         "mcap-ros2-support",
         "mujoco",
         "numpy",
+        "pillow",
         "pin",
         "pyyaml",
         "rich",

@@ -61,4 +61,5 @@ def watch_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Watc
             contacts.append(plant.contacts())
 
     result = run_episode(scene, method, options, watch)
-    return WatchedEpisode(scene, result, np.reshape(obstacles, (-1, *rest_positions(scene).shape)), contacts)
+    moved = np.reshape(obstacles, (len(obstacles), *rest_positions(scene).shape))
+    return WatchedEpisode(scene, result, moved, contacts)

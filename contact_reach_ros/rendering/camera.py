@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 FRONT_SIDE = (0.75, -1.0, 0.5)
 """Direction to the camera: the arm reaches towards the right and towards us."""
 
+SIDE = (0.45, -1.0, 0.22)
+"""The same from lower down and more from the side, along walls that stand across the arm's way."""
+
 _FIELD_OF_VIEW = np.radians(28.0)
 """From bottom to top: a long lens, so that near parts do not look larger than they are."""
 

@@ -106,13 +106,21 @@ def path_shapes(points: Array, colour: str, radius: float = _PATH_RADIUS) -> lis
     return [tube(points, radius, (*rgb(colour), 1.0)), Sphere(points[-1], 1.6 * radius, (*rgb(colour), 1.0))]
 
 
-def force_shapes(points: Array, forces: Array) -> list[Shape]:
-    """Contacts as arrows that end where the force acts: `points` (n, 3), m, and `forces` (n, 3) on the arm, N."""
+def force_shapes(points: Array, forces: Array, scale: float = FORCE_SCALE) -> list[Shape]:
+    """Contacts as arrows that end where the force acts.
+
+    Parameters
+    ----------
+    points, forces
+        (n, 3) each, m, and N on the arm.
+    scale
+        Length of an arrow, m/N.
+    """
     shapes: list[Shape] = []
     for point, force in zip(points, forces, strict=True):
-        length = FORCE_SCALE * np.linalg.norm(force)
+        length = scale * np.linalg.norm(force)
         if length > 0.002:
-            shapes.append(arrow(point - FORCE_SCALE * force, point, 0.006, (*rgb(VERMILION), 1.0)))
+            shapes.append(arrow(point - scale * force, point, 0.006, (*rgb(VERMILION), 1.0)))
     return shapes
 
 
