@@ -1,0 +1,315 @@
+"""`contact-reach bench fig5`: the contact force over time, with pictures of the arm, as in Fig. 5 of the paper."""
+
+from __future__ import annotations
+
+import dataclasses
+import string
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments.figures import (
+    DPI,
+    WIDTH,
+    FigureOptions,
+    Report,
+    check,
+    direction_to_camera,
+    outcome,
+    pixels,
+    record,
+    run_method,
+    save,
+    say_renderer,
+    table,
+    write_report,
+)
+from contact_reach_ros.experiments.grid import Setup
+from contact_reach_ros.experiments.machine import machine
+from contact_reach_ros.experiments.watched_episode import WatchedEpisode
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.palette import GREY, METHOD_COLOURS
+from contact_reach_ros.plant.plant import TICK
+from contact_reach_ros.rendering.camera import Camera, frame
+from contact_reach_ros.rendering.parts import (
+    arm_shapes,
+    floor,
+    force_shapes,
+    obstacle_shapes,
+    path_shapes,
+    target_shapes,
+)
+from contact_reach_ros.rendering.renderer import Picture, render
+from contact_reach_ros.rendering.shapes import Shape
+from contact_reach_ros.rendering.view import View
+from contact_reach_ros.scenes.files import read_scene
+
+Array = NDArray[np.float64]
+Runs = Mapping[str, WatchedEpisode]
+
+METHODS_SHOWN = ("contact_reach", "reference_posture")
+
+TOUCHED = 0.05
+"""Force that counts as contact, N."""
+MOMENTS = ("first contact", "largest force", "end")
+
+_FORCE_SCALE = 0.04
+"""Length of a force's arrow, m/N."""
+_PICTURE_RATIO = 0.72
+_CURVES = 2.5
+"""Height of the axes with the curves, inches."""
+_LINE = 0.2
+_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class Fig5(FigureOptions):
+    """What is run.
+
+    Attributes
+    ----------
+    scene
+        Name or YAML file.
+    seeds
+        Seeds whose largest forces are compared: `seed`, which is the one drawn, `seed` + 1, ...
+    """
+
+    methods: tuple[str, ...] = METHODS_SHOWN
+    scene: str = "wall"
+    seeds: int = 1
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A moment of a method's episode that has a picture, at a tick of its result."""
+
+    method: str
+    name: str
+    tick: int
+
+    @property
+    def time(self) -> float:
+        """Since the goal was given, s."""
+        return (self.tick + 1) * TICK
+
+
+def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None = None) -> Report:
+    """Run every method, draw the figure to `output`, print a table and write JSON with the profiles to `file`.
+
+    Raises
+    ------
+    SettingsError, RenderingError
+        If an option cannot be used, or `output` cannot be written.
+    SceneError
+        If the scene cannot be made.
+    """
+    check(bench, output)
+    if bench.seeds < 1:
+        raise SettingsError(f"--seeds {bench.seeds}: expected at least 1")
+    setup = setup or Setup(budget=load_budget())
+    scene_file = read_scene(bench.scene)
+    seeds = list(range(bench.seed, bench.seed + bench.seeds))
+    runs: dict[str, WatchedEpisode] = {}
+    records: dict[str, list[dict[str, Any]]] = {}
+    for method in bench.methods:
+        for seed in seeds:
+            run = run_method(method, scene_file, bench, setup, seed)
+            runs.setdefault(method, run)
+            records.setdefault(method, []).append({"seed": seed, **record(run, setup)})
+    chosen = {method: _moments(method, run) for method, run in runs.items()}
+    pictured = [moment for moments in chosen.values() for moment in moments]
+    views = _views(runs, pictured)
+    rendering = render(views, bench.renderer)
+    say_renderer(rendering)
+    permitted = setup.budget.permitted_force
+    peaks = {method: [entry["max_contact_force"] for entry in entries] for method, entries in records.items()}
+    save(_figure(runs, pictured, rendering.pictures, permitted, seeds, peaks), output)
+    report = {
+        "bench": "fig5",
+        "options": dataclasses.asdict(bench),
+        "renderer": rendering.renderer,
+        "machine": machine(),
+        "permitted_force_N": permitted,
+        "tick_s": TICK,
+        "episodes": records,
+        "moments": {
+            method: [{"name": moment.name, "time_s": round(moment.time, 3)} for moment in moments]
+            for method, moments in chosen.items()
+        },
+        "profiles_N": {method: _profile(run).tolist() for method, run in runs.items()},
+    }
+    write_report(report, file)
+    rows = [[method, outcome(run), f"{entry['contact_impulse']:.2f}"] for method, run, entry in _first(runs, records)]
+    print(table(["method", "time, largest force", "impulse [N s]"], rows))
+    if len(seeds) > 1:
+        print(_paired(peaks))
+    return report
+
+
+def _first(runs: Runs, records: Mapping[str, list[dict[str, Any]]]) -> Iterator[tuple[str, WatchedEpisode, Any]]:
+    for method, run in runs.items():
+        yield method, run, records[method][0]
+
+
+def _paired(peaks: Mapping[str, list[float]]) -> str:
+    """Mean largest forces, and what each method's is over the first one's."""
+    means = {method: float(np.mean(values)) for method, values in peaks.items()}
+    reference = next(iter(means.values()))
+    rows = [
+        [method, f"{mean:.2f}", f"{mean / reference:.2f}" if reference > 0.0 else "–"] for method, mean in means.items()
+    ]
+    count = len(next(iter(peaks.values())))
+    return "\n" + table(["method", f"mean largest force of {count} seeds [N]", "over the first method's"], rows)
+
+
+def _profile(run: WatchedEpisode) -> Array:
+    """Force on the body that is pressed hardest, after each tick, N."""
+    return np.round(run.result.contact_forces, _DIGITS)
+
+
+def _moments(method: str, run: WatchedEpisode) -> list[Moment]:
+    """First contact and largest force, if anything was touched, and the end, if the episode was not over at once."""
+    forces = run.result.contact_forces
+    if not len(forces):
+        return []
+    ticks = [len(forces) - 1]
+    if forces.max() > TOUCHED:
+        ticks = [int(np.argmax(forces > TOUCHED)), int(forces.argmax()), *ticks]
+    return [Moment(method, name, tick) for name, tick in zip(MOMENTS[-len(ticks) :], ticks, strict=True)]
+
+
+def _views(runs: Runs, moments: list[Moment]) -> list[View]:
+    if not moments:
+        return []
+    scene = next(iter(runs.values())).scene
+    width = WIDTH / len(MOMENTS)
+    stages = [_shapes(runs[moment.method], moment) for moment in moments]
+    every = [shape for stage in stages for shape in stage]
+    # One camera for all: what moves in the pictures has moved.
+    camera: Camera = frame(every, *pixels(width, _PICTURE_RATIO * width), direction_to_camera(scene))
+    return [View(stage, camera, floor()) for stage in stages]
+
+
+def _shapes(run: WatchedEpisode, moment: Moment) -> list[Shape]:
+    """The arm, what it touches and how it came there."""
+    result, tick = run.result, moment.tick
+    path = np.concatenate([result.start_position[None], result.positions[: tick + 1]])
+    return [
+        *arm_shapes(result.joints[tick]),
+        *obstacle_shapes(run.scene, run.obstacles[tick]),
+        *target_shapes(run.scene.target),
+        *path_shapes(path, METHOD_COLOURS[moment.method]),
+        *force_shapes(*_resultants(run, tick), _FORCE_SCALE),
+    ]
+
+
+def _resultants(run: WatchedEpisode, tick: int) -> tuple[Array, Array]:
+    """Points (n, 3), m, and forces (n, 3) on the arm, N: the sum on each body that is touched, in the contacts' middle.
+
+    The middle is that of the points weighted with their forces.
+    """
+    contacts = run.contacts[tick]
+    weights = np.linalg.norm(contacts.forces, axis=1)
+    points, forces = [], []
+    for body in np.unique(contacts.bodies[weights > 0.0]):
+        here = contacts.bodies == body
+        points.append(np.average(contacts.points[here], axis=0, weights=weights[here]))
+        forces.append(contacts.forces[here].sum(axis=0))
+    return np.reshape(points, (-1, 3)), np.reshape(forces, (-1, 3))
+
+
+def _figure(
+    runs: Runs,
+    moments: list[Moment],
+    pictures: list[Picture],
+    permitted: float,
+    seeds: list[int],
+    peaks: Mapping[str, list[float]],
+) -> Figure:
+    """A row of pictures for each method, below them the curves."""
+    shown = [method for method in runs if any(moment.method == method for moment in moments)]
+    letters = dict(zip(moments, string.ascii_lowercase, strict=False))
+    width = WIDTH / len(MOMENTS)
+    picture_height, title = _PICTURE_RATIO * width, 1.2 * _LINE
+    bottom, top = 2.2 * _LINE, (0.3 + len(runs)) * _LINE
+    height = len(shown) * (picture_height + title) + top + _CURVES + bottom
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white")
+    for moment, picture in zip(moments, pictures, strict=True):
+        row, column = shown.index(moment.method), MOMENTS.index(moment.name)
+        low = height - (row + 1) * (picture_height + title)
+        axes = figure.add_axes((column / len(MOMENTS), low / height, 1.0 / len(MOMENTS), picture_height / height))
+        axes.set_axis_off()
+        axes.imshow(picture, interpolation="none", aspect="auto")
+        force = runs[moment.method].result.contact_forces[moment.tick]
+        label = f"({letters[moment]}) {moment.name}: {moment.time:.2f} s, {force:.1f} N"
+        axes.set_title(label, fontsize=9, color=METHOD_COLOURS[moment.method], pad=3.0)
+    compared = len(seeds) > 1
+    left, gap, right = 0.6, 0.75, 0.15
+    beside = 2.2 if compared else 0.0
+    curves_width = WIDTH - left - right - (beside + gap if compared else 0.0)
+    curves = figure.add_axes((left / WIDTH, bottom / height, curves_width / WIDTH, _CURVES / height))
+    _draw_curves(curves, runs, letters, permitted)
+    if compared:
+        start = left + curves_width + gap
+        _draw_peaks(
+            figure.add_axes((start / WIDTH, bottom / height, beside / WIDTH, _CURVES / height)), seeds, peaks, permitted
+        )
+    return figure
+
+
+def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitted: float) -> None:
+    for method, run in runs.items():
+        forces = run.result.contact_forces
+        time = TICK * np.arange(1, len(forces) + 1)
+        label = f"{method}: {outcome(run)}"
+        axes.plot(time, forces, color=METHOD_COLOURS[method], linewidth=1.5, label=label)
+    axes.axhline(permitted, color=GREY, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
+    methods = list(runs)
+    for moment, letter in letters.items():
+        colour = METHOD_COLOURS[moment.method]
+        row = len(methods) - 1 - methods.index(moment.method)
+        axes.axvline(moment.time, color=colour, linewidth=1.0, linestyle=":")
+        axes.annotate(
+            f"({letter})",
+            (moment.time, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0.0, 2.0 + 72.0 * _LINE * 0.8 * row),
+            textcoords="offset points",
+            ha="center",
+            fontsize=9,
+            color=colour,
+        )
+    axes.set_xlabel("time since the goal [s]", fontsize=9)
+    axes.set_ylabel("force on the most loaded body [N]", fontsize=9)
+    axes.set_xlim(left=0.0)
+    axes.legend(loc="upper left", fontsize=8.5, framealpha=0.9, edgecolor="none")
+    _finish(axes)
+
+
+def _draw_peaks(axes: Axes, seeds: list[int], peaks: Mapping[str, list[float]], permitted: float) -> None:
+    values = np.array(list(peaks.values()))
+    axes.vlines(seeds, values.min(axis=0), values.max(axis=0), color="#bbbbbb", linewidth=1.2)
+    for method, heights in peaks.items():
+        axes.plot(seeds, heights, color=METHOD_COLOURS[method], marker="o", markersize=5, linestyle="none")
+    axes.axhline(permitted, color=GREY, linewidth=1.0, linestyle="--")
+    axes.set_xlabel("seed", fontsize=9)
+    axes.set_ylabel("largest force [N]", fontsize=9)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.margins(x=0.08)
+    _finish(axes)
+
+
+def _finish(axes: Axes) -> None:
+    axes.set_ylim(bottom=0.0)
+    axes.tick_params(labelsize=8.5)
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
