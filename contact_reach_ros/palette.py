@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 BLACK = "#000000"
+WHITE = "#FFFFFF"
+"""The ground of every plot."""
 ORANGE = "#E69F00"
 SKY_BLUE = "#56B4E9"
 GREEN = "#009E73"

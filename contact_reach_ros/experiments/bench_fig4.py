@@ -6,11 +6,15 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.figures import (
@@ -33,14 +37,16 @@ from contact_reach_ros.experiments.grid import Setup
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.watched_episode import WatchedEpisode
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.palette import GREY, METHOD_COLOURS, SKY_BLUE
-from contact_reach_ros.rendering.camera import frame
-from contact_reach_ros.rendering.parts import arm_shapes, floor, obstacle_shapes, path_shapes, target_shapes
+from contact_reach_ros.palette import GREY, METHOD_COLOURS, SKY_BLUE, WHITE
+from contact_reach_ros.rendering.camera import Camera, frame
+from contact_reach_ros.rendering.parts import arm_shapes, floor, obstacle_shapes, target_shapes
 from contact_reach_ros.rendering.renderer import Picture, render
 from contact_reach_ros.rendering.shapes import Shape
 from contact_reach_ros.rendering.view import Ghost, View
+from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.scenes.files import read_scene
 
+Array = NDArray[np.float64]
 Runs = Mapping[str, WatchedEpisode]
 
 SCENES = ("free", "ball", "wall")
@@ -50,7 +56,18 @@ _WIDEST_PANEL = 4.5
 _PICTURE_RATIO = 0.9
 _TITLE, _LINE = 0.3, 0.19
 """Heights of a title and of a line of text, inches."""
-_START_OPACITY, _END_OPACITY = 0.3, 0.35
+_START_OPACITY, _END_OPACITY = 0.3, 0.4
+_DIFFERENT = 0.1
+"""Distance between postures that can be told apart, m."""
+_THICKEST, _THINNEST = 4.0, 1.4
+"""Widths of the paths, points."""
+_TARGET: dict[str, Any] = {
+    "color": SKY_BLUE,
+    "marker": "o",
+    "markersize": 7.0,
+    "markeredgecolor": WHITE,
+    "linestyle": "none",
+}
 
 
 @dataclass(frozen=True)
@@ -81,9 +98,10 @@ def bench_fig4(bench: Fig4, output: Path, file: Path | None, setup: Setup | None
         for name, scene in scenes.items()
     }
     width = min(_WIDEST_PANEL, WIDTH / len(runs))
-    rendering = render([_view(each, *pixels(width, _PICTURE_RATIO * width)) for each in runs.values()], bench.renderer)
+    views = [_view(each, *pixels(width, _PICTURE_RATIO * width)) for each in runs.values()]
+    rendering = render(views, bench.renderer)
     say_renderer(rendering)
-    save(_figure(runs, rendering.pictures, width), output)
+    save(_figure(runs, views, rendering.pictures, width), output)
     report = {
         "bench": "fig4",
         "options": dataclasses.asdict(bench),
@@ -98,53 +116,66 @@ def bench_fig4(bench: Fig4, output: Path, file: Path | None, setup: Setup | None
 
 
 def _view(runs: Runs, width: int, height: int) -> View:
-    first, *others = runs.values()
+    """Start and ends of the arm, and the obstacles as the first method left them."""
+    first = next(iter(runs.values()))
     scene = first.scene
-    start = arm_shapes(scene.start, GREY)
-    ghosts = [Ghost(start, _START_OPACITY)]
+    ends = {method: run.result.joints[-1] for method, run in runs.items() if len(run.result.joints)}
     fixed: list[Shape] = [*obstacle_shapes(scene, first.last_obstacles), *target_shapes(scene.target)]
-    for method, run in runs.items():
-        path = np.concatenate([run.result.start_position[None], run.result.positions])
-        fixed += path_shapes(path, METHOD_COLOURS[method])
-        if run in others and len(run.result.joints):
-            ghosts.append(Ghost(arm_shapes(run.result.joints[-1], METHOD_COLOURS[method]), _END_OPACITY))
-    if len(first.result.joints):
-        fixed += arm_shapes(first.result.joints[-1])
+    ghosts = [Ghost(arm_shapes(scene.start, GREY), _START_OPACITY)]
+    drawn: list[Array] = []
+    for method, joints in ends.items():
+        # Arms that are in almost the same place would only spoil each other.
+        if all(_apart(joints, other) > _DIFFERENT for other in drawn):
+            if drawn:
+                ghosts.append(Ghost(arm_shapes(joints, METHOD_COLOURS[method]), _END_OPACITY))
+            else:
+                fixed += arm_shapes(joints)
+            drawn.append(joints)
     shapes = [*fixed, *(shape for ghost in ghosts for shape in ghost.shapes)]
     return View(fixed, frame(shapes, width, height, direction_to_camera(scene)), floor(), ghosts)
 
 
-def _figure(runs: Mapping[str, Runs], pictures: list[Picture], width: float) -> Figure:
+def _apart(first: Array, second: Array) -> float:
+    """How far the origins of the links are apart in two postures, at most, m."""
+    between = np.subtract(link_frames(first)[1], link_frames(second)[1])
+    return float(np.linalg.norm(between, axis=1).max())
+
+
+def _figure(runs: Mapping[str, Runs], views: list[View], pictures: list[Picture], width: float) -> Figure:
     """One column per scene: its name, the picture, and what came of each method."""
     most = max(len(each) for each in runs.values())
-    below, above = (most + 0.6) * _LINE, _TITLE
-    common = 2.0 * _LINE
+    below, above, common = (most + 0.5) * _LINE, _TITLE, 1.5 * _LINE
     picture_height = _PICTURE_RATIO * width
     total_width, total_height = width * len(runs), common + below + picture_height + above
-    figure = Figure(figsize=(total_width, total_height), dpi=DPI, facecolor="white")
-    for column, ((name, each), picture) in enumerate(zip(runs.items(), pictures, strict=True)):
-        box = (column / len(runs), (common + below) / total_height, 1.0 / len(runs), picture_height / total_height)
-        axes = figure.add_axes(box)
+    figure = Figure(figsize=(total_width, total_height), dpi=DPI, facecolor=WHITE)
+    for column, ((name, each), view, picture) in enumerate(zip(runs.items(), views, pictures, strict=True)):
+        low, share = (common + below) / total_height, 1.0 / len(runs)
+        axes = figure.add_axes((column * share, low, share, picture_height / total_height))
         axes.set_axis_off()
-        axes.imshow(picture, interpolation="none", aspect="auto")
+        axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
+        _draw_paths(axes, view.camera, each)
         axes.set_title(name, fontsize=11, weight="bold")
         axes.legend(
             handles=[_handle(method, run) for method, run in each.items()],
             loc="upper left",
-            bbox_to_anchor=(0.02, 0.0),
+            bbox_to_anchor=(0.02, -0.02),
             frameon=False,
             fontsize=8.5,
             labelspacing=0.25,
             borderaxespad=0.0,
             handlelength=1.6,
         )
-    first = next(iter(next(iter(runs.values()))))
+    first, *rest = next(iter(runs.values()))
+    others = [
+        Patch(color=METHOD_COLOURS[method], alpha=_END_OPACITY, label="end of another method, if elsewhere")
+        for method in rest[:1]
+    ]
     figure.legend(
         handles=[
             Patch(color=GREY, alpha=_START_OPACITY, label="start"),
-            Patch(facecolor="#dddddd", edgecolor="#888888", label=f"end, {first}"),
-            Patch(color="#888888", alpha=0.6, label="ends of the others in their colours"),
-            Line2D([], [], color=SKY_BLUE, marker="o", markersize=7, linestyle="none", label="target"),
+            Patch(facecolor="#e4e5e6", edgecolor="#888888", label=f"end of {first}"),
+            *others,
+            Line2D([], [], label="target", **_TARGET),
         ],
         loc="lower center",
         ncols=4,
@@ -152,8 +183,23 @@ def _figure(runs: Mapping[str, Runs], pictures: list[Picture], width: float) -> 
         fontsize=8.5,
         borderaxespad=0.3,
         handlelength=1.4,
+        columnspacing=1.2,
     )
     return figure
+
+
+def _draw_paths(axes: Axes, camera: Camera, runs: Runs) -> None:
+    """Paths of the flange on top of everything, each thinner than the one before: some run in the same place."""
+    widths = np.linspace(_THICKEST, _THINNEST, len(runs))
+    for width, (method, run) in zip(widths, runs.items(), strict=True):
+        if len(run.result.positions):
+            path = camera.project(np.concatenate([run.result.start_position[None], run.result.positions]))[0]
+            halo = [patheffects.withStroke(linewidth=width + 1.2, foreground=WHITE)]
+            axes.plot(*path.T, color=METHOD_COLOURS[method], linewidth=width, path_effects=halo)
+    target = camera.project(next(iter(runs.values())).scene.target)[0]
+    axes.plot(*target, **_TARGET)
+    axes.set_xlim(0, camera.width)
+    axes.set_ylim(0, camera.height)
 
 
 def _handle(method: str, run: WatchedEpisode) -> Line2D:

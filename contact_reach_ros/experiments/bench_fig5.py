@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -36,13 +38,12 @@ from contact_reach_ros.experiments.grid import Setup
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.watched_episode import WatchedEpisode
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.palette import GREY, METHOD_COLOURS
+from contact_reach_ros.palette import BLACK, GREY, METHOD_COLOURS, WHITE
 from contact_reach_ros.plant.plant import TICK
 from contact_reach_ros.rendering.camera import Camera, frame
 from contact_reach_ros.rendering.parts import (
     arm_shapes,
     floor,
-    force_shapes,
     obstacle_shapes,
     path_shapes,
     target_shapes,
@@ -59,10 +60,18 @@ METHODS_SHOWN = ("contact_reach", "reference_posture")
 
 TOUCHED = 0.05
 """Force that counts as contact, N."""
-MOMENTS = ("first contact", "largest force", "end")
 
-_FORCE_SCALE = 0.04
+_COLUMNS = 3
+_AT_THE_END = 0.1
+"""A largest force this short before the end, s, has no picture of its own."""
+_FORCE_SCALE = 0.05
 """Length of a force's arrow, m/N."""
+_ARROW: dict[str, Any] = {
+    "color": BLACK,
+    "linewidth": 1.3,
+    "path_effects": [patheffects.withStroke(linewidth=2.8, foreground=WHITE)],
+}
+_FOAM_OPACITY = 0.4
 _PICTURE_RATIO = 0.72
 _CURVES = 2.5
 """Height of the axes with the curves, inches."""
@@ -131,7 +140,7 @@ def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None
     say_renderer(rendering)
     permitted = setup.budget.permitted_force
     peaks = {method: [entry["max_contact_force"] for entry in entries] for method, entries in records.items()}
-    save(_figure(runs, pictured, rendering.pictures, permitted, seeds, peaks), output)
+    save(_figure(runs, pictured, views, rendering.pictures, permitted, seeds, peaks), output)
     report = {
         "bench": "fig5",
         "options": dataclasses.asdict(bench),
@@ -176,21 +185,28 @@ def _profile(run: WatchedEpisode) -> Array:
 
 
 def _moments(method: str, run: WatchedEpisode) -> list[Moment]:
-    """First contact and largest force, if anything was touched, and the end, if the episode was not over at once."""
+    """First contact, largest force and end; only the end if nothing was touched, none if nothing happened.
+
+    Where the force is largest at the end, half of it is shown instead.
+    """
     forces = run.result.contact_forces
     if not len(forces):
         return []
-    ticks = [len(forces) - 1]
-    if forces.max() > TOUCHED:
-        ticks = [int(np.argmax(forces > TOUCHED)), int(forces.argmax()), *ticks]
-    return [Moment(method, name, tick) for name, tick in zip(MOMENTS[-len(ticks) :], ticks, strict=True)]
+    last, peak = len(forces) - 1, int(forces.argmax())
+    end = Moment(method, "end", last)
+    if forces[peak] <= TOUCHED:
+        return [end]
+    largest = Moment(method, "largest force", peak)
+    if (last - peak) * TICK < _AT_THE_END:
+        largest = Moment(method, "half of the largest force", int(np.argmax(forces >= 0.5 * forces[peak])))
+    return [Moment(method, "first contact", int(np.argmax(forces > TOUCHED))), largest, end]
 
 
 def _views(runs: Runs, moments: list[Moment]) -> list[View]:
     if not moments:
         return []
     scene = next(iter(runs.values())).scene
-    width = WIDTH / len(MOMENTS)
+    width = WIDTH / _COLUMNS
     stages = [_shapes(runs[moment.method], moment) for moment in moments]
     every = [shape for stage in stages for shape in stage]
     # One camera for all: what moves in the pictures has moved.
@@ -204,10 +220,9 @@ def _shapes(run: WatchedEpisode, moment: Moment) -> list[Shape]:
     path = np.concatenate([result.start_position[None], result.positions[: tick + 1]])
     return [
         *arm_shapes(result.joints[tick]),
-        *obstacle_shapes(run.scene, run.obstacles[tick]),
+        *obstacle_shapes(run.scene, run.obstacles[tick], _FOAM_OPACITY),
         *target_shapes(run.scene.target),
         *path_shapes(path, METHOD_COLOURS[moment.method]),
-        *force_shapes(*_resultants(run, tick), _FORCE_SCALE),
     ]
 
 
@@ -229,25 +244,29 @@ def _resultants(run: WatchedEpisode, tick: int) -> tuple[Array, Array]:
 def _figure(
     runs: Runs,
     moments: list[Moment],
+    views: list[View],
     pictures: list[Picture],
     permitted: float,
     seeds: list[int],
     peaks: Mapping[str, list[float]],
 ) -> Figure:
     """A row of pictures for each method, below them the curves."""
-    shown = [method for method in runs if any(moment.method == method for moment in moments)]
+    moments_of = {method: [moment for moment in moments if moment.method == method] for method in runs}
+    shown = [method for method, its in moments_of.items() if its]
     letters = dict(zip(moments, string.ascii_lowercase, strict=False))
-    width = WIDTH / len(MOMENTS)
+    width = WIDTH / _COLUMNS
     picture_height, title = _PICTURE_RATIO * width, 1.2 * _LINE
     bottom, top = 2.2 * _LINE, (0.3 + len(runs)) * _LINE
     height = len(shown) * (picture_height + title) + top + _CURVES + bottom
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white")
-    for moment, picture in zip(moments, pictures, strict=True):
-        row, column = shown.index(moment.method), MOMENTS.index(moment.name)
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor=WHITE)
+    for moment, view, picture in zip(moments, views, pictures, strict=True):
+        row = shown.index(moment.method)
+        column = _COLUMNS + moments_of[moment.method].index(moment) - len(moments_of[moment.method])
         low = height - (row + 1) * (picture_height + title)
-        axes = figure.add_axes((column / len(MOMENTS), low / height, 1.0 / len(MOMENTS), picture_height / height))
+        axes = figure.add_axes((column / _COLUMNS, low / height, 1.0 / _COLUMNS, picture_height / height))
         axes.set_axis_off()
-        axes.imshow(picture, interpolation="none", aspect="auto")
+        axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
+        _draw_forces(axes, view.camera, *_resultants(runs[moment.method], moment.tick))
         force = runs[moment.method].result.contact_forces[moment.tick]
         label = f"({letters[moment]}) {moment.name}: {moment.time:.2f} s, {force:.1f} N"
         axes.set_title(label, fontsize=9, color=METHOD_COLOURS[moment.method], pad=3.0)
@@ -263,6 +282,14 @@ def _figure(
             figure.add_axes((start / WIDTH, bottom / height, beside / WIDTH, _CURVES / height)), seeds, peaks, permitted
         )
     return figure
+
+
+def _draw_forces(axes: Axes, camera: Camera, points: Array, forces: Array) -> None:
+    """Arrows that end where the forces act, on top of the foam around them."""
+    starts, ends = camera.project(points - _FORCE_SCALE * forces)[0], camera.project(points)[0]
+    for start, end in zip(starts, ends, strict=True):
+        arrow = FancyArrowPatch(start, end, arrowstyle="-|>", mutation_scale=7.0, shrinkA=0.0, shrinkB=0.0, **_ARROW)
+        axes.add_patch(arrow)
 
 
 def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitted: float) -> None:
@@ -290,7 +317,9 @@ def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitte
     axes.set_xlabel("time since the goal [s]", fontsize=9)
     axes.set_ylabel("force on the most loaded body [N]", fontsize=9)
     axes.set_xlim(left=0.0)
-    axes.legend(loc="upper left", fontsize=8.5, framealpha=0.9, edgecolor="none")
+    arrow = f"force on a body, {100 * _FORCE_SCALE:g} cm/N"
+    axes.plot([], [], color=BLACK, marker=r"$\rightarrow$", markersize=14.0, linestyle="none", label=arrow)
+    axes.legend(loc="center left", fontsize=8.0, framealpha=1.0, edgecolor="none", borderaxespad=0.2)
     _finish(axes)
 
 

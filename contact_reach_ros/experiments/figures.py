@@ -21,6 +21,7 @@ from contact_reach_ros.experiments.grid import Setup, concrete_scene, episode_se
 from contact_reach_ros.experiments.journal import write_whole
 from contact_reach_ros.experiments.metrics import measure
 from contact_reach_ros.experiments.watched_episode import WatchedEpisode, watch_episode
+from contact_reach_ros.palette import METHOD_COLOURS, WHITE, rgb
 from contact_reach_ros.rendering.camera import FRONT_SIDE, SIDE
 from contact_reach_ros.rendering.renderer import Rendering, check_renderer
 from contact_reach_ros.scenes.scene import Scene, SceneFile
@@ -104,7 +105,7 @@ def outcome(watched: WatchedEpisode) -> str:
         return "no path found"
     force = f"{watched.peak_force:.1f} N"
     if result.reached:
-        return f"{result.duration:.1f} s, {force}"
+        return f"{result.duration:.2f} s, {force}"
     return f"{'stopped' if result.stop_reason else 'not reached'}, {force}"
 
 
@@ -141,13 +142,22 @@ def save(figure: Figure, output: Path) -> None:
     """
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    picture = _few_colours(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(output, optimize=True, dpi=(DPI, DPI))
+        picture.save(output, optimize=True, dpi=(DPI, DPI))
     except OSError as error:
         raise RenderingError(f"{output}: cannot be written ({error.strerror}); name a file that can be") from error
     say(f"{output}: {output.stat().st_size / 1000:.0f} kB")
+
+
+def _few_colours(picture: Image.Image) -> Image.Image:
+    """The picture with 256 colours; those that mean something, and white, stay as they are."""
+    kept = [round(255 * part) for colour in (WHITE, *METHOD_COLOURS.values()) for part in rgb(colour)]
+    rest = picture.quantize(_COLOURS - len(kept) // 3).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*kept, *rest][: 3 * _COLOURS])
+    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
 
 def write_report(report: Report, file: Path | None) -> None:
