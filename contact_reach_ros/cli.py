@@ -115,12 +115,31 @@ def _parser() -> argparse.ArgumentParser:
     table1.add_argument("--results", type=Path, metavar="FILE", help="write a page of results, as docs/results.md")
     table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
     table1.set_defaults(run=_bench_table1)
+    fig4 = benches.add_parser("fig4", help="the paper's Fig. 4: where the arm goes with each method, as a picture")
+    fig4.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
+    _add_figure_options(fig4, "contact_reach reference_posture rrt_star", "docs/fig4.png")
+    fig4.set_defaults(run=_bench_fig4)
+    fig5 = benches.add_parser("fig5", help="the paper's Fig. 5: contact force over time, with pictures of the arm")
+    fig5.add_argument("--scene", default="wall", help="scene: a name or a YAML file (default: wall)")
+    _add_figure_options(fig5, "contact_reach reference_posture", "docs/fig5.png")
+    fig5.add_argument("--seeds", type=int, default=1, help="compare the largest forces of so many seeds (default: 1)")
+    fig5.set_defaults(run=_bench_fig5)
     solver = benches.add_parser("solver", help="Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", default="wall", help="scene: a name or a YAML file (default: wall)")
     solver.add_argument("--seeds", type=int, default=20, help="states to start from (default: 20)")
     solver.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     solver.set_defaults(run=_bench_solver)
     return parser
+
+
+def _add_figure_options(figure: argparse.ArgumentParser, methods: str, output: str) -> None:
+    """Options that both figures have, with the methods and the file that are the default."""
+    figure.add_argument("--methods", nargs="+", metavar="METHOD", help=f"as for table1 (default: {methods})")
+    figure.add_argument("--seed", type=int, default=0, help="of the target and what stands around (default: 0)")
+    figure.add_argument("--latency", type=float, default=0.04, metavar="SECONDS", help="time of a plan (default: 0.04)")
+    figure.add_argument("--renderer", default="auto", help="auto, egl, osmesa or matplotlib (default: auto)")
+    figure.add_argument("--output", type=Path, default=Path(output), help=f"the picture (default: {output})")
+    figure.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -208,6 +227,36 @@ def _bench_table1(options: argparse.Namespace) -> int:
         scheduler=options.scheduler,
     )
     bench_table1(bench, options.json, options.results, options.resume)
+    return 0
+
+
+def _bench_fig4(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_fig4 import Fig4, bench_fig4
+
+    standard = Fig4()
+    bench = Fig4(
+        scenes=tuple(options.scenes or standard.scenes),
+        methods=tuple(options.methods or standard.methods),
+        seed=options.seed,
+        latency=options.latency,
+        renderer=options.renderer,
+    )
+    bench_fig4(bench, options.output, options.json)
+    return 0
+
+
+def _bench_fig5(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_fig5 import Fig5, bench_fig5
+
+    bench = Fig5(
+        scene=options.scene,
+        methods=tuple(options.methods or Fig5().methods),
+        seed=options.seed,
+        seeds=options.seeds,
+        latency=options.latency,
+        renderer=options.renderer,
+    )
+    bench_fig5(bench, options.output, options.json)
     return 0
 
 

@@ -54,6 +54,8 @@ METHODS_SHOWN = ("contact_reach", "reference_posture", "rrt_star")
 
 _WIDEST_PANEL = 4.5
 _PICTURE_RATIO = 0.9
+_GAP = 0.1
+"""Between pictures, inches."""
 _TITLE, _LINE = 0.3, 0.19
 """Heights of a title and of a line of text, inches."""
 _START_OPACITY, _END_OPACITY = 0.3, 0.4
@@ -98,7 +100,7 @@ def bench_fig4(bench: Fig4, output: Path, file: Path | None, setup: Setup | None
         for name, scene in scenes.items()
     }
     width = min(_WIDEST_PANEL, WIDTH / len(runs))
-    views = [_view(each, *pixels(width, _PICTURE_RATIO * width)) for each in runs.values()]
+    views = [_view(each, *pixels(width - _GAP, _PICTURE_RATIO * width)) for each in runs.values()]
     rendering = render(views, bench.renderer)
     say_renderer(rendering)
     save(_figure(runs, views, rendering.pictures, width), output)
@@ -150,7 +152,8 @@ def _figure(runs: Mapping[str, Runs], views: list[View], pictures: list[Picture]
     figure = Figure(figsize=(total_width, total_height), dpi=DPI, facecolor=WHITE)
     for column, ((name, each), view, picture) in enumerate(zip(runs.items(), views, pictures, strict=True)):
         low, share = (common + below) / total_height, 1.0 / len(runs)
-        axes = figure.add_axes((column * share, low, share, picture_height / total_height))
+        box = (column * share, low, share - _GAP / total_width, picture_height / total_height)
+        axes = figure.add_axes(box)
         axes.set_axis_off()
         axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
         _draw_paths(axes, view.camera, each)

@@ -142,7 +142,7 @@ def save(figure: Figure, output: Path) -> None:
     """
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    picture = _few_colours(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+    picture = _few_colours(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         picture.save(output, optimize=True, dpi=(DPI, DPI))
@@ -151,13 +151,19 @@ def save(figure: Figure, output: Path) -> None:
     say(f"{output}: {output.stat().st_size / 1000:.0f} kB")
 
 
-def _few_colours(picture: Image.Image) -> Image.Image:
-    """The picture with 256 colours; those that mean something, and white, stay as they are."""
-    kept = [round(255 * part) for colour in (WHITE, *METHOD_COLOURS.values()) for part in rgb(colour)]
-    rest = picture.quantize(_COLOURS - len(kept) // 3).getpalette() or []
-    palette = Image.new("P", (1, 1))
-    palette.putpalette([*kept, *rest][: 3 * _COLOURS])
-    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
+def _few_colours(pixels: NDArray[np.uint8]) -> Image.Image:
+    """A picture (height, width, 3) with 256 colours; those that mean something, and white, stay as they are."""
+    kept = np.array([rgb(colour) for colour in (WHITE, *METHOD_COLOURS.values())])
+    kept = np.rint(255.0 * kept).astype(np.uint8)
+    few = Image.fromarray(pixels).quantize(_COLOURS - len(kept), dither=Image.Dither.NONE)
+    indices = np.asarray(few).copy()
+    for index, colour in enumerate(kept, start=_COLOURS - len(kept)):
+        indices[(pixels == colour).all(axis=2)] = index
+    rest = (few.getpalette() or [])[: 3 * (_COLOURS - len(kept))]
+    rest += [0] * (3 * (_COLOURS - len(kept)) - len(rest))
+    picture = Image.fromarray(indices, "P")
+    picture.putpalette([*rest, *kept.ravel().tolist()])
+    return picture
 
 
 def write_report(report: Report, file: Path | None) -> None:

@@ -7,16 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contact_reach_ros.palette import SKY_BLUE, VERMILION, rgb
-from contact_reach_ros.rendering.shapes import Capsule, Colour, Cylinder, Mesh, Shape, Sphere, arrow, tube
+from contact_reach_ros.palette import SKY_BLUE, rgb
+from contact_reach_ros.rendering.shapes import Capsule, Colour, Cylinder, Mesh, Shape, Sphere, tube
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.scenes.scene import Scene, Wall
 
 Array = NDArray[np.float64]
-
-FORCE_SCALE = 0.02
-"""Length of a force's arrow, m/N."""
 
 _BODY = (0.86, 0.87, 0.88)
 _ACCENT = (0.95, 0.45, 0.1)
@@ -104,24 +101,6 @@ def path_shapes(points: Array, colour: str, radius: float = _PATH_RADIUS) -> lis
     if len(points) < 2 or not np.ptp(points, axis=0).any():
         return []
     return [tube(points, radius, (*rgb(colour), 1.0)), Sphere(points[-1], 1.6 * radius, (*rgb(colour), 1.0))]
-
-
-def force_shapes(points: Array, forces: Array, scale: float = FORCE_SCALE) -> list[Shape]:
-    """Contacts as arrows that end where the force acts.
-
-    Parameters
-    ----------
-    points, forces
-        (n, 3) each, m, and N on the arm.
-    scale
-        Length of an arrow, m/N.
-    """
-    shapes: list[Shape] = []
-    for point, force in zip(points, forces, strict=True):
-        length = scale * np.linalg.norm(force)
-        if length > 0.002:
-            shapes.append(arrow(point - scale * force, point, 0.006, (*rgb(VERMILION), 1.0)))
-    return shapes
 
 
 def floor(radius: float = 0.8) -> Cylinder:

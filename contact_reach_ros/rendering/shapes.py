@@ -91,13 +91,6 @@ def revolve(start: ArrayLike, end: ArrayLike, profile: ArrayLike, colour: Colour
     return _skin(rings, colour)
 
 
-def arrow(start: ArrayLike, end: ArrayLike, radius: float, colour: Colour) -> Mesh:
-    """An arrow whose shaft has that radius."""
-    length = float(np.linalg.norm(np.subtract(end, start)))
-    neck = max(length - 5.0 * radius, 0.5 * length)
-    return revolve(start, end, [(0.0, radius), (neck, radius), (neck, 2.6 * radius), (length, 0.0)], colour)
-
-
 def tube(points: Array, radius: float, colour: Colour, around: int = 10) -> Mesh:
     """A tube along `points` (n, 3), of which at least two differ."""
     points = points[np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9)]
