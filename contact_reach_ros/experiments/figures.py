@@ -161,7 +161,7 @@ def _few_colours(pixels: NDArray[np.uint8]) -> Image.Image:
         indices[(pixels == colour).all(axis=2)] = index
     rest = (few.getpalette() or [])[: 3 * (_COLOURS - len(kept))]
     rest += [0] * (3 * (_COLOURS - len(kept)) - len(rest))
-    picture = Image.fromarray(indices, "P")
+    picture = Image.fromarray(indices)
     picture.putpalette([*rest, *kept.ravel().tolist()])
     return picture
 
