@@ -69,7 +69,7 @@ def check(options: FigureOptions, output: Path) -> None:
     SettingsError
         If a method is unknown, a value is out of range, or `output` is no PNG file.
     RenderingError
-        If the renderer is unknown.
+        If the renderer is unknown, or there can be no folder for `output`.
     """
     for method in options.methods:
         if method not in METHODS:
@@ -83,6 +83,10 @@ def check(options: FigureOptions, output: Path) -> None:
     if output.suffix.lower() != ".png":
         raise SettingsError(f"--output {output}: expected a file that ends in .png")
     check_renderer(options.renderer)
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(output, error) from error
 
 
 def run_method(method: str, file: SceneFile, options: FigureOptions, setup: Setup, seed: int) -> WatchedEpisode:
@@ -144,11 +148,14 @@ def save(figure: Figure, output: Path) -> None:
     canvas.draw()
     picture = _few_colours(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
     try:
-        output.parent.mkdir(parents=True, exist_ok=True)
         picture.save(output, optimize=True, dpi=(DPI, DPI))
     except OSError as error:
-        raise RenderingError(f"{output}: cannot be written ({error.strerror}); name a file that can be") from error
+        raise _unwritable(output, error) from error
     say(f"{output}: {output.stat().st_size / 1000:.0f} kB")
+
+
+def _unwritable(output: Path, error: OSError) -> RenderingError:
+    return RenderingError(f"{output}: cannot be written ({error.strerror}); name a file that can be")
 
 
 def _few_colours(pixels: NDArray[np.uint8]) -> Image.Image:

@@ -1,0 +1,167 @@
+"""The figures: what is drawn and written is what happened in the episodes."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_episode import StraightPlanner
+from test_grid import TINY
+
+from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.baselines.methods import COLLISION_FREE_METHODS
+from contact_reach_ros.cli import main
+from contact_reach_ros.errors import RenderingError, SettingsError
+from contact_reach_ros.experiments.bench_fig4 import Fig4, bench_fig4
+from contact_reach_ros.experiments.bench_fig5 import TOUCHED, Fig5, bench_fig5
+from contact_reach_ros.experiments.episode import run_episode
+from contact_reach_ros.experiments.grid import concrete_scene, prepared
+from contact_reach_ros.experiments.watched_episode import watch_episode
+from contact_reach_ros.palette import METHOD_COLOURS, rgb
+from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK
+from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.spheres import rest_positions
+
+SETUP = dataclasses.replace(TINY, timeout=4.0)
+LATENCY = 0.05
+METHODS = ("contact_reach", "reference_posture")
+
+
+class Straight(StraightPlanner):
+    """Stands for the planners, which would take long to compile."""
+
+    def reseed(self, seed):
+        pass
+
+
+def straight_or_collision_free(method, file, setup):
+    if method in COLLISION_FREE_METHODS:
+        return prepared(method, file, setup)
+    return ReferenceMethod(Straight(concrete_scene(file, 0)), setup.controller)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def planners():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("contact_reach_ros.experiments.figures.prepared", straight_or_collision_free)
+        yield
+
+
+@pytest.fixture(scope="module")
+def fig5(planners, tmp_path_factory):
+    """Report and files of a figure of two seeds."""
+    folder = tmp_path_factory.mktemp("fig5")
+    picture, file = folder / "new" / "fig5.png", folder / "fig5.json"
+    bench = Fig5(methods=METHODS, latency=LATENCY, seeds=2)
+    return bench_fig5(bench, picture, file, SETUP), picture, file
+
+
+def colours(picture):
+    with Image.open(picture) as image:
+        return {colour for _, colour in image.convert("RGB").getcolors()}
+
+
+def is_small_and_wide(picture):
+    with Image.open(picture) as image:
+        return picture.stat().st_size <= 300_000 and image.width >= 900
+
+
+def test_a_watched_episode_is_the_same_and_aligned():
+    scene, options = make_scene(read_scene("wall"), 0), SETUP.options("hold", LATENCY)
+    watched, alone = (
+        run(scene, ReferenceMethod(Straight(scene), SETUP.controller), options) for run in (watch_episode, run_episode)
+    )
+    np.testing.assert_array_equal(watched.result.joints, alone.joints)
+    ticks = len(alone.positions)
+    assert watched.obstacles.shape == (ticks, len(rest_positions(scene)), 3)
+    assert len(watched.contacts) == ticks
+    for tick, contacts in enumerate(watched.contacts):
+        sums = np.zeros((len(CONTACT_BODIES), 3))
+        np.add.at(sums, contacts.bodies, contacts.forces)
+        np.testing.assert_allclose(np.linalg.norm(sums, axis=1), alone.link_forces[tick], rtol=0, atol=1e-9)
+    assert watched.peak_force == alone.contact_forces.max() > 0.5
+    moved = np.linalg.norm(watched.last_obstacles - rest_positions(scene), axis=1)
+    assert moved.max() > 0.01
+
+
+def test_profiles_agree_with_the_episodes(fig5):
+    report, _, _ = fig5
+    for method in METHODS:
+        profile = np.array(report["profiles_N"][method])
+        episode = report["episodes"][method][0]
+        assert profile.max() == pytest.approx(episode["max_contact_force"], abs=1e-4)
+        assert profile.sum() * TICK == pytest.approx(episode["contact_impulse"], rel=1e-3)
+        assert profile.max() > 0.2
+        moments = {moment["name"]: round(moment["time_s"] / TICK) - 1 for moment in report["moments"][method]}
+        assert len(moments) == 3
+        first = moments["first contact"]
+        assert profile[first] > TOUCHED >= profile[:first].max(initial=0.0)
+        assert moments["end"] == len(profile) - 1
+        if "largest force" in moments:
+            assert moments["largest force"] == profile.argmax()
+        else:
+            half = moments["half of the largest force"]
+            assert profile[half] >= 0.5 * profile.max() > profile[:half].max()
+
+
+def test_files_of_fig5_hold_what_is_returned(fig5):
+    report, picture, file = fig5
+    assert json.loads(file.read_text()) == json.loads(json.dumps(report))
+    assert [entry["seed"] for entry in report["episodes"]["contact_reach"]] == [0, 1]
+    assert is_small_and_wide(picture)
+    for colour in ("#FFFFFF", *(METHOD_COLOURS[method] for method in METHODS)):
+        assert tuple(round(255 * part) for part in rgb(colour)) in colours(picture)
+
+
+def test_fig4_names_the_method_that_finds_no_path(tmp_path, capsys):
+    picture, file = tmp_path / "fig4.png", tmp_path / "fig4.json"
+    bench = Fig4(methods=("reference_posture", "rrt_star"), scenes=("free", "wall"), latency=LATENCY)
+    short = dataclasses.replace(SETUP, timeout=1.5)
+    report = bench_fig4(bench, picture, file, short)
+    assert json.loads(file.read_text())["episodes"] == report["episodes"]
+    assert is_small_and_wide(picture)
+    wall = report["episodes"]["wall"]["rrt_star"]
+    assert not wall["reached"]
+    assert "no collision-free" in wall["failure"]
+    # It has three times as long as the others.
+    free = report["episodes"]["free"]["rrt_star"]
+    assert free["reached"] and short.timeout < free["time"]
+    printed = capsys.readouterr()
+    assert "| wall | rrt_star | no path found |" in printed.out
+    assert f"| free | rrt_star | {free['time']:.2f} s, 0.0 N |" in printed.out
+    assert f"pictures by {report['renderer']}" in printed.err
+
+
+@pytest.mark.parametrize("figure", ["fig4", "fig5"])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--methods", "rrt"], "--methods 'rrt' is unknown; expected one of contact_reach"),
+        (["--methods", "cma_es", "cma_es"], "--methods cma_es cma_es: expected each of them once"),
+        (["--renderer", "opengl"], "renderer 'opengl' is unknown; expected one of auto, egl, osmesa, matplotlib"),
+        (["--output", "picture.jpg"], "--output picture.jpg: expected a file that ends in .png"),
+        (["--seed", "-1"], "--seed -1: expected at least 0"),
+        (["--latency", "0"], "--latency 0: expected 0.001 to 1 s"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(figure, arguments, message, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["bench", figure, *arguments])
+    assert end.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_seeds_and_scenes_are_checked(tmp_path):
+    with pytest.raises(SettingsError, match="--seeds 0: expected at least 1"):
+        bench_fig5(Fig5(seeds=0), tmp_path / "fig5.png", None, SETUP)
+    with pytest.raises(SettingsError, match="--scenes free free: expected different names"):
+        bench_fig4(Fig4(scenes=("free", "free")), tmp_path / "fig4.png", None, SETUP)
+
+
+def test_a_picture_that_cannot_be_written_is_told(tmp_path):
+    (tmp_path / "file").touch()
+    bench = Fig4(methods=("rrt_star",), scenes=("wall",), latency=LATENCY)
+    with pytest.raises(RenderingError, match=r"fig4\.png: cannot be written"):
+        bench_fig4(bench, tmp_path / "file" / "fig4.png", None, SETUP)
