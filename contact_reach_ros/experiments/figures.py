@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from contact_reach_ros.baselines.methods import COLLISION_FREE_METHODS, METHODS
+from contact_reach_ros.baselines.methods import METHODS
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.experiments.grid import Setup, concrete_scene, episode_seeds, prepared
 from contact_reach_ros.experiments.journal import write_whole
@@ -34,8 +34,6 @@ WIDTH = 9.0
 DPI = 200
 """Twice as many pixels as a page of a repository shows."""
 
-_COLLISION_FREE_PATIENCE = 3.0
-"""Ways around obstacles may be this much longer: a factor on the time to reach the goal."""
 _COLOURS = 256
 
 
@@ -90,14 +88,12 @@ def check(options: FigureOptions, output: Path) -> None:
 
 
 def run_method(method: str, file: SceneFile, options: FigureOptions, setup: Setup, seed: int) -> WatchedEpisode:
-    """Run a method on a seed, the orientation of the start held; collision-free methods have more time."""
+    """Run a method on a seed, the orientation of the start held."""
     scene = concrete_scene(file, seed)
-    patience = _COLLISION_FREE_PATIENCE if method in COLLISION_FREE_METHODS else 1.0
-    setup = dataclasses.replace(setup, timeout=patience * setup.timeout)
     solver_seed, noise_seed = episode_seeds(seed, repeat=0)
     planner = prepared(method, file, setup)
     planner.reseed(solver_seed)
-    watched = watch_episode(scene, planner, setup.options("hold", options.latency, noise_seed))
+    watched = watch_episode(scene, planner, setup.options(method, "hold", options.latency, noise_seed))
     say(f"{scene.name}, seed {seed}, {method}: {outcome(watched)}")
     return watched
 

@@ -10,7 +10,7 @@ from test_episode import StraightPlanner
 from test_grid import TINY
 
 from contact_reach_ros.baselines.method import ReferenceMethod
-from contact_reach_ros.baselines.methods import COLLISION_FREE_METHODS
+from contact_reach_ros.baselines.methods import PATH_METHODS
 from contact_reach_ros.cli import main
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.experiments.bench_fig4 import Fig4, bench_fig4
@@ -37,7 +37,7 @@ class Straight(StraightPlanner):
 
 
 def straight_or_collision_free(method, file, setup):
-    if method in COLLISION_FREE_METHODS:
+    if method in PATH_METHODS:
         return prepared(method, file, setup)
     return ReferenceMethod(Straight(concrete_scene(file, 0)), setup.controller)
 
@@ -69,7 +69,7 @@ def is_small_and_wide(picture):
 
 
 def test_a_watched_episode_is_the_same_and_aligned():
-    scene, options = make_scene(read_scene("wall"), 0), SETUP.options("hold", LATENCY)
+    scene, options = make_scene(read_scene("wall"), 0), SETUP.options("contact_reach", "hold", LATENCY)
     watched, alone = (
         run(scene, ReferenceMethod(Straight(scene), SETUP.controller), options) for run in (watch_episode, run_episode)
     )
