@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
-from contact_reach_ros.control.limits import JointLimitRepulsion, TorqueLimiter
+from contact_reach_ros.control.limits import JointLimitRepulsion, SpeedLimiter, TorqueLimiter
 from contact_reach_ros.control.reference import ReferenceQueue, blend
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
@@ -46,6 +46,7 @@ class Controller:
         self.model = model
         self.law = ImpedanceLaw(settings.impedance)
         self.repulsion = JointLimitRepulsion(settings.limits)
+        self.speed_limiter = SpeedLimiter(settings.limits)
         self.limiter = TorqueLimiter(settings.limits)
         self.references = ReferenceQueue(settings.supervision.max_plan_lead)
         self.supervisor = Supervisor(settings.supervision)
@@ -113,6 +114,9 @@ class Controller:
             self.error = pose_error(self.model.position, self.model.rotation, reference)
             torque = self.law.torque(self.model, v, q - reference.posture, self.error)
             torque += self.model.bias - self.model.gravity
+            brake = self.speed_limiter.torque(v, self.model.mass_matrix)
+            if brake is not None:
+                torque += brake
             repulsion = self.repulsion.torque(q, v)
             if repulsion is not None:
                 torque += repulsion

@@ -40,6 +40,30 @@ class JointLimitRepulsion:
         return -side * (self._strength * depth * depth + self._damping * depth * approach)
 
 
+class SpeedLimiter:
+    """Brakes joints that come near their speed limit.
+
+    A joint is decelerated in proportion to its speed beyond the given share of its limit, whatever its inertia, so that
+    the brake is stable for any: τ = −M k e, with e the speeds beyond.
+    """
+
+    def __init__(self, settings: LimitSettings) -> None:
+        self._permitted = settings.velocity_limit_share * np.array(iiwa14.VELOCITY_LIMITS)
+        self._permitted_list = self._permitted.tolist()
+        self._rate = settings.velocity_limit_rate
+
+    def torque(self, v: Array, mass_matrix: Array) -> Array | None:
+        """Torque (7,) in N m for speeds (7,) rad/s and M (7, 7); None when no joint is fast."""
+        # For seven numbers a loop is faster than NumPy.
+        for speed, permitted in zip(v.tolist(), self._permitted_list, strict=True):
+            if not -permitted <= speed <= permitted:
+                break
+        else:
+            return None
+        beyond = np.sign(v) * np.maximum(np.abs(v) - self._permitted, 0.0)
+        return -self._rate * mass_matrix.dot(beyond)
+
+
 class TorqueLimiter:
     """Caps each torque and the rate at which it changes; the cap wins."""
 

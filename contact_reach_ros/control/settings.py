@@ -39,6 +39,12 @@ class LimitSettings(Settings):
         minimum=0.0,
         maximum=50.0,
     )
+    velocity_limit_share: float = setting(
+        0.6, "joint speed at which braking begins, as a share of the data sheet's limit", minimum=0.05, maximum=1.0
+    )
+    velocity_limit_rate: float = setting(
+        100.0, "deceleration per speed beyond that", unit="1/s", minimum=0.0, maximum=500.0
+    )
 
 
 @dataclass(frozen=True)

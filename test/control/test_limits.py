@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.limits import JointLimitRepulsion, TorqueLimiter
+from contact_reach_ros.control.limits import JointLimitRepulsion, SpeedLimiter, TorqueLimiter
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.robot import iiwa14
 
@@ -133,3 +133,23 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
         near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - SETTINGS.joint_limit_margin
         assert side * loop.q[joint] < POSITION_LIMITS[joint]
     assert near
+
+
+class TestSpeedLimiter:
+    MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
+    LIMITS = np.array(iiwa14.VELOCITY_LIMITS)
+
+    def test_slow_joints_are_left_alone(self):
+        limiter = SpeedLimiter(LimitSettings(velocity_limit_share=0.6))
+        assert limiter.torque(0.6 * self.LIMITS, self.MASS) is None
+        assert limiter.torque(-0.6 * self.LIMITS, self.MASS) is None
+
+    @pytest.mark.parametrize("side", [-1.0, 1.0])
+    def test_a_fast_joint_alone_is_decelerated_in_proportion_to_its_excess(self, side):
+        limiter = SpeedLimiter(LimitSettings(velocity_limit_share=0.6, velocity_limit_rate=100.0))
+        v = 0.1 * self.LIMITS
+        v[2] = side * 0.9 * self.LIMITS[2]
+        acceleration = np.linalg.solve(self.MASS, limiter.torque(v, self.MASS))
+        expected = np.zeros(7)
+        expected[2] = -side * 100.0 * 0.3 * self.LIMITS[2]
+        np.testing.assert_allclose(acceleration, expected, rtol=0, atol=1e-9)
