@@ -14,7 +14,7 @@ from contact_reach_ros.doctor.findings import Finding, failed, passed, warned
 PRIORITY = 80
 """SCHED_FIFO priority that is asked for: the highest of the nodes, the driver's."""
 
-TYPICAL_BAG_RATE = 0.6e6
+TYPICAL_BAG_RATE = 0.4e6
 """Of a whole stack in real time, compressed, bytes/s."""
 
 _CAP_IPC_LOCK = 14

@@ -64,55 +64,6 @@ def examine(env, folder, *arguments):
     return result, {check["name"]: check for check in report["checks"]}, report
 
 
-@pytest.fixture(scope="module")
-def stack(tmp_path_factory):
-    """A lockstep stack at rest, without a goal: its environment."""
-    folder = tmp_path_factory.mktemp("stack")
-    env, output = environment(), folder / "bringup.txt"
-    parameters = parameter_file(folder / "small.yaml", planner=SMALL_PLANNER)
-    command = [*module("nodes.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
-    with running([*command, "-p", "lockstep:=true"], env, output) as process:
-        wait_for(lambda: "all nodes are active" in output.read_text() or process.poll() is not None, 300, "stack up")
-        assert process.poll() is None, output.read_text()
-        # The brakes open after half a second of simulated time.
-        yield env
-
-
-def test_a_good_stack_passes(stack, tmp_path):
-    result, found, report = examine(stack, tmp_path)
-    expected = ["nodes", "lifecycle", "time source", "safety state", "discovery", "sockets", "parameters"]
-    expected += ["contact budget", "rclpy", "middleware", "disk for bags"]
-    expected += ["joint names and order", "driver rate", "clocks", "gravity against torque"]
-    expected += [topic.name for topic in STACK_TOPICS]
-    others = {name: found[name] for name in expected if found[name]["verdict"] != "pass"}
-    assert not others
-    assert set(found["nodes"]["values"]["nodes"]) >= {"/bringup", "/driver", "/controller", "/observer", "/planner"}
-    assert found["effort_controller/commands"]["values"] == {
-        "type": "std_msgs/msg/Float64MultiArray",
-        "publishers": ["/controller"],
-        "subscriptions": ["/driver"],
-    }
-    assert max(map(abs, found["gravity against torque"]["values"]["residual_nm"])) < 1.0
-    assert "controller: holding" in found["safety state"]["found"]
-    assert "127.0.0.1" in found["sockets"]["found"] and "driver" in found["sockets"]["found"]
-    assert found["disk for bags"]["values"]["measured"]
-    assert sum(report["verdicts"].values()) == len(report["checks"])
-    # A warning or failure without a way out is worth nothing.
-    assert all(check["fix"] for check in report["checks"] if check["verdict"] != "pass")
-    for name in expected:
-        assert name in result.stdout
-
-
-def test_a_second_commander_fails(stack, tmp_path):
-    with helper(SECOND_COMMANDER, stack, tmp_path / "helper.txt"):
-        result, found, _ = examine(stack, tmp_path)
-    assert result.returncode == 1
-    finding = found["effort_controller/commands"]
-    assert finding["verdict"] == "fail" and "2 publishers" in finding["found"]
-    assert "end other_commander" in finding["fix"].replace("/", "")
-    assert finding["fix"].split(",")[0] in result.stdout
-
-
 def test_a_driver_with_its_joints_in_another_order_fails(tmp_path):
     env = environment()
     with helper(REVERSED_DRIVER, env, tmp_path / "helper.txt"):
@@ -194,3 +145,55 @@ def test_without_rclpy_it_says_so_and_goes_on(tmp_path):
     found = {check["name"]: check for check in json.loads(file.read_text())["checks"]}
     assert found["rclpy"]["verdict"] == "fail" and "source /opt/ros" in found["rclpy"]["fix"]
     assert {"timer at 1 kHz", "Python packages", "disk for bags"} <= set(found)
+
+
+# The stack takes whole cores: what does not need it comes before.
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory):
+    """A lockstep stack at rest, without a goal: its environment."""
+    folder = tmp_path_factory.mktemp("stack")
+    env, output = environment(), folder / "bringup.txt"
+    parameters = parameter_file(folder / "small.yaml", planner=SMALL_PLANNER)
+    command = [*module("nodes.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
+    with running([*command, "-p", "lockstep:=true"], env, output) as process:
+        wait_for(lambda: "all nodes are active" in output.read_text() or process.poll() is not None, 300, "stack up")
+        assert process.poll() is None, output.read_text()
+        # The brakes open after half a second of simulated time.
+        yield env
+
+
+def test_a_good_stack_passes(stack, tmp_path):
+    result, found, report = examine(stack, tmp_path)
+    expected = ["nodes", "lifecycle", "time source", "safety state", "discovery", "sockets", "parameters"]
+    expected += ["contact budget", "rclpy", "middleware", "disk for bags"]
+    expected += ["joint names and order", "driver rate", "clocks", "gravity against torque"]
+    expected += [topic.name for topic in STACK_TOPICS]
+    others = {name: found[name] for name in expected if found[name]["verdict"] != "pass"}
+    assert not others
+    assert set(found["nodes"]["values"]["nodes"]) >= {"/bringup", "/driver", "/controller", "/observer", "/planner"}
+    assert found["effort_controller/commands"]["values"] == {
+        "type": "std_msgs/msg/Float64MultiArray",
+        "publishers": ["/controller"],
+        "subscriptions": ["/driver"],
+    }
+    assert max(map(abs, found["gravity against torque"]["values"]["residual_nm"])) < 1.0
+    assert "controller: holding" in found["safety state"]["found"]
+    assert "127.0.0.1" in found["sockets"]["found"] and "driver" in found["sockets"]["found"]
+    assert found["disk for bags"]["values"]["measured"]
+    assert sum(report["verdicts"].values()) == len(report["checks"])
+    # A warning or failure without a way out is worth nothing.
+    assert all(check["fix"] for check in report["checks"] if check["verdict"] != "pass")
+    for name in expected:
+        assert name in result.stdout
+
+
+def test_a_second_commander_fails(stack, tmp_path):
+    with helper(SECOND_COMMANDER, stack, tmp_path / "helper.txt"):
+        result, found, _ = examine(stack, tmp_path)
+    assert result.returncode == 1
+    finding = found["effort_controller/commands"]
+    assert finding["verdict"] == "fail" and "2 publishers" in finding["found"]
+    assert "end other_commander" in finding["fix"].replace("/", "")
+    assert finding["fix"].split(",")[0] in result.stdout
