@@ -116,10 +116,10 @@ class Look:
         return times[np.clip(np.searchsorted(received, states) - 1, 0, None)]
 
     def bytes_per_second(self) -> float | None:
-        """Of all recorded topics, on the arm's clock; None if too little was heard."""
+        """Of all recorded topics, on the arm's clock; None if too little was heard, or nobody commands the arm yet."""
         stamps = self.joint_record().stamps_ns
         span = float(stamps[-1] - stamps[0]) / NANOSECONDS if len(stamps) > 1 else 0.0
-        if span < 0.1:
+        if span < 0.1 or not self.messages.get(topics.COMMANDS.name):
             return None
         return sum(len(message.data) for heard in self.messages.values() for message in heard) / span
 
