@@ -27,6 +27,7 @@ NODES = {
 }
 REAL_TIME = ("-p", "torque_source:=measured")
 LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "torque_source:=commanded")
+SHADOW = ("-p", "supervision.shadow:=true")
 
 FOLDER = share_directory() / "config" / "security"
 
@@ -63,9 +64,9 @@ def interface(name, *parameters):
 
 @pytest.mark.parametrize("name", NODES)
 def test_the_table_says_what_a_node_does_in_all_its_modes(name):
+    modes = (REAL_TIME, (*LOCKSTEP, *SHADOW))
     publishes, subscribes, serves, calls = (
-        in_real_time | in_lockstep
-        for in_real_time, in_lockstep in zip(interface(name, *REAL_TIME), interface(name, *LOCKSTEP), strict=True)
+        set().union(*parts) for parts in zip(*(interface(name, *mode) for mode in modes), strict=True)
     )
     if name == "recorder":
         # It subscribes to topics once they have a publisher.
