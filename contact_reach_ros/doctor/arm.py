@@ -139,7 +139,8 @@ def clock_skew(record: JointRecord, clock_ns: Stamps | None) -> Finding:
     of = "this machine's clock" if clock_ns is None else "/clock"
     found = f"joint states are stamped {abs(skew):.1f} ms {'before' if skew >= 0 else 'after'} {of}"
     fix = (
-        "synchronise the computers' clocks (chrony, or PTP for a robot), or let the driver stamp with the system clock"
+        "synchronise the computers' clocks (chrony, or PTP for a robot), or stamp with the system clock in the driver; "
+        "the simulated driver falls behind for good when it is held up for more than 20 ms: start it again"
         if clock_ns is None
         else "let the simulation stamp joint states with the time that it publishes on /clock"
     )
@@ -169,7 +170,7 @@ def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Fi
     residual = measured - expected
     worst = int(np.abs(residual).argmax())
     found = (
-        f"measured minus model: {', '.join(f'{value:+.1f}' for value in residual)} Nm, A1 to A7; "
+        f"measured minus model: {', '.join(f'{value:+.2f}' for value in residual)} Nm, A1 to A7; "
         f"largest at {iiwa14.JOINT_NAMES[worst]}"
     )
     values = {"residual_nm": residual.tolist(), "measured_nm": measured.tolist(), "model_nm": expected.tolist()}
