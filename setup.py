@@ -39,7 +39,7 @@ setup(
     package_data={NAME: [str(path.relative_to(NAME)) for path in files_below(NAME) if path.suffix != ".py"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (SHARE, ["package.xml"]),
+        (SHARE, ["package.xml", "constraints.txt"]),
         *shared("config"),
         *shared("launch"),
         *shared("msg_docs"),

@@ -47,6 +47,16 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     demo.set_defaults(run=_demo)
 
+    doctor = commands.add_parser("doctor", help="check machine, software and the running stack before a run")
+    doctor.add_argument("--quick", action="store_true", help="a short timer test, and no planner")
+    doctor.add_argument("--parameters", default="", help="parameter file for the nodes (default: the package's)")
+    doctor.add_argument(
+        "--discovery", default="host", choices=("host", "subnet"), help="how far to look for nodes (default: host)"
+    )
+    doctor.add_argument("--bags", type=Path, default=Path("bags"), help="where bags will go (default: bags)")
+    doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    doctor.set_defaults(run=_doctor)
+
     bench = commands.add_parser("bench", help="measure on this machine")
     benches = bench.add_subparsers(required=True, metavar="WHAT")
     control = benches.add_parser("control", help="arithmetic of controller and observer, per tick")
@@ -155,6 +165,20 @@ def _demo(options: argparse.Namespace) -> int:
             timeout=options.timeout,
             parameters=options.parameters,
             output=options.output,
+            json=options.json,
+        )
+    )
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from contact_reach_ros.doctor.run import DoctorOptions, run_doctor
+
+    return run_doctor(
+        DoctorOptions(
+            quick=options.quick,
+            parameters=options.parameters,
+            discovery=options.discovery,
+            bags=options.bags,
             json=options.json,
         )
     )

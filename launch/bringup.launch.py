@@ -5,6 +5,7 @@ from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from contact_reach_ros.nodes.discovery import environment
 from contact_reach_ros.nodes.processes import PACKAGE, StackOptions, processes
 from launch import LaunchDescription
 
@@ -16,6 +17,7 @@ ARGUMENTS = {
     "bag": ("", "directory to record a bag to"),
     "parameters": ("", "parameter file for the nodes"),
     "driver": ("true", "start the simulated driver"),
+    "discovery": ("host", "who hears the nodes: host, or subnet"),
 }
 
 
@@ -30,12 +32,15 @@ def start_nodes(context):
         bag=chosen["bag"],
         parameters=chosen["parameters"],
         driver=chosen["driver"] == "true",
+        discovery=chosen["discovery"],
     )
     return [
         Node(
             package=PACKAGE,
             executable=process.name,
             output="screen",
+            arguments=["--ros-args", "--enclave", process.enclave],
+            additional_env=environment(options.discovery),
             parameters=[str(options.parameter_file), process.parameters],
             on_exit=EmitEvent(event=Shutdown(reason=f"{process.name} ended")),
         )

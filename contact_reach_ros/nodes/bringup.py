@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -11,8 +12,9 @@ import rclpy
 from rclpy.node import Node
 
 from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.nodes.discovery import CHOICES, reach
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.parameters import check_arguments, declare
+from contact_reach_ros.nodes.parameters import check_arguments, declare, early_value
 from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor
 from contact_reach_ros.settings import Settings, setting
@@ -34,6 +36,9 @@ class BringupSettings(Settings):
     bag: str = setting("", "directory to record a bag to; none when empty")
     parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
     driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")
+    discovery: str = setting(
+        "host", "who hears the nodes: this host only, or everybody on the subnet, see docs/security.md", choices=CHOICES
+    )
 
 
 SECTIONS = {"": BringupSettings}
@@ -52,9 +57,11 @@ def _run(arguments: list[str]) -> int:
     supervisor: Supervisor | None = None
     try:
         check_arguments(arguments, NAME, SECTIONS)
-        initialise(arguments)
+        (wanted,) = (entry for entry in BringupSettings.declared() if entry.name == "discovery")
+        initialise(arguments, early_value(arguments, NAME, wanted))
         node = Node(NAME)
         options = StackOptions(**vars(declare(node, SECTIONS)[""]))
+        _say_discovery(node, options.discovery)
         supervisor = Supervisor(node, processes(options), options.parameter_file)
         _supervise(node, supervisor, ended)
         return 0
@@ -70,6 +77,17 @@ def _run(arguments: list[str]) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _say_discovery(node: Node, wanted: str) -> None:
+    heard = reach(os.environ)
+    line = heard.text
+    if heard.choice != wanted:
+        line += f"; the environment decides, parameter discovery = '{wanted}' has no effect"
+    if heard.choice == wanted == "host":
+        node.get_logger().info(line)
+    else:
+        node.get_logger().warning(line)
 
 
 def _supervise(node: Node, supervisor: Supervisor, ended: threading.Event) -> None:

@@ -21,6 +21,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.nodes.discovery import choose_discovery
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
 from contact_reach_ros.nodes.realtime import (
     Inbox,
@@ -31,10 +32,7 @@ from contact_reach_ros.nodes.realtime import (
     use_cpus,
 )
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
-from contact_reach_ros.resources import config_file
 
-_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _IDLE_NS = 100_000_000
 
 
@@ -190,29 +188,26 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
         rclpy.try_shutdown()
 
 
-def initialise(arguments: Sequence[str]) -> None:
-    """Start rclpy, on this host only unless the user has chosen otherwise; signals are left to the caller.
+def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
+    """Start rclpy; signals are left to the caller.
+
+    Parameters
+    ----------
+    arguments
+        Command line, program name first.
+    discovery
+        How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment says otherwise.
 
     Raises
     ------
     SettingsError
         If ROS does not understand the arguments.
     """
-    stay_on_this_host()
+    choose_discovery(discovery)
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.RCLError as error:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
-
-
-def stay_on_this_host() -> None:
-    """Let this process and its children talk over UDP on the loopback interface, unless the environment says otherwise.
-
-    ROS's own LOCALHOST range would do, but takes Fast DDS's shared memory with it, see config/fastdds.xml.
-    """
-    if not any(name in os.environ for name in (_RANGE, _PROFILES, "FASTDDS_DEFAULT_PROFILES_FILE")):
-        os.environ[_PROFILES] = str(config_file("fastdds.xml"))
-        os.environ[_RANGE] = "SYSTEM_DEFAULT"
 
 
 def _serve(node: ManagedNode, role: Role, priority: int) -> int:

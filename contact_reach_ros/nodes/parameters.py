@@ -99,6 +99,25 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
                 raise SettingsError(unknown_key(key, known, f"argument {option} {value}"))
 
 
+def early_value(arguments: Sequence[str], node_name: str, entry: Setting) -> Any:
+    """Value of one parameter of a node without a prefix, from its command line: for what ROS itself starts with.
+
+    Raises
+    ------
+    SettingsError
+        If the value is not accepted.
+    """
+    value: Any = entry.default
+    for option, argument in itertools.pairwise(arguments):
+        if option == "--params-file":
+            value = parameters_in(Path(argument), node_name).get(entry.name, value)
+        elif option in ("-p", "--param"):
+            name, _, text = argument.partition(":=")
+            if name in (entry.name, f"{node_name}:{entry.name}"):
+                value = text.strip("'\"")
+    return entry.check(value, f"parameter {entry.name} of {node_name}")
+
+
 def _check(known: Mapping[str, Setting], key: str, value: Any, source: str) -> None:
     if key in _BUILT_IN or key.startswith("qos_overrides."):
         return

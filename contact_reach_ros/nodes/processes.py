@@ -15,6 +15,7 @@ from contact_reach_ros.scenes.spheres import sphere_capacity
 ParameterValue = bool | int | float | str | list[str]
 
 PACKAGE = "contact_reach_ros"
+ENCLAVES = "/contact_reach"
 DEFAULT_PARAMETERS = "default.yaml"
 
 
@@ -41,6 +42,11 @@ class Process:
         """Python module to run."""
         return f"{PACKAGE}.nodes.{self.name}"
 
+    @property
+    def enclave(self) -> str:
+        """Whose keys and permissions the process uses where DDS security is on; without it the name means nothing."""
+        return f"{ENCLAVES}/{self.name}"
+
 
 @dataclass(frozen=True)
 class StackOptions:
@@ -57,6 +63,8 @@ class StackOptions:
     """Parameter file; the package's own when empty."""
     driver: bool = True
     """Whether to start the simulated driver; a real robot brings its own."""
+    discovery: str = "host"
+    """Who hears the nodes, one of `discovery.CHOICES`."""
 
     @property
     def parameter_file(self) -> Path:

@@ -180,7 +180,7 @@ class Supervisor:
             self._log.close()
 
     def _arguments(self, process: Process) -> list[str]:
-        arguments = ["--ros-args", "--params-file", str(self._parameter_file)]
+        arguments = ["--ros-args", "--enclave", process.enclave, "--params-file", str(self._parameter_file)]
         for key, value in process.parameters.items():
             # JSON is YAML: quoted, an empty or blank-separated string stays a string.
             arguments += ["-p", f"{key}:={json.dumps(value)}"]

@@ -1,0 +1,131 @@
+"""Who publishes, reads, serves and calls what: the stack's graph as it should be.
+
+`contact-reach doctor` compares a running stack with it, and the security policies in config/security are made from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.recorder import RECORDED
+from contact_reach_ros.nodes.topics import Topic
+
+
+@dataclass(frozen=True)
+class Interface:
+    """What one node may do at most; names are relative to its namespace, '~' stands for the node.
+
+    Attributes
+    ----------
+    publishes, subscribes
+        Topics.
+    serves
+        Services that it offers.
+    calls
+        Services of others that it uses.
+    """
+
+    publishes: frozenset[str]
+    subscribes: frozenset[str]
+    serves: frozenset[str]
+    calls: frozenset[str] = frozenset()
+
+
+_PARAMETER_SERVICES = {
+    "~/describe_parameters",
+    "~/get_parameter_types",
+    "~/get_parameters",
+    "~/get_type_description",
+    "~/list_parameters",
+    "~/set_parameters",
+    "~/set_parameters_atomically",
+}
+_LIFECYCLE_SERVICES = {
+    "~/change_state",
+    "~/get_available_states",
+    "~/get_available_transitions",
+    "~/get_state",
+    "~/get_transition_graph",
+}
+_EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
+"""Absolute, as ROS has them."""
+
+
+def _node(publishes: Iterable[Topic], subscribes: Iterable[Topic], calls: Iterable[str] = ()) -> Interface:
+    return Interface(
+        frozenset(_EVERY_NODE_PUBLISHES | {topic.name for topic in publishes}),
+        frozenset(topic.name for topic in subscribes),
+        frozenset(_PARAMETER_SERVICES),
+        frozenset(calls),
+    )
+
+
+def _managed(publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = ()) -> Interface:
+    plain = _node([*publishes, topics.DIAGNOSTICS], [*subscribes, topics.CLOCK])
+    return Interface(
+        plain.publishes | {"~/transition_event"},
+        plain.subscribes,
+        plain.serves | _LIFECYCLE_SERVICES | set(serves),
+    )
+
+
+_STOP = ("~/stop", "~/reset")
+
+MANAGED = {
+    "driver": _managed(
+        [
+            topics.JOINT_STATES,
+            topics.SIM_CONTACTS,
+            topics.OBSTACLES,
+            topics.SAFETY_STATE,
+            topics.ROBOT_DESCRIPTION,
+            topics.CLOCK,
+        ],
+        [topics.COMMANDS, topics.LOCKSTEP_HORIZON],
+        _STOP,
+    ),
+    "controller": _managed(
+        [topics.COMMANDS, topics.SHADOW_COMMANDS, topics.SAFETY_STATE],
+        [topics.JOINT_STATES, topics.SAFETY_STATE, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE],
+        _STOP,
+    ),
+    "observer": _managed(
+        [topics.EXTERNAL_TORQUE, topics.EXTERNAL_WRENCH, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
+        [topics.JOINT_STATES, topics.COMMANDS],
+        _STOP,
+    ),
+    "planner": _managed(
+        [
+            topics.REFERENCE_POSE,
+            topics.REFERENCE_POSTURE,
+            topics.PLAN_PATH,
+            topics.PLAN_MARKERS,
+            topics.LOCKSTEP_HORIZON,
+        ],
+        [topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE],
+    ),
+    "recorder": _managed([], RECORDED),
+}
+"""The lifecycle nodes."""
+
+DOCTOR = "contact_reach_doctor"
+
+HEARD_BY_DOCTOR = tuple({topic.name: topic for topic in (*RECORDED, topics.LOCKSTEP_HORIZON)}.values())
+
+INTERFACES = {
+    **MANAGED,
+    "bringup": _node(
+        [], [topics.JOINT_STATES], [*(f"{name}/get_state" for name in sorted(MANAGED)), "controller/stop"]
+    ),
+    DOCTOR: _node(
+        [],
+        HEARD_BY_DOCTOR,
+        [f"{name}/{service}" for name in sorted(MANAGED) for service in ("get_state", "get_parameters")],
+    ),
+}
+"""All nodes of the package, by name."""
+
+ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
+"""Topics that must have a single publisher: with two of them the arm gets the commands of both in turn."""

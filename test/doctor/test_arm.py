@@ -1,0 +1,160 @@
+"""Joint states of arms that are as they should be, and of others."""
+
+import numpy as np
+import pytest
+
+from contact_reach_ros.doctor.arm import JointRecord, clock_skew, driver_rate, gravity, joint_names
+from contact_reach_ros.doctor.findings import Verdict
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+
+BUDGET = ContactBudget()
+HOME = np.array(iiwa14.HOME_POSITION)
+START_NS = 1_700_000_000_000_000_000
+TICK_NS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def model():
+    return RobotModel()
+
+
+def record(count=1000, **changes):
+    """One second of an arm at rest whose torques are not known."""
+    stamps = START_NS + TICK_NS * np.arange(count)
+    values = {
+        "names": (iiwa14.JOINT_NAMES,),
+        "stamps_ns": stamps,
+        "received_ns": stamps + 300_000,
+        "position": np.tile(HOME, (count, 1)),
+        "velocity": np.zeros((count, 7)),
+        "effort": np.full((count, 7), np.nan),
+    }
+    return JointRecord(**{**values, **changes})
+
+
+def test_the_right_names_pass_with_others_beside_them():
+    assert joint_names(record()).verdict is Verdict.PASS
+    finding = joint_names(record(names=((*iiwa14.JOINT_NAMES, "gripper"),)))
+    assert finding.verdict is Verdict.PASS and "gripper" in finding.found
+
+
+def test_missing_names_are_named():
+    names = (*(f"iiwa_A{number}" for number in range(1, 7)), "lbr_A7")
+    finding = joint_names(record(names=(names,)))
+    assert finding.verdict is Verdict.FAIL
+    assert "lbr_A1" in finding.found and "lbr_A7" not in finding.found.partition(";")[0] and "prefix" in finding.fix
+
+
+SWAPPED = ("lbr_A1", "lbr_A2", "lbr_A4", "lbr_A3", "lbr_A5", "lbr_A6", "lbr_A7")
+
+
+def test_another_order_fails_unless_the_commands_are_known_to_be_in_order():
+    swapped = record(names=(SWAPPED,))
+    assert joint_names(swapped).verdict is Verdict.FAIL
+    assert joint_names(swapped, iiwa14.JOINT_NAMES).verdict is Verdict.PASS
+    finding = joint_names(record(), SWAPPED)
+    assert finding.verdict is Verdict.FAIL and ", ".join(SWAPPED) in finding.found
+
+
+def test_one_of_two_drivers_with_another_order_is_seen():
+    assert joint_names(record(names=(iiwa14.JOINT_NAMES, SWAPPED))).verdict is Verdict.FAIL
+
+
+def at_rate(rate):
+    stamps = START_NS + np.arange(int(rate)) * int(1e9 / rate)
+    return record(int(rate), stamps_ns=stamps, received_ns=stamps + 200_000)
+
+
+@pytest.mark.parametrize(("rate", "verdict"), [(1000, "pass"), (995, "pass"), (960, "warn"), (500, "fail")])
+def test_rate(rate, verdict):
+    finding = driver_rate(at_rate(rate), simulated_time=False)
+    assert finding.verdict.value == verdict
+    assert finding.values["rate_hz"] == pytest.approx(rate, rel=0.01)
+    assert finding.values["stamp_jitter_us"] < 1.0
+
+
+def test_a_long_gap_is_a_warning():
+    stamps = START_NS + TICK_NS * np.arange(10_000)
+    stamps[5000:] += 30 * TICK_NS
+    finding = driver_rate(record(10_000, stamps_ns=stamps, received_ns=stamps), simulated_time=False)
+    assert finding.verdict is Verdict.WARN and finding.values["longest_gap_us"] == pytest.approx(31_000)
+
+
+def test_stamps_that_go_back_fail():
+    stamps = record().stamps_ns.copy()
+    stamps[500] = stamps[400]
+    assert driver_rate(record(stamps_ns=stamps), simulated_time=False).verdict is Verdict.FAIL
+
+
+def test_simulated_time_may_run_at_any_speed_but_not_skip():
+    slow = record(received_ns=START_NS + 7 * TICK_NS * np.arange(1000))
+    assert driver_rate(slow, simulated_time=True).verdict is Verdict.PASS
+    coarse = record(stamps_ns=START_NS + 4 * TICK_NS * np.arange(1000))
+    assert driver_rate(coarse, simulated_time=True).verdict is Verdict.FAIL
+
+
+@pytest.mark.parametrize("checked", [lambda empty: driver_rate(empty, False), lambda empty: clock_skew(empty, None)])
+def test_silence_fails(checked):
+    assert checked(record(0, names=())).verdict is Verdict.FAIL
+
+
+@pytest.mark.parametrize(
+    ("offset_ms", "verdict", "word"),
+    [(0, "pass", "before"), (30, "warn", "before"), (-30, "warn", "after"), (3_600_000, "fail", "before")],
+)
+def test_clock_skew(offset_ms, verdict, word):
+    stamps = record().stamps_ns - int(offset_ms * 1e6)
+    finding = clock_skew(record(stamps_ns=stamps), None)
+    assert finding.verdict.value == verdict and word in finding.found
+    assert finding.values["skew_ms"] == pytest.approx(offset_ms, abs=1.0)
+
+
+def test_late_messages_are_no_skew():
+    late = np.zeros(1000, dtype=np.int64)
+    late[::2] = 40 * TICK_NS
+    assert clock_skew(record(received_ns=record().stamps_ns + 200_000 + late), None).verdict is Verdict.PASS
+
+
+def test_simulated_time_is_compared_with_its_clock():
+    stamps = record().stamps_ns
+    assert clock_skew(record(), stamps - 5 * TICK_NS).verdict is Verdict.PASS
+    assert clock_skew(record(), stamps + 2000 * TICK_NS).verdict is Verdict.FAIL
+
+
+def with_torque(model, extra):
+    return record(effort=np.tile(model.gravity_at(HOME) + np.array(extra), (1000, 1)))
+
+
+@pytest.mark.parametrize(
+    ("extra", "verdict", "joint"),
+    [
+        ([0.3, -0.5, 0.2, 0.1, 0.0, 0.0, 0.0], "pass", "lbr_A2"),
+        ([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0], "warn", "lbr_A2"),
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.5], "fail", "lbr_A7"),
+        ([0.0, 16.0, 0.0, -9.0, 0.0, 0.0, 0.0], "fail", "lbr_A2"),
+    ],
+)
+def test_what_gravity_leaves_over(model, extra, verdict, joint):
+    finding = gravity(with_torque(model, extra), model, BUDGET)
+    assert finding.verdict.value == verdict and f"largest at {joint}" in finding.found
+    assert finding.values["residual_nm"] == pytest.approx(extra, abs=1e-9)
+
+
+def test_torques_without_gravity_are_recognised(model):
+    finding = gravity(record(effort=np.full((1000, 7), 0.05)), model, BUDGET)
+    assert finding.verdict is Verdict.FAIL and "takes gravity out" in finding.found
+
+
+def test_closed_brakes_and_motion_are_not_compared(model):
+    assert "brakes are closed" in gravity(record(), model, BUDGET).found
+    moving = record(effort=np.zeros((1000, 7)), velocity=np.full((1000, 7), 0.2))
+    finding = gravity(moving, model, BUDGET)
+    assert finding.verdict is Verdict.WARN and "moves" in finding.found
+
+
+def test_states_from_before_the_brakes_opened_are_left_out(model):
+    efforts = with_torque(model, np.zeros(7)).effort.copy()
+    efforts[:400] = np.nan
+    assert gravity(record(effort=efforts), model, BUDGET).verdict is Verdict.PASS

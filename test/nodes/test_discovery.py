@@ -1,0 +1,133 @@
+"""How far the nodes can be heard: nothing leaves this host unless somebody asks for it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import stack_helpers
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.nodes import discovery
+from contact_reach_ros.nodes.bringup import BringupSettings
+from contact_reach_ros.nodes.parameters import early_value
+
+TALK = """
+import json, os, sys
+from contact_reach_ros.doctor.sockets import bound_addresses
+from contact_reach_ros.nodes import discovery, topics
+from contact_reach_ros.nodes.managed import initialise
+from rclpy.node import Node
+
+initialise(["test"], *sys.argv[1:])
+node = Node("test")
+publisher = node.create_publisher(topics.JOINT_STATES.type, topics.JOINT_STATES.name, topics.STREAM)
+node.create_subscription(topics.JOINT_STATES.type, topics.JOINT_STATES.name, print, topics.NEWEST)
+publisher.publish(topics.JOINT_STATES.type())
+print(json.dumps([sorted(bound_addresses(os.getpid())), discovery.reach(os.environ)]))
+"""
+
+VARIABLES = (discovery.RANGE, *discovery.PROFILES, discovery.OLD_SWITCH)
+
+
+def talk(*choice, **variables):
+    """Socket addresses of a process with a node that publishes and subscribes, and what `reach` says of it."""
+    env = {**stack_helpers.environment(), **variables}
+    result = subprocess.run([sys.executable, "-c", TALK, *choice], env=env, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+    addresses, reach = json.loads(result.stdout)
+    return addresses, discovery.Reach(*reach)
+
+
+def test_by_default_every_socket_is_bound_to_this_host():
+    addresses, reach = talk()
+    assert "127.0.0.1" in addresses
+    others = [address for address in addresses if not address.startswith(("127.", "239.255."))]
+    assert not others
+    assert reach.choice == "host" and not reach.shared_memory
+
+
+def test_subnet_opens_the_sockets_and_says_so():
+    addresses, reach = talk("subnet")
+    assert "0.0.0.0" in addresses
+    assert reach.choice == "subnet" and not reach.shared_memory and "OPEN" in reach.text
+
+
+def test_the_environment_of_the_user_decides():
+    _, reach = talk("host", ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
+    assert reach.choice == "subnet" and "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" in reach.why
+
+
+@pytest.fixture
+def unset(monkeypatch):
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize("choice", discovery.CHOICES)
+def test_a_choice_is_what_reach_reports(unset, choice):
+    assert discovery.reach(discovery.environment(choice)).choice == choice
+
+
+@pytest.mark.parametrize("choice", discovery.CHOICES)
+def test_middleware_that_reads_no_profile_gets_the_range(unset, monkeypatch, choice):
+    monkeypatch.setattr(discovery, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    variables = discovery.environment(choice)
+    assert set(variables) == {discovery.RANGE}
+    assert discovery.reach(variables) == discovery.Reach(choice, f"{discovery.RANGE}={variables[discovery.RANGE]}")
+
+
+@pytest.mark.parametrize("name", [discovery.RANGE, *discovery.PROFILES])
+def test_nothing_is_set_over_the_choice_of_the_user(unset, monkeypatch, name):
+    monkeypatch.setenv(name, "chosen")
+    assert discovery.environment("subnet") == {}
+
+
+@pytest.mark.parametrize(
+    ("variables", "choice", "shared_memory"),
+    [
+        ({discovery.RANGE: "LOCALHOST"}, "host", True),
+        ({discovery.RANGE: "SUBNET"}, "subnet", True),
+        ({}, "subnet", True),
+        ({discovery.OLD_SWITCH: "1", discovery.PROFILES[0]: "mine.xml"}, "host", True),
+        ({discovery.PROFILES[1]: "mine.xml"}, "", False),
+    ],
+)
+def test_reach_of_what_users_set(variables, choice, shared_memory):
+    reach = discovery.reach(variables)
+    assert (reach.choice, reach.shared_memory) == (choice, shared_memory)
+
+
+def test_an_unknown_choice_is_refused(unset):
+    with pytest.raises(SettingsError, match="discovery = 'world': expected one of host, subnet"):
+        discovery.environment("world")
+
+
+(ENTRY,) = (entry for entry in BringupSettings.declared() if entry.name == "discovery")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "value"),
+    [
+        ([], "host"),
+        (["--ros-args", "-p", "discovery:=subnet"], "subnet"),
+        (["--ros-args", "-p", 'discovery:="subnet"'], "subnet"),
+        (["--ros-args", "-p", "bringup:discovery:=subnet"], "subnet"),
+        (["--ros-args", "-p", "other:discovery:=subnet"], "host"),
+    ],
+)
+def test_bringup_knows_the_choice_before_ros_starts(arguments, value):
+    assert early_value(["bringup", *arguments], "bringup", ENTRY) == value
+
+
+def test_bringup_knows_the_choice_of_a_file(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("bringup: {ros__parameters: {discovery: subnet}}\n")
+    arguments = ["bringup", "--ros-args", "--params-file", str(file)]
+    assert early_value(arguments, "bringup", ENTRY) == "subnet"
+    assert early_value([*arguments, "-p", "discovery:=host"], "bringup", ENTRY) == "host"
+
+
+def test_bringup_refuses_a_choice_that_there_is_not():
+    with pytest.raises(SettingsError, match=r"discovery.*'world'.*host, subnet"):
+        early_value(["bringup", "-p", "discovery:=world"], "bringup", ENTRY)

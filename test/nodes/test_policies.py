@@ -1,0 +1,113 @@
+"""The security policies permit what the nodes do, and nothing else."""
+
+from contextlib import contextmanager
+from xml.etree import ElementTree
+
+import pytest
+import rclpy
+from stack_helpers import environment
+
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.controller import ControllerNode
+from contact_reach_ros.nodes.driver import DriverNode
+from contact_reach_ros.nodes.interfaces import INTERFACES, MANAGED
+from contact_reach_ros.nodes.observer import ObserverNode
+from contact_reach_ros.nodes.planner import PlannerNode
+from contact_reach_ros.nodes.policies import policy
+from contact_reach_ros.nodes.processes import StackOptions, processes
+from contact_reach_ros.nodes.recorder import RECORDED, RecorderNode
+from contact_reach_ros.resources import share_directory
+
+NODES = {
+    "driver": DriverNode,
+    "controller": ControllerNode,
+    "observer": ObserverNode,
+    "planner": PlannerNode,
+    "recorder": RecorderNode,
+}
+REAL_TIME = ("-p", "torque_source:=measured")
+LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "torque_source:=commanded")
+SHADOW = ("-p", "supervision.shadow:=true")
+
+FOLDER = share_directory() / "config" / "security"
+
+
+@contextmanager
+def made(name, *parameters):
+    """One node of the stack, not yet configured."""
+    rclpy.init(args=["--ros-args", *parameters], domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        node = NODES[name]()
+        yield node
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+def names(pairs, node):
+    """Names as policies have them."""
+    kept = ("/parameter_events", "/rosout")
+    return {
+        name if name in kept else name.replace(f"/{node}/", "~/", 1) if name.startswith(f"/{node}/") else name[1:]
+        for name, _ in pairs
+    }
+
+
+def interface(name, *parameters):
+    """What a node publishes, subscribes to, serves and calls."""
+    with made(name, *parameters) as node:
+        return [
+            names(getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/"), name)
+            for kind in ("publisher", "subscriber", "service", "client")
+        ]
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_the_table_says_what_a_node_does_in_all_its_modes(name):
+    modes = (REAL_TIME, (*LOCKSTEP, *SHADOW))
+    publishes, subscribes, serves, calls = (
+        set().union(*parts) for parts in zip(*(interface(name, *mode) for mode in modes), strict=True)
+    )
+    if name == "recorder":
+        # It subscribes to topics once they have a publisher.
+        subscribes |= {topic.name for topic in RECORDED}
+    table = INTERFACES[name]
+    assert publishes == table.publishes
+    assert subscribes == table.subscribes
+    assert serves == table.serves
+    assert calls == table.calls
+
+
+def test_every_process_and_every_topic_of_the_stack_is_in_the_table():
+    assert {process.name for process in processes(StackOptions(bag="bag"))} == set(MANAGED) == set(NODES)
+    named = {name for interface in INTERFACES.values() for name in interface.publishes | interface.subscribes}
+    assert {topic.name for topic in vars(topics).values() if isinstance(topic, topics.Topic)} <= named
+
+
+@pytest.mark.parametrize("name", INTERFACES)
+def test_the_shipped_file_is_made_from_the_table(name):
+    remake = "run `python -m contact_reach_ros.nodes.policies config/security`"
+    assert (FOLDER / f"{name}.policy.xml").read_text() == policy(name, INTERFACES[name]), remake
+
+
+def test_no_other_policy_is_shipped():
+    assert {file.name for file in FOLDER.iterdir()} == {f"{name}.policy.xml" for name in INTERFACES}
+
+
+def test_only_the_controller_may_command_and_only_the_planner_may_lead():
+    writers = {}
+    for file in FOLDER.iterdir():
+        for profile in ElementTree.parse(file).getroot().iter("profile"):
+            for group in profile.iter("topics"):
+                for topic in group:
+                    if group.get("publish") == "ALLOW":
+                        writers.setdefault(topic.text, set()).add(profile.get("node"))
+    assert writers[topics.COMMANDS.name] == {"controller"}
+    assert writers[topics.REFERENCE_POSE.name] == writers[topics.REFERENCE_POSTURE.name] == {"planner"}
+    assert writers[topics.JOINT_STATES.name] == {"driver"}
+
+
+def test_the_processes_use_the_enclaves_of_the_policies():
+    for process in processes(StackOptions(bag="bag")):
+        root = ElementTree.parse(FOLDER / f"{process.name}.policy.xml").getroot()
+        assert [enclave.get("path") for enclave in root.iter("enclave")] == [process.enclave]
