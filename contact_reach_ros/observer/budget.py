@@ -31,7 +31,7 @@ class ContactBudget(Settings):
         (2.0, 2.0, 2.0, 2.0, 1.0, 1.0, 1.0), "what is added to the thresholds that stop the arm", "Nm s/rad", 0.0
     )
     sudden_thresholds: tuple[float, ...] = _per_joint(
-        (16.0, 16.0, 12.0, 12.0, 6.0, 6.0, 5.0), "sudden external torque on a joint that stops the arm", "Nm", 0.5
+        (12.0, 12.0, 9.0, 9.0, 5.0, 5.0, 4.0), "sudden external torque on a joint that stops the arm", "Nm", 0.5
     )
     contact_thresholds: tuple[float, ...] = _per_joint(
         (2.5, 2.5, 2.0, 2.0, 1.4, 1.4, 1.4), "sudden external torque on a joint that is a contact", "Nm", 0.05

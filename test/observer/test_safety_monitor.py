@@ -193,8 +193,8 @@ class TestContact:
         monitor = SafetyMonitor(SETTINGS, self.budget)
         push(monitor, torque)
         assert monitor.level is Level.COLLISION
-        assert monitor.stop_reason.startswith("sudden external torque on lbr_A2 is 17.")
-        assert monitor.stop_reason.endswith("permitted 16 Nm")
+        assert monitor.stop_reason.startswith("sudden external torque on lbr_A2 is 13.")
+        assert monitor.stop_reason.endswith("permitted 12 Nm")
         slow = SafetyMonitor(dataclasses.replace(SETTINGS, contact_debounce=100), self.budget)
         for share in np.linspace(0.0, 1.0, 3000):
             slow.update(share * torque, REST)
