@@ -192,8 +192,10 @@ class SafetyMonitor:
                 f"reset needs at most {limits[joint]:g} Nm: free the arm"
             )
         self.stop_reason = ""
-        self._above = 0
-        self._handed_over_above = 0
+        self._above = self._touched = self._handed_over_above = 0
+        # What the slow mean took up of the push that stopped the arm would be a sudden torque now.
+        self._mean = self._last_residual.tolist()
+        self.in_contact = False
 
     def _scaled_contact_limits(self, share: float) -> list[tuple[float, float]]:
         limits = zip(self.budget.contact_thresholds, self.budget.contact_per_speed, strict=True)

@@ -200,6 +200,15 @@ class TestContact:
             slow.update(share * torque, REST)
         assert not slow.stopped
 
+    @pytest.mark.parametrize("states", [100, 20000])
+    def test_arm_that_was_freed_is_not_stopped_again_by_what_stopped_it(self, monitor, states):
+        push(monitor, 2.0 * np.array(self.budget.sudden_thresholds), states)
+        push(monitor, REST, 1)
+        monitor.reset()
+        push(monitor, REST, 100)
+        assert monitor.level is Level.FREE
+        assert monitor.stops == 1
+
     def test_residual_that_is_not_a_number_leaves_no_trace(self, monitor):
         push(monitor, np.full(7, math.nan), 2)
         push(monitor, REST, SETTINGS.release_debounce)
