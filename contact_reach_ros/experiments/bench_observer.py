@@ -160,18 +160,27 @@ class Push:
 
 def push_often(strength: float, count: int, budget: ContactBudget) -> list[Push]:
     """Push the moving arm, which differs from its model, with `strength` N on random links at mid-arm."""
-    motion = FreeMotion(MismatchSettings(), seed=0, budget=budget)
+    motion = _started(0, budget)
     locator = ContactLocator(RobotModel(), budget.contact_thresholds)
     random = np.random.default_rng(1)
-    while motion.plant.time < START:
-        motion.tick()
     pushes: list[Push] = []
     while len(pushes) < count:
         pause = motion.plant.time + random.uniform(*_BETWEEN_S)
-        while motion.plant.time < pause or motion.monitor.in_contact:
+        while (motion.plant.time < pause or motion.monitor.in_contact) and not motion.controller_stopped:
             motion.tick()
-        pushes.append(_push(motion, locator, strength, random, budget))
+        if motion.controller_stopped:
+            motion = _started(len(pushes), budget)
+        else:
+            pushes.append(_push(motion, locator, strength, random, budget))
     return pushes
+
+
+def _started(seed: int, budget: ContactBudget) -> FreeMotion:
+    """An arm that differs from its model, after the hand-over."""
+    motion = FreeMotion(MismatchSettings(), seed, budget)
+    while motion.plant.time < START:
+        motion.tick()
+    return motion
 
 
 def _push(
@@ -272,6 +281,9 @@ def move_freely(mismatch: MismatchSettings, minutes: float, budget: ContactBudge
         contacts += motion.monitor.contacts
         if motion.monitor.stopped:
             stops.append(f"seed {seed}, {motion.plant.time:.3f} s: {motion.monitor.stop_reason}")
+        elif motion.controller_stopped:
+            # Not the observer's fault, but it may not be passed over either.
+            stops.append(f"seed {seed}, {motion.plant.time:.3f} s, controller: {motion.controller_stopped}")
         seed += 1
     rms = np.sqrt(squares / max(states, 1))
     return FreeRun(rms.tolist(), largest.tolist(), stops, contacts, onsets.tolist())
@@ -282,7 +294,7 @@ def _episode(motion: FreeMotion, ticks: int) -> Iterator[Array]:
     for _ in range(ticks):
         motion.tick()
         yield motion.observer.residual
-        if motion.monitor.stopped:
+        if motion.monitor.stopped or motion.controller_stopped:
             return
 
 

@@ -65,6 +65,11 @@ class FreeMotion:
         self._from = self._to = _HOME
         self._begin, self._duration = START, 0.0
 
+    @property
+    def controller_stopped(self) -> str:
+        """Why the controller stopped the arm, as for its speed after a push; empty while the motion goes on."""
+        return self._controller.stop_reason
+
     def tick(self) -> None:
         """Advance by one state."""
         steps = self.plant.steps
