@@ -72,6 +72,18 @@ def _parser() -> argparse.ArgumentParser:
     foam.add_argument("--fit", action="store_true", help="find the planner's stiffness that agrees best")
     foam.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     foam.set_defaults(run=_bench_foam)
+    observer = benches.add_parser(
+        "observer", help="how soon pushes are seen, and how seldom free motion is taken for one"
+    )
+    observer.add_argument(
+        "--minutes",
+        type=float,
+        default=60.0,
+        help="simulated free motion in which false stops are counted (default: 60)",
+    )
+    observer.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    observer.add_argument("--plot", type=Path, metavar="FILE", help="draw pushes seen against false contacts")
+    observer.set_defaults(run=_bench_observer)
     planner = benches.add_parser("planner", help="time and steps of plans along closed-loop runs, and comparisons")
     planner.add_argument("--scene", nargs="+", metavar="SCENE", help="names or YAML files (default: free, ball, wall)")
     planner.add_argument("--plans", type=int, default=50, help="warm-started plans per scene, at least (default: 50)")
@@ -195,6 +207,13 @@ def _bench_foam(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_foam import bench_foam
 
     bench_foam(options.scene, options.seed, options.force, options.fit, options.json)
+    return 0
+
+
+def _bench_observer(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_observer import bench_observer
+
+    bench_observer(options.minutes, options.json, options.plot)
     return 0
 
 

@@ -45,7 +45,7 @@ def bench_control(ticks: int, file: Path | None) -> dict[str, dict[str, float]]:
             began_ns = time.perf_counter_ns()
             torque = controller.tick(q, v, now_ns, now_ns)
             between_ns = time.perf_counter_ns()
-            monitor.update(observer.update(q, v, torque, now_ns), v)
+            monitor.update(observer.update(q, v, torque, now_ns), v, observer.known_for)
             ended_ns = time.perf_counter_ns()
             if tick >= _WARM_UP:
                 times["controller"].add(between_ns - began_ns)

@@ -165,7 +165,7 @@ def run_episode(
         drive.tick(now_ns)
         reading = plant.read()
         observer.update(reading.position, reading.velocity, _known(reading), now_ns + _TICK_NS)
-        monitor.update(observer.residual, reading.velocity)
+        monitor.update(observer.residual, reading.velocity, observer.known_for)
         method.observer_report(monitor.stop_reason, now_ns)
         if watch is not None:
             watch(tick, plant)

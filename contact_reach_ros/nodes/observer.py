@@ -22,8 +22,9 @@ from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateReader, JointStateWriter, WrenchWriter, read_command
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
-from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
+from contact_reach_ros.observer.safety import Level, SafetyMonitor, SafetySettings
 from contact_reach_ros.plant.drive import checked_command
 from contact_reach_ros.plant.plant import TICK
 from contact_reach_ros.robot import iiwa14
@@ -37,6 +38,13 @@ NAME = "observer"
 
 _WRENCH_EVERY = 10
 _HEARTBEAT_EVERY = 10
+
+_LEVELS = {
+    Level.FREE: DiagnosticStatus.OK,
+    Level.CONTACT: DiagnosticStatus.WARN,
+    Level.COLLISION: DiagnosticStatus.ERROR,
+}
+_MONITORING = "monitoring"
 
 
 @dataclass(frozen=True)
@@ -75,25 +83,30 @@ class ObserverNode(ManagedNode):
         self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name, with_effort=measured)
         self._model = RobotModel()
         self._observer = MomentumObserver(self.settings["momentum"], self._model)
-        self._monitor = SafetyMonitor(self.settings["safety"], load_budget(self.settings[""].contact_budget))
+        budget = load_budget(self.settings[""].contact_budget)
+        self._monitor = SafetyMonitor(self.settings["safety"], budget)
+        self._locator = ContactLocator(self._model, budget.contact_thresholds)
+        self._contact: Contact | None = None
         self._ticks = 0
         self._last_ns = 0
-        self._published_reason: str | None = None
+        self._published: tuple[Level, str] | None = None
         self._torque_writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["effort"])
         self._wrench_writer = WrenchWriter(iiwa14.BASE_NAME)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Warm everything up."""
-        _rehearse(MomentumObserver(self.settings["momentum"], self._model))
+        _rehearse(MomentumObserver(self.settings["momentum"], self._model), self._locator)
         return super().on_configure(state)
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
-        """Ticks, gaps and the largest external torque."""
+        """Ticks, what was counted, and what the safety state says."""
         values = {
             "ticks": self._ticks,
             "gaps": self._observer.gaps,
+            "refused states": self._observer.refused,
+            "contacts": self._monitor.contacts,
             "stops": self._monitor.stops,
-            "external torque max Nm": float(np.abs(self._observer.residual).max()),
+            **self._findings(),
         }
         return self._monitor.stop_reason, values
 
@@ -115,8 +128,8 @@ class ObserverNode(ManagedNode):
         if stamp_ns != self._last_ns:
             self._last_ns = stamp_ns
             self._observer.update(q, v, torque, stamp_ns)
-            self._monitor.update(self._observer.residual, v)
-            self._publish(stamp_ns)
+            self._monitor.update(self._observer.residual, v, self._observer.known_for)
+            self._publish(stamp_ns, q)
         if self._horizon is not None:
             header = Header(frame_id=NAME)
             set_time(header.stamp, stamp_ns + int(TICK * NANOSECONDS))
@@ -129,12 +142,19 @@ class ObserverNode(ManagedNode):
             return torque
         if effort is None:
             raise InputError("joint_states: effort is empty; let the driver fill it, or set torque_source to commanded")
-        return effort if np.isfinite(effort.sum()) else None
+        if np.isfinite(effort.sum()):
+            return effort
+        if np.isnan(effort).all():
+            return None
+        raise InputError(f"joint_states: effort = {effort.tolist()}; expected finite torques, or all NaN while unknown")
 
-    def _publish(self, stamp_ns: int) -> None:
+    def _publish(self, stamp_ns: int, q: np.ndarray) -> None:
         self._ticks += 1
         self._torque.publish(self._torque_writer.write(stamp_ns, self._observer.residual))
-        if self._monitor.stop_reason != self._published_reason or self._ticks % _HEARTBEAT_EVERY == 0:
+        heartbeat = self._ticks % _HEARTBEAT_EVERY == 0
+        if heartbeat:
+            self._contact = self._locator.locate(q, self._monitor.sudden) if self._monitor.in_contact else None
+        if heartbeat or (self._monitor.level, self._monitor.stop_reason) != self._published:
             self._publish_safety()
         if self._ticks % _WRENCH_EVERY == 0:
             self._publish_wrench(stamp_ns)
@@ -144,19 +164,32 @@ class ObserverNode(ManagedNode):
 
     def _publish_safety(self) -> None:
         """The safety state, also as the sign of life that the controller waits for."""
-        reason = self._monitor.stop_reason
-        if reason and reason != self._published_reason:
+        level, reason = self._monitor.level, self._monitor.stop_reason
+        if reason and (level, reason) != self._published:
             self.say(LoggingSeverity.ERROR, f"stop: {reason}; call ~/reset to go on")
-        self._published_reason = reason
-        largest = float(np.abs(self._observer.residual).max())
+        self._published = (level, reason)
         message = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if reason else DiagnosticStatus.OK,
+            level=_LEVELS[level],
             name=NAME,
-            message=reason or "monitoring",
+            # Numbers are among the values only: the message tells when the state changes.
+            message=reason or (_MONITORING if level is Level.FREE else level.value),
             hardware_id="iiwa14",
-            values=[KeyValue(key="external torque max Nm", value=f"{largest:.3f}")],
+            values=[KeyValue(key=key, value=value) for key, value in self._findings().items()],
         )
         self._safety.publish(message)
+
+    def _findings(self) -> dict[str, str]:
+        """What the external torque says; link and force are known from the first heartbeat in contact on."""
+        findings = {
+            "level": self._monitor.level.value,
+            "external torque max Nm": f"{np.abs(self._observer.residual).max():.3f}",
+        }
+        contact = self._contact
+        if contact is not None:
+            findings["contact link"] = contact.link
+            findings["contact force N"] = f"{contact.strength:.1f}"
+            findings["contact force xyz N"] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
+        return findings
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._monitor.stop("stop service called")
@@ -169,16 +202,17 @@ class ObserverNode(ManagedNode):
         except InputError as error:
             response.message = str(error)
             return response
-        response.success, response.message = True, "monitoring"
+        response.success, response.message = True, _MONITORING
         return response
 
 
-def _rehearse(observer: MomentumObserver) -> None:
+def _rehearse(observer: MomentumObserver, locator: ContactLocator) -> None:
     """Go through everything once: what libraries do at their first call must not happen while an arm waits."""
-    zero = np.zeros(iiwa14.N_JOINTS)
+    zero, home = np.zeros(iiwa14.N_JOINTS), np.array(iiwa14.HOME_POSITION)
     for stamp_ns in (0, 1_000_000):
-        observer.update(np.array(iiwa14.HOME_POSITION), zero, zero, stamp_ns)
+        observer.update(home, zero, zero, stamp_ns)
     observer.flange_wrench()
+    locator.locate(home, observer.residual)
 
 
 def main() -> None:

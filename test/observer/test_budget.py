@@ -29,7 +29,7 @@ def test_file_replaces_what_it_names(file):
     ("content", "key"),
     [
         ("permited_force: 4", "unknown key 'permited_force'; did you mean 'permitted_force'?"),
-        ("links: {}", "unknown key 'links'; known keys: permitted_force, torque_thresholds"),
+        ("links: {}", "unknown key 'links'; known keys: contact_per_speed, contact_thresholds, "),
         ("permitted_force: -1", "permitted_force = -1: expected a number in [0, 140] N"),
         ("permitted_force: 141", "permitted_force = 141"),
         ("permitted_force: .nan", "permitted_force = nan"),
@@ -37,6 +37,8 @@ def test_file_replaces_what_it_names(file):
         ("torque_thresholds: [30, 30, 25]", "torque_thresholds = [30, 30, 25]: expected a list of 7 values"),
         ("torque_thresholds: [30, 30, 25, 25, 15, 10, 0]", "torque_thresholds = 0: expected"),
         ("torque_thresholds: 30", "torque_thresholds = 30"),
+        ("contact_per_speed: [1, 1, 1, 1, 1, 1, -1]", "contact_per_speed = -1: expected"),
+        ("handover_time: -0.1", "handover_time = -0.1: expected a number in [0, 5] s"),
         ("- permitted_force", "holds list; expected a mapping"),
         ("", "holds NoneType; expected a mapping"),
         ("permitted_force: [", "not valid YAML"),

@@ -126,6 +126,86 @@ def test_known_friction_is_not_taken_for_a_push():
     assert largest[0.0] > 0.5
 
 
+def test_known_dry_friction_of_moving_joints_is_not_taken_for_a_push():
+    friction = 0.5
+    joints = JointSettings(viscous_friction=0.0, coulomb_friction=friction)
+    largest = {}
+    for expected in (0.0, friction):
+        observed = Observed(settings=MomentumSettings(coulomb_friction=(expected,) * 7), joints=joints)
+        observed.plant.data.qvel[:] = 0.5
+        observed.observer.reset()
+        # These go on for a while; joints at rest stick, with less than the whole dry friction.
+        moving = [0, 2, 4]
+        residuals = [observed.step()[moving] for _ in range(40)]
+        assert np.abs(observed.plant.data.qvel[moving]).min() > 0.1
+        largest[expected] = np.abs(residuals).max()
+    assert largest[friction] < 0.05
+    assert largest[0.0] > 0.4
+
+
+def test_expected_dry_friction_has_no_jump_at_rest():
+    settings = MomentumSettings(coulomb_friction=(2.0,) * 7)
+    observers = [MomentumObserver(settings, RobotModel()) for _ in range(2)]
+    gravity, slow = RobotModel().gravity_at(HOME), np.full(7, 1e-5)
+    for tick in range(100):
+        residuals = [
+            observer.update(HOME, sign * slow, gravity, tick * TICK_NS)
+            for observer, sign in zip(observers, (-1.0, 1.0), strict=True)
+        ]
+    np.testing.assert_allclose(residuals[0], residuals[1], rtol=0, atol=0.01)
+
+
+def settled(settings: MomentumSettings, torque: np.ndarray) -> np.ndarray:
+    """Residual of an arm at rest at home on which this torque is said to act."""
+    observer = MomentumObserver(settings, RobotModel())
+    for tick in range(20 * TICKS_PER_LAG):
+        residual = observer.update(HOME, REST, torque, tick * TICK_NS)
+    return residual
+
+
+def test_arm_that_compensates_gravity_itself():
+    gravity, push = RobotModel().gravity_at(HOME), np.array([3.0, -2.0, 1.0, 4.0, 0.5, 0.2, -0.1])
+    np.testing.assert_allclose(settled(SETTINGS, gravity - push), push, atol=1e-6)
+    compensated = MomentumSettings(gravity_in_torque=False)
+    np.testing.assert_allclose(settled(compensated, -push), push, atol=1e-6)
+    # The wrong choice is seen as the whole weight.
+    np.testing.assert_allclose(settled(compensated, gravity), -gravity, atol=1e-6)
+
+
+@pytest.mark.parametrize("rotors_in_torque", [True, False])
+def test_torque_measured_behind_the_rotors_does_not_hold_what_accelerates_them(rotors_in_torque):
+    observer = MomentumObserver(MomentumSettings(rotors_in_torque=rotors_in_torque), RobotModel())
+    model = RobotModel()
+    acceleration = 20.0
+    for tick in range(200):
+        time = 1e-3 * tick
+        v = np.full(7, acceleration * time)
+        q = HOME + 0.5 * acceleration * time**2
+        # What acted in the middle of the step before.
+        middle = time - 5e-4
+        model.update(HOME + 0.5 * acceleration * middle**2, np.full(7, acceleration * middle))
+        torque = model.mass_matrix @ np.full(7, acceleration) + model.bias
+        if not rotors_in_torque:
+            torque = torque - iiwa14.ARMATURE * acceleration
+        residual = observer.update(q, v, torque, tick * TICK_NS)
+        if tick == 60:
+            break
+    # The rotors' share would be 0.01 kg m² · 20 rad/s² = 0.2 Nm on every joint.
+    assert np.abs(residual).max() < 0.05
+
+
+def test_time_since_the_hand_over():
+    observer = MomentumObserver(SETTINGS, RobotModel())
+    gravity = RobotModel().gravity_at(HOME)
+    for tick, torque in enumerate([None] * 3 + [gravity] * 10):
+        observer.update(HOME, REST, torque, tick * TICK_NS)
+    assert observer.known_for == pytest.approx(10 * TICK)
+    observer.update(HOME, REST, gravity, 40 * TICK_NS)
+    assert observer.known_for == pytest.approx(38 * TICK)
+    observer.update(HOME, REST, None, 41 * TICK_NS)
+    assert observer.known_for == 0.0
+
+
 def drifting_states(stamps_ms: list[float]) -> list[tuple[np.ndarray, np.ndarray, int]]:
     """States of a smooth motion at the given times."""
     states = []
@@ -200,6 +280,59 @@ class TestInterruptions:
         residual = observed.observer.update(HOME, REST, None, 31 * TICK_NS)
         np.testing.assert_array_equal(residual, before)
         assert observed.observer.gaps == 0
+
+    @pytest.mark.filterwarnings("ignore::RuntimeWarning")
+    @pytest.mark.parametrize("field", ["position", "velocity", "torque"])
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+    def test_state_that_is_not_finite_is_refused_and_forgotten(self, observed, field, value):
+        if (field, value) == ("position", 1e308):
+            pytest.skip("an angle is an angle, however large")
+        observer = observed.observer
+        before = observer.residual.copy()
+        gravity = RobotModel().gravity_at(HOME)
+        state = {"position": HOME.copy(), "velocity": REST.copy(), "torque": gravity.copy()}
+        # Two that cancel in a sum are no better.
+        state[field][[2, 5]] = value, -value
+        residual = observer.update(state["position"], state["velocity"], state["torque"], 31 * TICK_NS)
+        np.testing.assert_array_equal(residual, before)
+        assert observer.refused == 1
+        for _ in range(20 * TICKS_PER_LAG):
+            observed.step()
+        assert observer.refused == 1
+        assert observer.gaps == 0
+        assert np.isfinite(observer.flange_wrench()).all()
+        np.testing.assert_allclose(observer.residual, 0, atol=1e-3)
+
+    def test_many_such_states_in_a_row_are_a_gap(self, observed):
+        observer = observed.observer
+        before = observer.residual.copy()
+        gravity = RobotModel().gravity_at(HOME)
+        for tick in range(31, 60):
+            observer.update(HOME, np.full(7, np.nan), gravity, tick * TICK_NS)
+        residual = observer.update(HOME, np.full(7, 0.3), gravity, 60 * TICK_NS)
+        np.testing.assert_array_equal(residual, before)
+        assert (observer.refused, observer.gaps) == (29, 1)
+
+    def test_observer_can_begin_with_such_a_state(self):
+        observer = MomentumObserver(SETTINGS, RobotModel())
+        observer.update(HOME, np.full(7, np.nan), None, 0)
+        assert observer.refused == 1
+        gravity = RobotModel().gravity_at(HOME)
+        for tick in range(1, 5):
+            residual = observer.update(HOME, REST, gravity, tick * TICK_NS)
+        np.testing.assert_allclose(residual, 0, atol=1e-9)
+
+    @pytest.mark.parametrize("gap_ms", [5, 10, 20])
+    def test_gaps_in_motion_bring_no_peak(self, gap_ms):
+        observer = MomentumObserver(SETTINGS, RobotModel())
+        previous = largest = 0.0
+        stamps = [float(ms) for ms in range(400) if (ms // 40) % 2 == 0 or ms % gap_ms == 0]
+        for (q, v, stamp_ns), stamp in zip(drifting_states(stamps), stamps, strict=True):
+            residual = observer.update(q, v, driving_torque(0.5 * (previous + stamp)), stamp_ns)
+            largest = max(largest, np.abs(residual).max())
+            previous = stamp
+        assert observer.gaps > 0
+        assert largest < 0.1
 
     @pytest.mark.parametrize("stamp_ticks", [30, 29, -1000])
     def test_stamps_that_do_not_advance_keep_the_residual(self, observed, stamp_ticks):

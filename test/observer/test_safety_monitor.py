@@ -1,5 +1,6 @@
-"""The stop above the contact budget: debounced, latched, reset only by an arm that is free and at rest."""
+"""Contact and the stop above the contact budget: debounced, latched, reset only by an arm that is free and at rest."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,10 +11,11 @@ from hypothesis import strategies as st
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
+from contact_reach_ros.observer.safety import Level, SafetyMonitor, SafetySettings
 
 SETTINGS = SafetySettings()
-BUDGET = ContactBudget()
+# Nothing is too sudden, so that the other thresholds can be told apart.
+BUDGET = ContactBudget(sudden_thresholds=(320.0,) * 7)
 THRESHOLDS = np.array(BUDGET.torque_thresholds)
 
 
@@ -108,3 +110,143 @@ def test_reset_of_a_pushed_arm_is_refused_and_the_joint_named(monitor):
     with pytest.raises(InputError, match=r"lbr_A6 is -8\.0 Nm; reset needs at most 5 Nm: free the arm"):
         monitor.reset()
     assert monitor.stop_reason == "test"
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_threshold_of_a_stop_grows_with_the_joints_speed(joint):
+    speed = -0.8 * np.eye(7)[joint]
+    allowed = THRESHOLDS + BUDGET.torque_per_speed[joint] * 0.8
+    for share, stopped in ((0.99, False), (1.01, True)):
+        monitor = SafetyMonitor(SETTINGS, BUDGET)
+        push(monitor, share * allowed * np.eye(7)[joint], v=speed)
+        assert monitor.stopped is stopped
+    at_rest = SafetyMonitor(SETTINGS, BUDGET)
+    push(at_rest, 0.99 * allowed * np.eye(7)[joint])
+    assert at_rest.stopped
+
+
+class TestContact:
+    """Told above the thresholds of a contact, with debounce and hysteresis, and latched by nothing."""
+
+    budget = ContactBudget()
+    thresholds = np.array(budget.contact_thresholds)
+
+    @pytest.fixture
+    def monitor(self) -> SafetyMonitor:
+        return SafetyMonitor(SETTINGS, self.budget)
+
+    @pytest.mark.parametrize("side", [-1.0, 1.0])
+    @pytest.mark.parametrize("joint", range(7))
+    def test_each_joint_has_its_threshold(self, monitor, joint, side):
+        push(monitor, 0.95 * side * self.thresholds * np.eye(7)[joint], 50)
+        assert monitor.level is Level.FREE
+        monitor = SafetyMonitor(SETTINGS, self.budget)
+        push(monitor, 1.1 * side * self.thresholds * np.eye(7)[joint], SETTINGS.contact_debounce)
+        assert monitor.level is Level.CONTACT
+        assert not monitor.stopped
+        assert monitor.contacts == 1
+
+    def test_threshold_grows_with_speed(self, monitor):
+        torque = 1.1 * self.thresholds * np.eye(7)[1]
+        push(monitor, torque, 10, v=np.array([0, 0.5, 0, 0, 0, 0, 0]))
+        assert not monitor.in_contact
+        push(monitor, torque, 10, v=np.array([0.5, 0, 0, 0, 0, 0, 0]))
+        assert monitor.in_contact
+
+    def test_one_state_alone_is_no_contact(self, monitor):
+        for _ in range(10):
+            push(monitor, 3.0 * self.thresholds, SETTINGS.contact_debounce - 1)
+            push(monitor, REST, 1)
+        assert monitor.contacts == 0
+
+    def test_contact_ends_only_well_below_the_threshold_and_after_a_while(self, monitor):
+        push(monitor, 1.5 * self.thresholds, 5)
+        push(monitor, 0.8 * self.thresholds, 2 * SETTINGS.release_debounce)
+        assert monitor.in_contact
+        push(monitor, REST, SETTINGS.release_debounce - 1)
+        assert monitor.in_contact
+        push(monitor, REST, 1)
+        assert monitor.level is Level.FREE
+        assert monitor.contacts == 1
+
+    def test_touching_for_a_moment_keeps_the_contact(self, monitor):
+        push(monitor, 1.5 * self.thresholds, 5)
+        for _ in range(5):
+            push(monitor, REST, SETTINGS.release_debounce - 1)
+            push(monitor, 0.8 * self.thresholds, 1)
+        assert monitor.in_contact
+
+    def test_error_of_the_model_that_changes_slowly_is_no_contact(self, monitor):
+        for share in np.linspace(0.0, 1.0, 4000):
+            monitor.update(share * np.array([0.0, 12.0, 4.0, 6.0, 1.0, 0.5, 0.0]), REST)
+        assert monitor.contacts == 0
+        push(monitor, np.array([0.0, 16.0, 4.0, 6.0, 1.0, 0.5, 0.0]), 3)
+        assert monitor.in_contact
+
+    def test_contact_is_remembered_for_longer_than_the_mean_takes(self, monitor):
+        push(monitor, 2.0 * self.thresholds, 2 * SETTINGS.mean_states)
+        assert monitor.in_contact
+
+    def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
+        torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(7)[1]
+        assert torque[1] < self.budget.torque_thresholds[1]
+        monitor = SafetyMonitor(SETTINGS, self.budget)
+        push(monitor, torque)
+        assert monitor.level is Level.COLLISION
+        assert monitor.stop_reason.startswith("sudden external torque on lbr_A2 is 13.")
+        assert monitor.stop_reason.endswith("permitted 12 Nm")
+        slow = SafetyMonitor(dataclasses.replace(SETTINGS, contact_debounce=100), self.budget)
+        for share in np.linspace(0.0, 1.0, 3000):
+            slow.update(share * torque, REST)
+        assert not slow.stopped
+
+    @pytest.mark.parametrize("states", [100, 20000])
+    def test_arm_that_was_freed_is_not_stopped_again_by_what_stopped_it(self, monitor, states):
+        push(monitor, 2.0 * np.array(self.budget.sudden_thresholds), states)
+        push(monitor, REST, 1)
+        monitor.reset()
+        push(monitor, REST, 100)
+        assert monitor.level is Level.FREE
+        assert monitor.stops == 1
+
+    def test_residual_that_is_not_a_number_leaves_no_trace(self, monitor):
+        push(monitor, np.full(7, math.nan), 2)
+        push(monitor, REST, SETTINGS.release_debounce)
+        assert monitor.level is Level.FREE
+        assert np.isfinite(monitor.sudden).all()
+
+
+class TestHandOver:
+    """While the arm is handed over, weight that the model does not know stops it, and nothing else is told."""
+
+    budget = ContactBudget()
+    weight = 1.1 * np.array(budget.handover_thresholds)[1] * np.eye(7)[1]
+
+    def hand_over(self, torque: np.ndarray, seconds: float, begin: float = 0.0) -> SafetyMonitor:
+        monitor = SafetyMonitor(SETTINGS, self.budget)
+        for tick in range(round(seconds * 1000)):
+            monitor.update(torque, REST, begin + 1e-3 * tick)
+        return monitor
+
+    def test_unknown_weight_stops_the_arm_and_is_named(self):
+        monitor = self.hand_over(self.weight, self.budget.handover_time)
+        assert monitor.stop_reason.startswith(
+            "at hand-over the external torque on lbr_A2 is 11.0 Nm, permitted 10 Nm: "
+        )
+        assert "gravity or payload" in monitor.stop_reason
+        assert monitor.stops == 1
+
+    def test_the_same_torque_later_does_not(self):
+        assert not self.hand_over(self.weight, 1.0, begin=self.budget.handover_time).stopped
+
+    def test_less_weight_does_not_and_is_no_contact_either(self):
+        monitor = self.hand_over(0.8 * self.weight, 1.0)
+        assert not monitor.stopped
+        assert monitor.contacts == 0
+
+    def test_short_peaks_are_ignored(self):
+        assert not self.hand_over(self.weight, 1e-3 * (SETTINGS.handover_debounce - 1)).stopped
+
+    def test_collision_stops_at_once(self):
+        monitor = self.hand_over(1.1 * THRESHOLDS, 1e-3 * SETTINGS.debounce)
+        assert monitor.stop_reason.startswith("external torque on ")

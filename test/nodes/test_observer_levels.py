@@ -1,0 +1,118 @@
+"""What the observer node says in safety_state, from joint states to messages."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import rclpy
+from arm_simulation import HOME, REST, TICK_NS
+from diagnostic_msgs.msg import DiagnosticStatus
+from stack_helpers import environment
+
+from contact_reach_ros.nodes.observer import ObserverNode
+from contact_reach_ros.nodes.serialized import JointStateWriter
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+
+BUDGET = ContactBudget()
+LIGHT = np.array([0.0, 5.0, 0.0, 4.0, 0.0, 0.0, 0.0])
+UNKNOWN = np.full(7, np.nan)
+
+
+class Publisher:
+    """Keeps what is published."""
+
+    def __init__(self) -> None:
+        self.messages: list[DiagnosticStatus] = []
+
+    def publish(self, message: DiagnosticStatus) -> None:
+        self.messages.append(message)
+
+
+class Watched:
+    """An observer node that is given joint states of an arm at rest at home."""
+
+    def __init__(self) -> None:
+        self.node = ObserverNode()
+        self.safety = self.node._safety = Publisher()
+        self._writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity", "effort"])
+        self._gravity = RobotModel().gravity_at(HOME)
+        self._tick = 0
+
+    def give(self, external: np.ndarray, count: int, velocity: np.ndarray = REST) -> None:
+        for _ in range(count):
+            self._tick += 1
+            self.node._on_state(self._writer.write(self._tick * TICK_NS, HOME, velocity, self._gravity - external))
+
+    @property
+    def last(self) -> tuple[bytes, str, dict[str, str]]:
+        message = self.safety.messages[-1]
+        return message.level, message.message, {entry.key: entry.value for entry in message.values}
+
+
+@pytest.fixture
+def watched() -> Iterator[Watched]:
+    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        watched = Watched()
+        watched.give(UNKNOWN, 5)
+        watched.give(REST, 400)
+        yield watched
+    finally:
+        rclpy.shutdown()
+
+
+def test_levels_are_told_when_they_change_and_as_a_sign_of_life(watched):
+    assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")
+    before = len(watched.safety.messages)
+    watched.give(REST, 100)
+    assert len(watched.safety.messages) == before + 10
+    watched.give(LIGHT, 60)
+    level, message, values = watched.last
+    assert (level, message) == (DiagnosticStatus.WARN, "contact")
+    assert values["level"] == "contact"
+    assert values["contact link"] in iiwa14.LINK_NAMES[1:]
+    assert float(values["contact force N"]) > 5.0
+    assert len(values["contact force xyz N"].split()) == 3
+    # The message has no numbers, so that a bag's reader sees one change.
+    assert {entry.message for entry in watched.safety.messages} == {"monitoring", "contact"}
+    watched.give(REST, 400)
+    assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")
+    assert "contact link" not in watched.last[2]
+
+
+def test_contact_is_told_at_once(watched):
+    watched.give(LIGHT * 3.0, 8)
+    # Not at a multiple of the heartbeat.
+    assert [entry.level for entry in watched.safety.messages].count(DiagnosticStatus.WARN) == 1
+
+
+def test_stop_is_an_error_with_its_reason_and_link(watched):
+    watched.give(3.0 * LIGHT, 60)
+    level, message, values = watched.last
+    assert level == DiagnosticStatus.ERROR
+    assert message.startswith("sudden external torque on lbr_A")
+    assert values["level"] == "collision"
+    assert float(values["contact force N"]) > 20.0
+    watched.give(REST, 400)
+    assert watched.last[:2] == (level, message)
+
+
+def test_unknown_weight_at_hand_over_is_an_error(watched):
+    watched.give(UNKNOWN, 5)
+    watched.give(1.2 * np.array(BUDGET.handover_thresholds)[1] * np.eye(7)[1], 200)
+    assert watched.last[0] == DiagnosticStatus.ERROR
+    assert "at hand-over the external torque on lbr_A2" in watched.last[1]
+
+
+def test_torque_of_which_a_part_is_not_finite_is_refused(watched):
+    external = np.zeros(7)
+    external[3] = np.nan
+    watched.give(external, 3)
+    assert watched.node.refused == {"joint states": 3}
+    _, values = watched.node.diagnosis()
+    watched.give(REST, 50)
+    assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")
+    assert np.isfinite(float(watched.last[2]["external torque max Nm"]))
+    assert values["contacts"] == 0

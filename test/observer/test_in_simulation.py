@@ -1,0 +1,60 @@
+"""Observer and monitor on the arm that the real controller moves, in lockstep, with friction, noise and mismatch."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from contact_reach_ros.experiments.free_motion import START, FreeMotion
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.safety import Level
+from contact_reach_ros.scenes.scene import NO_MISMATCH, MismatchSettings
+
+BUDGET = ContactBudget()
+MISMATCH = MismatchSettings()
+
+
+def run(motion: FreeMotion, until: float) -> FreeMotion:
+    while motion.plant.time < until and not motion.monitor.stopped:
+        motion.tick()
+    return motion
+
+
+def push(motion: FreeMotion, body: str, force: tuple[float, float, float]) -> None:
+    motion.plant.data.xfrc_applied[motion.plant.model.body(body).id, :3] = force
+
+
+@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MISMATCH], ids=["matching", "mismatch"])
+def test_free_motion_is_neither_contact_nor_collision(mismatch):
+    motion = run(FreeMotion(mismatch, 3, BUDGET), 5.0)
+    assert not motion.monitor.stopped
+    assert motion.monitor.contacts == 0
+    # The arm did move, and was watched.
+    assert np.abs(motion.observer.residual).max() > 0.0
+    assert np.linalg.norm(motion.position - motion.plant.scene.start) > 0.3
+
+
+def test_unknown_weight_is_found_when_the_arm_is_handed_over():
+    motion = run(FreeMotion(dataclasses.replace(NO_MISMATCH, payload=4.0), 0, BUDGET), START)
+    assert "at hand-over the external torque on lbr_A2" in motion.monitor.stop_reason
+    assert "payload" in motion.monitor.stop_reason
+    assert motion.observer.known_for <= BUDGET.handover_time
+
+
+def test_push_is_a_contact_that_ends_with_it():
+    motion = run(FreeMotion(MISMATCH, 0, BUDGET), 2.0)
+    push(motion, "lbr_link_4", (0.0, 0.0, -15.0))
+    run(motion, 2.06)
+    assert motion.monitor.level is Level.CONTACT
+    push(motion, "lbr_link_4", (0.0, 0.0, 0.0))
+    run(motion, 2.6)
+    assert motion.monitor.level is Level.FREE
+
+
+def test_hard_push_stops_the_arm():
+    motion = run(FreeMotion(MISMATCH, 0, BUDGET), 2.0)
+    push(motion, "lbr_link_5", (0.0, 0.0, -80.0))
+    run(motion, 2.1)
+    assert motion.monitor.level is Level.COLLISION
+    assert "torque on lbr_A" in motion.monitor.stop_reason
+    assert motion.plant.time < 2.03
