@@ -63,7 +63,7 @@ class ControllerNode(ManagedNode):
         self._commands = self.make_publisher(topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         # Plans and safety before joint states: a tick uses all that came before it.
-        self.inbox.add(topics.SAFETY_STATE, self._on_safety)
+        self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
         lockstep = self.get_parameter("use_sim_time").value

@@ -96,7 +96,7 @@ class _Watcher:
         inbox = supervisor.inbox
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
-        inbox.add(topics.SAFETY_STATE, self._on_safety)
+        inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         inbox.add(topics.REFERENCE_POSE, self._on_plan, topics.NEWEST)
         inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
 

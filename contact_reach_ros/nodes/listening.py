@@ -12,7 +12,7 @@ from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
@@ -33,9 +33,6 @@ EFFORT_CONTROLLER = "effort_controller"
 _DEEP = 2000
 _EVERYTHING = QoSProfile(depth=_DEEP, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches every publisher."""
-
-_LATCHED = QoSProfile(depth=_DEEP, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""For the safety state: deep, or the observer's last signs of life push out what controller and driver said once."""
 
 _DISCOVERY_S, _SETTLED_S = 4.0, 1.0
 _ANSWER_S = 1.0
@@ -142,7 +139,7 @@ class Look:
         for topic in HEARD_BY_DOCTOR:
             infos = self._node.get_publishers_info_by_topic(self._full(topic.name))
             if any(info.topic_type == type_name(topic) for info in infos):
-                qos = _LATCHED if topic is topics.SAFETY_STATE else _EVERYTHING
+                qos = topics.ALL_EVENTS if topic is topics.SAFETY_STATE else _EVERYTHING
                 subscriptions[topic.name] = (
                     topic.type,
                     self._node.create_subscription(

@@ -116,7 +116,7 @@ class PlannerNode(ManagedNode):
         self._marker_publisher = self.make_publisher(topics.PLAN_MARKERS)
         self._lockstep: bool = self.get_parameter("use_sim_time").value
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
-        self.inbox.add(topics.SAFETY_STATE, self._on_safety)
+        self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True)
         self.inbox.add(topics.GOAL_POSE, self._on_goal)
         qos = topics.EVERY if self._lockstep else topics.NEWEST

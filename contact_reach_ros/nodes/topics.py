@@ -23,7 +23,10 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 LATCHED_EVENTS = QoSProfile(
     depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""The same for the last messages of several publishers, one of which may say much."""
+"""The same for publishers whose last message is not all that counts."""
+
+ALL_EVENTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""What subscribers of these ask for: room for what all publishers keep, or one that says much would hide the others."""
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """What real-time subscribers ask for: only the last message counts."""
