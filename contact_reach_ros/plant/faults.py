@@ -565,28 +565,16 @@ class Faults:
 
     def act(self, now_ns: int) -> None:
         """Let the faults of robot and surroundings act on the next step of the plant."""
-        if not self._plant_faults:
-            return
-        acting = [fault for fault in self._plant_faults if self._is_active(fault, now_ns)]
-        if acting == self._acting:
-            return
-        self._acting = acting
-        plant = self._plant
-        plant.set_payload(sum(fault.mass for fault in acting if isinstance(fault, Payload)))
-        plant.scale_friction(_product(fault.factor for fault in acting if isinstance(fault, Friction)))
-        plant.scale_foam(_product(fault.factor for fault in acting if isinstance(fault, StifferFoam)))
-        plant.set_pushes(
-            [
-                Push(fault.link, np.array(fault.force), np.array(fault.point))
-                for fault in acting
-                if isinstance(fault, ExternalPush)
-            ]
-        )
-        obstacle = next((fault for fault in acting if isinstance(fault, Obstacle)), None)
-        if obstacle is not None:
-            plant.place_spare_obstacle(np.array(obstacle.position), obstacle.radius, obstacle.stiffness)
-        elif plant.has_spare_obstacle:
-            plant.remove_spare_obstacle()
+        if self._plant_faults:
+            self._change([fault for fault in self._plant_faults if self._is_active(fault, now_ns)])
+
+    def end(self) -> None:
+        """Undo what robot and surroundings suffer; messages under way are lost."""
+        self._change([])
+
+    def text(self) -> str:
+        """The schedule in the compact form."""
+        return "; ".join(fault.text() for fault in self.schedule)
 
     def send_command(self, torque: Array, now_ns: int) -> None:
         """Put a command (7,), N m, on its way to the drive."""
@@ -621,6 +609,28 @@ class Faults:
     def plan_delay(self, now_ns: int) -> float:
         """How late a plan made now comes, s."""
         return sum(fault.delay for fault in self._of(LatePlans) if self._is_active(fault, now_ns))
+
+    def _change(self, acting: list[Fault]) -> None:
+        """Let these faults act on robot and surroundings, and no others."""
+        if acting == self._acting:
+            return
+        self._acting = acting
+        plant = self._plant
+        plant.set_payload(sum(fault.mass for fault in acting if isinstance(fault, Payload)))
+        plant.scale_friction(_product(fault.factor for fault in acting if isinstance(fault, Friction)))
+        plant.scale_foam(_product(fault.factor for fault in acting if isinstance(fault, StifferFoam)))
+        plant.set_pushes(
+            [
+                Push(fault.link, np.array(fault.force), np.array(fault.point))
+                for fault in acting
+                if isinstance(fault, ExternalPush)
+            ]
+        )
+        obstacle = next((fault for fault in acting if isinstance(fault, Obstacle)), None)
+        if obstacle is not None:
+            plant.place_spare_obstacle(np.array(obstacle.position), obstacle.radius, obstacle.stiffness)
+        elif plant.has_spare_obstacle:
+            plant.remove_spare_obstacle()
 
     def _of(self, kind: type[FaultType]) -> list[FaultType]:
         return [fault for fault in self.schedule if isinstance(fault, kind)]

@@ -91,9 +91,7 @@ _TORQUE = "observer: external torque"
 _NO_PLAN = "controller: no valid plan"
 _NO_OBSERVER = "controller: observer silent"
 
-_SINKS = (
-    "the compliant stop has no answer to a load that its model does not know: the arm sinks; nobody closes the brakes"
-)
+_SINKS = "the compliant stop does not carry a load that no model knows: the arm sinks; nobody closes the brakes"
 _NOISE = "the stop's damping passes the noise of the velocities on to the joints; nobody closes the brakes"
 _STUCK = (
     "the observer takes long to notice, and the compliant stop neither damps the joint nor knows its gravity; nobody "
