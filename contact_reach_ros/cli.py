@@ -58,6 +58,8 @@ def _parser() -> argparse.ArgumentParser:
     doctor.set_defaults(run=_doctor)
 
     fault = commands.add_parser("fault", help="make things go wrong in the running stack", add_help=False)
+    # Its own parser is made where rclpy may be imported, and knows the rest.
+    fault.add_argument("-h", "--help", dest="wants_help", action="store_true")
     fault.add_argument("arguments", nargs=argparse.REMAINDER)
     fault.set_defaults(run=_fault)
 
@@ -208,7 +210,8 @@ def _doctor(options: argparse.Namespace) -> int:
 def _fault(options: argparse.Namespace) -> int:
     from contact_reach_ros.nodes.faults import make_parser
 
-    chosen = make_parser("contact-reach fault").parse_args(options.arguments)
+    arguments = ["--help"] if options.wants_help else options.arguments
+    chosen = make_parser("contact-reach fault").parse_args(arguments)
     chosen.act(chosen)
     return 0
 

@@ -13,7 +13,8 @@ from contact_reach_ros.robot import iiwa14
 
 LASTING_FORCE = 140.0
 """Largest contact force that may last, N: what ISO/TS 15066 permits on hands, and the largest that a contact budget
-accepts. The budget's thresholds keep below it where the lever arm is more than 0.22 m: 30 Nm on A2 are 140 N there."""
+accepts. The budget's thresholds keep below it where the lever arm is longer than 0.21 m: 30 Nm on A2 are
+140 N there."""
 TRANSIENT_FORCE = 280.0
 """Largest contact force at any time, N: twice as much, as ISO/TS 15066 permits in an impact."""
 TRANSIENT_TIME = 0.5
