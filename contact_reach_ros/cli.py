@@ -57,6 +57,12 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     doctor.set_defaults(run=_doctor)
 
+    fault = commands.add_parser("fault", help="make things go wrong in the running stack", add_help=False)
+    # Its own parser is made where rclpy may be imported, and knows the rest.
+    fault.add_argument("-h", "--help", dest="wants_help", action="store_true")
+    fault.add_argument("arguments", nargs=argparse.REMAINDER)
+    fault.set_defaults(run=_fault)
+
     bench = commands.add_parser("bench", help="measure on this machine")
     benches = bench.add_subparsers(required=True, metavar="WHAT")
     control = benches.add_parser("control", help="arithmetic of controller and observer, per tick")
@@ -113,6 +119,11 @@ def _parser() -> argparse.ArgumentParser:
     chosen.add_argument("--targets", type=int, default=10, help="episodes per scene and value (default: 10)")
     chosen.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     chosen.set_defaults(run=_bench_setting)
+    faults = benches.add_parser("faults", help="episodes in which things go wrong at random")
+    faults.add_argument("--episodes", type=int, default=200, help="how many (default: 200)")
+    faults.add_argument("--seed", type=int, default=0, help="of the first episode (default: 0)")
+    faults.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    faults.set_defaults(run=_bench_faults)
     table1 = benches.add_parser("table1", help="the paper's Table I: every method in every scene")
     table1.add_argument(
         "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: those of the paper)"
@@ -196,6 +207,15 @@ def _doctor(options: argparse.Namespace) -> int:
     )
 
 
+def _fault(options: argparse.Namespace) -> int:
+    from contact_reach_ros.nodes.faults import make_parser
+
+    arguments = ["--help"] if options.wants_help else options.arguments
+    chosen = make_parser("contact-reach fault").parse_args(arguments)
+    chosen.act(chosen)
+    return 0
+
+
 def _bench_control(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_control import bench_control
 
@@ -245,6 +265,12 @@ def _bench_setting(options: argparse.Namespace) -> int:
     values = [yaml.safe_load(value) for value in options.values]
     bench_setting(options.name, values, options.scene, options.targets, options.json)
     return 0
+
+
+def _bench_faults(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_faults import bench_faults
+
+    return 1 if bench_faults(options.episodes, options.seed, options.json)["violations"] else 0
 
 
 def _bench_table1(options: argparse.Namespace) -> int:

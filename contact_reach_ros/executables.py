@@ -43,3 +43,8 @@ def recorder() -> None:
 def bringup() -> None:
     """Run the whole stack."""
     _run("bringup")
+
+
+def faults() -> None:
+    """Make things go wrong."""
+    _run("faults")

@@ -13,3 +13,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 # The same examples every time, and no deadline: what is tested does not depend on the machine's speed.
 hypothesis.settings.register_profile("reproducible", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("reproducible")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--write-faults", action="store_true", help="write what test/faults finds to docs/faults.md")

@@ -267,10 +267,10 @@ class JointTorqueMethod:
         self._plans = [other for other in self._plans if other.effect_ns >= newest] + [plan]
         return plan
 
-    def torque(self, q: Array, v: Array, now_ns: int) -> Array:
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
         """The torque of the plan in force, or what holds or stops the arm."""
         if self.stop_reason or not any(plan.effect_ns <= now_ns for plan in self._plans):
-            return self._controller.tick(q, v, now_ns, now_ns)
+            return self._controller.tick(q, v, now_ns, clock_ns)
         self._model.update(q, v)
         held = reference_at(self._plans, now_ns + 1)
         torque = self._model.bias.copy()

@@ -59,10 +59,10 @@ class Method(Protocol):
             If there is no way to the goal.
         """
 
-    def torque(self, q: Array, v: Array, now_ns: int) -> Array:
-        """Joint torques (7,) for a state, N m."""
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
+        """Joint torques (7,) for a state stamped `now_ns`, N m; `clock_ns` is the clock of `observer_report`."""
 
-    def observer_report(self, stopped_because: str, now_ns: int) -> None:
+    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
         """Hear that the observer lives; a non-empty reason stops the arm."""
 
 
@@ -104,17 +104,27 @@ class ReferenceMethod:
     def plan(self, q: Array, v: Array, now_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
         """Let the planner plan and hand its references to the controller."""
         plan = self.planner.plan(q, v, now_ns, effect_ns, goal, spheres)
+        self.follow(plan, now_ns)
+        return plan
+
+    def follow(self, plan: Plan, now_ns: int) -> None:
+        """Hand the references of a plan to the controller.
+
+        Raises
+        ------
+        InputError
+            If the controller refuses them, because they are no longer valid, say.
+        """
         knot_ns = round(plan.knot_duration_s * NANOSECONDS)
         ends = tuple((index + 1) * knot_ns for index in range(len(plan.positions)))
         references = self._controller.references
         references.offer_poses(PoseKnots(plan.effect_ns, ends, plan.positions, plan.rotations), now_ns)
         references.offer_postures(PostureKnots(plan.effect_ns, ends, plan.postures), now_ns)
-        return plan
 
-    def torque(self, q: Array, v: Array, now_ns: int) -> Array:
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
         """One tick of the controller."""
-        return self._controller.tick(q, v, now_ns, now_ns)
+        return self._controller.tick(q, v, now_ns, clock_ns)
 
-    def observer_report(self, stopped_because: str, now_ns: int) -> None:
+    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
         """Pass the report on to the controller."""
-        self._controller.observer_report(stopped_because, now_ns)
+        self._controller.observer_report(stopped_because, clock_ns)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -19,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import ContactReachError, InputError, SettingsError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import nanoseconds, set_time
@@ -28,6 +29,7 @@ from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateWriter, read_command
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
+from contact_reach_ros.plant.faults import Faults, Schedule, Seam, State, parse_faults
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
 from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
@@ -62,6 +64,7 @@ class DriverSettings(Settings):
     seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
     target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
     lockstep: bool = setting(False, "advance only when controller, observer and planner are done with the last tick")
+    faults: str = setting("", "what goes wrong after activation: a schedule or its YAML file, see docs/faults.md")
 
 
 class DriverNode(ManagedNode):
@@ -89,19 +92,25 @@ class DriverNode(ManagedNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         qos = topics.EVERY if self._lockstep else topics.NEWEST
         self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)
+        self.create_subscription(topics.SIM_FAULTS.type, topics.SIM_FAULTS.name, self._on_faults, topics.SIM_FAULTS.qos)
         self._horizons = {"observer": 0, "planner": 0}
         if self._lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
         settings = self.settings
         chosen: DriverSettings = settings[""]
         self._scene = make_scene(read_scene(chosen.scene), chosen.seed, parse_target(chosen.target))
-        self._plant = Plant(self._scene, settings["sensors"], settings["joints"])
+        self._plant = Plant(self._scene, settings["sensors"], settings["joints"], spare_obstacle=True)
         self._drive = Drive(self._plant, settings["watchdog"])
+        self._faults = self._make_faults(driver_faults(chosen.faults))
+        """None while nothing goes wrong, so that it costs nothing then."""
+        self._new_faults: deque[Faults | None] = deque()
         self._obstacles_every = _WALLS_EVERY if self._scene.walls else _OBSTACLES_EVERY
         self._start_ns = 0
         self._next_ns = 0
         self._published_ns = 0
-        self._answered = False
+        self._unanswered = 1
+        """Joint states that the controller has not answered yet."""
+        self._horizon_due_ns = 0
         self._round_trip = Histogram()
         self._wake_up_late = Histogram()
         self._missed = 0
@@ -123,6 +132,8 @@ class DriverNode(ManagedNode):
         self._start_ns = _LOCKSTEP_START_NS if self._lockstep else time.time_ns()
         self._start_ns -= self._plant.steps * _TICK_NS
         self._next_ns = time.monotonic_ns() + _TICK_NS
+        if self._faults is not None:
+            self._faults.start(self._now_ns)
         return super().on_activate(state)
 
     def turn(self) -> None:
@@ -140,6 +151,7 @@ class DriverNode(ManagedNode):
             "commands rejected": self._drive.rejected,
             "actuation": self._plant.actuation.value,
             "stop reason": self._drive.stop_reason,
+            "faults": "none" if self._faults is None else self._faults.text(),
         }
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
@@ -163,9 +175,9 @@ class DriverNode(ManagedNode):
 
     def _lockstep_tick(self) -> None:
         self._publish()
-        due_ns = self._now_ns + _TICK_NS
+        due_ns = self._horizon_due_ns
         start_ns = repeat_ns = time.monotonic_ns()
-        while not (self._answered and min(self._horizons.values()) >= due_ns):
+        while not (self._unanswered <= 0 and min(self._horizons.values()) >= due_ns):
             self.inbox.wait(_LOCKSTEP_REPEAT_NS)
             if self._stop.is_set() or not self.running:
                 return
@@ -176,7 +188,7 @@ class DriverNode(ManagedNode):
                 self._publish()
             elif self._plant.steps > 0 and now_ns - start_ns > _LOCKSTEP_PATIENCE_NS:
                 silent = [name for name, horizon in self._horizons.items() if horizon < due_ns]
-                silent += [] if self._answered else ["controller"]
+                silent += ["controller"] if self._unanswered > 0 else []
                 raise ContactReachError(f"lockstep: no answer from {', '.join(silent)} for 30 s; see the node's log")
         self._tick(self._now_ns)
 
@@ -186,16 +198,24 @@ class DriverNode(ManagedNode):
         return self._start_ns + self._plant.steps * _TICK_NS
 
     def _tick(self, clock_ns: int) -> None:
+        if self._new_faults:
+            self._begin_faults()
+        if self._faults is not None:
+            for torque in self._faults.commands(self._now_ns):
+                self._command(torque, clock_ns)
+            self._faults.act(self._now_ns)
         self._drive.tick(clock_ns)
         np.maximum(self._peak_contact, self._plant.contact_forces(), out=self._peak_contact)
 
     def _publish(self) -> None:
         now_ns, steps = self._now_ns, self._plant.steps
         reading = self._plant.read()
-        data = self._state_writer.write(now_ns, reading.position, reading.velocity, reading.torque)
-        self._answered = False
-        self._published_ns = time.time_ns()
-        self._joint_states.publish(data)
+        if self._faults is None:
+            states = [State(now_ns, reading)]
+        else:
+            self._faults.send_state(reading, now_ns)
+            states = self._faults.states(now_ns)
+        self._publish_states(states)
         if (self._plant.actuation.value, self._drive.stop_reason) != self._published_safety:
             self._publish_safety()
         if steps % _CONTACTS_EVERY == 0:
@@ -206,6 +226,18 @@ class DriverNode(ManagedNode):
             message = Clock()
             set_time(message.clock, now_ns)
             self._clock_publisher.publish(message)
+
+    def _publish_states(self, states: list[State]) -> None:
+        # Nobody answers what was not published, or what has to be refused.
+        self._unanswered, self._horizon_due_ns = 0, 0
+        for state in states:
+            stamp_ns, reading = state
+            data = self._state_writer.write(stamp_ns, reading.position, reading.velocity, reading.torque)
+            if self._faults is None or state.is_finite:
+                self._unanswered += 1
+                self._horizon_due_ns = stamp_ns + _TICK_NS
+            self._published_ns = time.time_ns()
+            self._joint_states.publish(data)
 
     def _publish_safety(self) -> None:
         actuation, reason = self._plant.actuation.value, self._drive.stop_reason
@@ -230,14 +262,47 @@ class DriverNode(ManagedNode):
         self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
     def _on_command(self, data: bytes) -> None:
-        if not self._answered:
+        if self._unanswered > 0:
             self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
-        self._answered = True
+            self._unanswered -= 1
         try:
-            clock_ns = self._now_ns if self._lockstep else time.monotonic_ns()
-            self._drive.command(read_command(data), clock_ns)
+            torque = read_command(data)
         except InputError as error:
             self.refuse("commands", error)
+            return
+        if self._faults is not None:
+            self._faults.send_command(torque, self._now_ns)
+        else:
+            self._command(torque, self._now_ns if self._lockstep else time.monotonic_ns())
+
+    def _command(self, torque: np.ndarray, clock_ns: int) -> None:
+        try:
+            self._drive.command(torque, clock_ns)
+        except InputError as error:
+            self.refuse("commands", error)
+
+    def _make_faults(self, schedule: Schedule) -> Faults | None:
+        return Faults(schedule, self._scene.seed, self._plant) if schedule else None
+
+    def _begin_faults(self) -> None:
+        """Put the schedule in force that came last; what the one before has changed is undone."""
+        while self._new_faults:
+            faults = self._new_faults.popleft()
+        if self._faults is not None:
+            self._faults.end()
+        self._faults = faults
+        if faults is not None:
+            faults.start(self._now_ns)
+
+    def _on_faults(self, message: String) -> None:
+        """A schedule instead of the one at hand; an empty one ends all faults. Called in the services' thread."""
+        try:
+            faults = self._make_faults(driver_faults(message.data))
+        except ContactReachError as error:
+            self.refuse("faults", error)
+            return
+        self.get_logger().warning(f"faults: {message.data.strip() or 'none'}")
+        self._new_faults.append(faults)
 
     def _on_horizon(self, message: Header) -> None:
         if message.frame_id in self._horizons:
@@ -252,6 +317,24 @@ class DriverNode(ManagedNode):
         self._drive.reset()
         response.success, response.message = True, "released; the brakes open after steady commands"
         return response
+
+
+def driver_faults(text: str) -> Schedule:
+    """The schedule in a text, as `parse_faults`, of faults that the driver can play.
+
+    Raises
+    ------
+    SettingsError
+        If it is no schedule, or silences a node, which only the node itself or its process can.
+    """
+    schedule = parse_faults(text)
+    for fault in schedule:
+        if fault.SEAM is Seam.NODES:
+            raise SettingsError(
+                f"faults: {fault.KIND} is none of the driver's; freeze or kill the node: "
+                "ros2 run contact_reach_ros faults freeze planner"
+            )
+    return schedule
 
 
 def main() -> None:

@@ -83,7 +83,7 @@ MANAGED = {
             topics.ROBOT_DESCRIPTION,
             topics.CLOCK,
         ],
-        [topics.COMMANDS, topics.LOCKSTEP_HORIZON],
+        [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.SIM_FAULTS],
         _STOP,
     ),
     "controller": _managed(

@@ -18,6 +18,10 @@ _CONTACT_DAMPING = 10.0
 _ARM_MASS = 3.0
 """Effective mass of the arm where it touches something that cannot move, roughly, kg."""
 
+SPARE_NAME = "spare"
+SPARE_PLACE = (0.0, 0.0, -100.0)
+"""Where nothing touches the spare obstacle, m."""
+
 
 def ball_body(index: int, ball: Ball, scale: float = 1.0) -> Element:
     """A sphere on three sprung sliders, with all stiffnesses multiplied by `scale`."""
@@ -44,6 +48,20 @@ def wall_bodies(index: int, wall: Wall, scale: float = 1.0) -> list[Element]:
         body.append(_sphere(body, settings.node_radius, settings.node_mass, settings, effective_mass, scale))
         bodies.append(body)
     return bodies
+
+
+def spare_body() -> Element:
+    """A sphere out of reach that does not give way and can be put anywhere while the simulation runs."""
+    body = Element("body", name=SPARE_NAME, pos=numbers(SPARE_PLACE), mocap="true")
+    material = WallSettings()
+    body.append(_sphere(body, 0.05, 0.0, material, _ARM_MASS, 1.0))
+    return body
+
+
+def fixed_contact(stiffness: float) -> tuple[float, float]:
+    """MuJoCo's `solref` for a contact of this stiffness, N/m, with something that does not give way."""
+    scale = (1.0 - _IMPEDANCE) / _ARM_MASS
+    return -stiffness * scale, -_CONTACT_DAMPING * scale
 
 
 def _slider_body(name: str, position: NDArray[np.float64], damping: float, stiffness: float) -> Element:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -12,10 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.plant.foam import Foam
-from contact_reach_ros.plant.obstacles import ball_body, wall_bodies
+from contact_reach_ros.plant.obstacles import (
+    SPARE_NAME,
+    SPARE_PLACE,
+    ball_body,
+    fixed_contact,
+    spare_body,
+    wall_bodies,
+)
 from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.mjcf import build_mjcf
+from contact_reach_ros.robot.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, build_mjcf
 from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import rest_positions
 
@@ -67,6 +74,15 @@ class Contacts:
     forces: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Push:
+    """A force (3,) N, base frame, on a point (3,) m of a link, in the frame of that link."""
+
+    link: str
+    force: Array
+    point: Array
+
+
 class Plant:
     """The arm and the obstacles of one scene.
 
@@ -78,20 +94,29 @@ class Plant:
         Steps taken.
     scene
         What stands around the arm.
+    has_spare_obstacle
+        Whether there is a sphere for `place_spare_obstacle`.
     """
 
     def __init__(
-        self, scene: Scene, sensors: SensorSettings, joints: JointSettings, noise_seed: int | None = None
+        self,
+        scene: Scene,
+        sensors: SensorSettings,
+        joints: JointSettings,
+        noise_seed: int | None = None,
+        spare_obstacle: bool = False,
     ) -> None:
         """Build the simulation at the scene's start, with its mismatch.
 
-        `noise_seed`, else `scene.seed`, seeds the sensor noise.
+        `noise_seed`, else `scene.seed`, seeds the sensor noise. With `spare_obstacle` there is a sphere out of reach
+        that `place_spare_obstacle` moves in.
         """
         mismatch = scene.mismatch
         bodies = [ball_body(index, ball, scene.foam_scale) for index, ball in enumerate(scene.balls)]
         for index, wall in enumerate(scene.walls):
             bodies += wall_bodies(index, wall, scene.foam_scale)
-        self.model = mujoco.MjModel.from_xml_string(build_mjcf(mismatch.inertia_set, bodies, mismatch.payload))
+        everything = [*bodies, spare_body()] if spare_obstacle else bodies
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(mismatch.inertia_set, everything, mismatch.payload))
         self.model.opt.timestep = TICK
         # With a pyramidal friction cone the contact's stiffness would depend on the friction, 20-fold at the default.
         self.model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -103,12 +128,15 @@ class Plant:
         self._joints = joints
         self._friction_scale = mismatch.friction_scale
         self._noise_scale = mismatch.noise_scale
+        self._rigidities: tuple[Array, Array] | None = None
         self._random = np.random.default_rng(scene.seed if noise_seed is None else noise_seed)
         self._arm = slice(0, iiwa14.N_JOINTS)
         self._torque_limits = np.array(iiwa14.TORQUE_LIMITS)
         self._torque = np.full(iiwa14.N_JOINTS, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "flange")
-        self._first_obstacle = self.model.nbody - len(bodies)
+        self._first_obstacle = self.model.nbody - len(everything)
+        self.has_spare_obstacle = spare_obstacle
+        self._pushes: list[Push] = []
         self._rests = rest_positions(scene)
         movable = [np.ones(len(scene.balls), bool)] + [~wall.fixed for wall in scene.walls]
         self._movable = np.flatnonzero(np.concatenate(movable))
@@ -158,6 +186,8 @@ class Plant:
         if self._foam is not None:
             dofs = self._foam_dofs
             data.qfrc_applied[dofs] = self._foam.forces(data.qpos[dofs])
+        if self._pushes:
+            self._apply_pushes()
         mujoco.mj_step(self.model, data)
         self.steps += 1
 
@@ -210,6 +240,74 @@ class Plant:
     def obstacle_body(self, index: int) -> int:
         """The simulation's body of an obstacle, counted in the order of `obstacle_positions`."""
         return self._first_obstacle + index
+
+    def scale_friction(self, factor: float) -> None:
+        """Multiply both joint frictions by a factor, relative to those of the scene."""
+        self._friction_scale = factor * self.scene.mismatch.friction_scale
+        self._apply_joint_settings()
+
+    def set_payload(self, mass: float) -> None:
+        """Put a mass in kg to the flange, besides the scene's payload and where that is."""
+        model = self.model
+        body = model.body(iiwa14.FLANGE_NAME).id
+        total = self.scene.mismatch.payload + mass
+        if total == model.body_mass[body]:
+            return
+        model.body_mass[body] = total
+        model.body_inertia[body] = PAYLOAD_INERTIA * total
+        model.body_ipos[body] = PAYLOAD_CENTER
+        # MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
+        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def scale_foam(self, factor: float) -> None:
+        """Multiply all stiffnesses of balls and walls by a factor, relative to those of the scene."""
+        model = self.model
+        if self._rigidities is None:
+            self._rigidities = (model.jnt_stiffness.copy(), model.geom_solref.copy())
+        stiffness, solref = self._rigidities
+        model.jnt_stiffness[iiwa14.N_JOINTS :] = factor * stiffness[iiwa14.N_JOINTS :]
+        bodies = model.geom_bodyid
+        foam = (bodies >= self._first_obstacle) & (bodies < self._first_obstacle + len(self._rests))
+        model.geom_solref[foam, 0] = factor * solref[foam, 0]
+        if self._foam is not None:
+            self._foam = Foam(self.scene.walls, factor * self.scene.foam_scale)
+
+    def set_pushes(self, pushes: Sequence[Push]) -> None:
+        """Let these forces act from now on, and no others."""
+        self._pushes = list(pushes)
+        self.data.xfrc_applied[:] = 0.0
+
+    def place_spare_obstacle(self, position: Array, radius: float, stiffness: float) -> None:
+        """Let a sphere that does not give way stand at `position` (3,) m, base frame.
+
+        Raises
+        ------
+        ValueError
+            If the plant was built without one.
+        """
+        if not self.has_spare_obstacle:
+            raise ValueError("the plant has no spare obstacle: build it with spare_obstacle=True")
+        model = self.model
+        geom = model.geom(SPARE_NAME).id
+        model.geom_size[geom, 0] = model.geom_rbound[geom] = radius
+        model.geom_aabb[geom] = (0.0, 0.0, 0.0, radius, radius, radius)
+        model.geom_solref[geom] = fixed_contact(stiffness)
+        self.data.mocap_pos[0] = position
+
+    def remove_spare_obstacle(self) -> None:
+        """Move it out of reach again."""
+        self.data.mocap_pos[0] = SPARE_PLACE
+
+    def _apply_pushes(self) -> None:
+        data = self.data
+        data.xfrc_applied[:] = 0.0
+        for push in self._pushes:
+            body = self.model.body(push.link).id
+            # MuJoCo takes the force at the centre of mass.
+            lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.point - data.xipos[body]
+            data.xfrc_applied[body, :3] += push.force
+            data.xfrc_applied[body, 3:] += np.cross(lever, push.force)
 
     def _apply_joint_settings(self) -> None:
         joints, scale = self._joints, self._friction_scale

@@ -14,6 +14,11 @@ ROBOT_CONTACT_TYPE = 1
 OBSTACLE_CONTACT_TYPE = 2
 """Robot and obstacles touch each other; neither touches itself."""
 
+PAYLOAD_CENTER = (0.0, 0.0, 0.05)
+"""Where the mass at the flange is, in the flange's frame, m."""
+PAYLOAD_INERTIA = 1e-3
+"""Of the mass at the flange about its centre, for each kg, m²."""
+
 
 def numbers(values: Iterable[float]) -> str:
     """Values as an XML attribute, in full precision."""
@@ -68,7 +73,8 @@ def build_mjcf(inertia_set: str = "nominal", obstacles: Sequence[Element] = (), 
     flange = SubElement(body, "body", name=iiwa14.FLANGE_NAME, pos=numbers(iiwa14.FLANGE_OFFSET))
     SubElement(flange, "site", name="flange")
     if payload > 0.0:
-        SubElement(flange, "inertial", mass=repr(payload), pos="0 0 0.05", diaginertia=numbers([1e-3 * payload] * 3))
+        diagonal = numbers([PAYLOAD_INERTIA * payload] * 3)
+        SubElement(flange, "inertial", mass=repr(payload), pos=numbers(PAYLOAD_CENTER), diaginertia=diagonal)
     world.extend(obstacles)
     actuators = SubElement(root, "actuator")
     for joint in iiwa14.JOINTS:

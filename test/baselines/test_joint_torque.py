@@ -51,6 +51,10 @@ def planner(warm_planner) -> TorquePlanner:
     return warm_planner
 
 
+def torque_at(method, q, v, now_ns):
+    return method.torque(q, v, now_ns, now_ns)
+
+
 def plan_from(planner, q=HOME, v=REST, state=0, effect=0) -> TorquePlan:
     return planner.plan(q, v, state * MS, effect * MS, GOAL, Spheres.none())
 
@@ -138,18 +142,18 @@ class TestMethod:
         model = RobotModel()
         v = np.full(7, 0.05)
         model.update(HOME, v)
-        held = method.torque(HOME, REST, 0)
+        held = torque_at(method, HOME, REST, 0)
         plan = method.plan(HOME, REST, 0, 10 * MS, GOAL, Spheres.none())
-        np.testing.assert_allclose(method.torque(HOME, REST, 9 * MS), held, rtol=0, atol=0.5)
-        np.testing.assert_allclose(method.torque(HOME, v, 10 * MS), model.bias + plan.torques[0], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(method.torque(HOME, v, 35 * MS), model.bias + plan.torques[1], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(torque_at(method, HOME, REST, 9 * MS), held, rtol=0, atol=0.5)
+        np.testing.assert_allclose(torque_at(method, HOME, v, 10 * MS), model.bias + plan.torques[0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(torque_at(method, HOME, v, 35 * MS), model.bias + plan.torques[1], rtol=0, atol=1e-9)
         damped = model.bias - stop_damping(CONTROLLER.supervision) * v
-        np.testing.assert_allclose(method.torque(HOME, v, 210 * MS), damped, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(torque_at(method, HOME, v, 210 * MS), damped, rtol=0, atol=1e-9)
 
     def test_torques_are_capped_at_the_data_sheets_limits(self, method):
         plan = method.plan(HOME, REST, 0, 0, GOAL, Spheres.none())
         method._plans = [dataclasses.replace(plan, torques=np.full_like(plan.torques, 1e4))]
-        np.testing.assert_array_equal(method.torque(HOME, REST, MS), LIMITS)
+        np.testing.assert_array_equal(torque_at(method, HOME, REST, MS), LIMITS)
 
     def test_observer_stops_the_arm(self, method):
         method.plan(HOME, REST, 0, 0, GOAL, Spheres.none())
@@ -157,7 +161,7 @@ class TestMethod:
         assert method.stop_reason == "lbr_A4: too much"
         v = np.full(7, 0.05)
         for tick in range(2, 400):
-            torque = method.torque(HOME, v, tick * MS)
+            torque = torque_at(method, HOME, v, tick * MS)
         model = RobotModel()
         model.update(HOME, v)
         np.testing.assert_allclose(torque, model.bias - stop_damping(CONTROLLER.supervision) * v, rtol=0, atol=1e-6)

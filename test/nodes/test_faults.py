@@ -1,0 +1,147 @@
+"""The tool that makes things go wrong in the running stack, and what the driver does with a schedule."""
+
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.serialization import serialize_message
+from stack_helpers import environment, module, running, wait_for
+from std_msgs.msg import Float64MultiArray, String
+
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.nodes import faults as tool
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.driver import DriverNode, driver_faults
+
+
+@pytest.fixture
+def driver():
+    domain = int(environment()["ROS_DOMAIN_ID"])
+    rclpy.init(args=["--ros-args", "-p", "scene:=free"], domain_id=domain)
+    yield DriverNode()
+    rclpy.shutdown()
+
+
+def send(node, text):
+    node._on_faults(String(data=text))
+    node._tick(0)
+
+
+class TestDriver:
+    def test_a_schedule_counts_from_its_arrival(self, driver):
+        for _ in range(5):
+            driver._tick(0)
+        send(driver, "push force='0 50 0' at=0.001 for=0.002")
+        pushed = []
+        for _ in range(4):
+            pushed.append(bool(driver._plant.data.xfrc_applied.any()))
+            driver._tick(0)
+        assert pushed == [False, True, True, False]
+
+    def test_an_empty_schedule_ends_all_faults(self, driver):
+        mass = driver._plant.model.body_mass.sum()
+        send(driver, "payload mass=3")
+        assert driver._plant.model.body_mass.sum() == pytest.approx(mass + 3.0)
+        send(driver, "")
+        assert driver._plant.model.body_mass.sum() == pytest.approx(mass)
+        assert driver._faults is None
+
+    def test_nan_commands_are_refused_and_counted(self, driver):
+        send(driver, "nan_commands")
+        driver._on_command(serialize_message(Float64MultiArray(data=[1.0] * 7)))
+        driver._tick(0)
+        assert driver.refused == {"commands": 1}
+        assert driver._drive.rejected == 1
+
+    def test_what_is_no_schedule_is_refused_and_changes_nothing(self, driver):
+        send(driver, "payload mass=3")
+        for text in ("payload mass=100", "planner_silent", "obstacle; obstacle"):
+            send(driver, text)
+        assert driver.refused == {"faults": 3}
+        assert driver.diagnosis()[1]["faults"] == "payload mass=3"
+
+    def test_nobody_has_to_answer_a_lost_state(self, driver):
+        driver._prepare_messages()
+        driver._publish()
+        assert driver._unanswered == 1
+        send(driver, "drop_states")
+        driver._publish()
+        assert driver._unanswered == 0
+        send(driver, "nan_states")
+        driver._publish()
+        assert driver._unanswered == 0
+        send(driver, "duplicate_states")
+        driver._publish()
+        assert driver._unanswered == 2
+
+
+def test_nodes_are_silenced_by_the_tool_not_by_the_driver():
+    with pytest.raises(SettingsError, match="freeze or kill the node"):
+        driver_faults("push; observer_silent")
+
+
+@pytest.mark.parametrize("topic", tool.ATTACKED, ids=lambda topic: topic.name)
+def test_disturbing_messages_are_of_the_topics_type(topic):
+    message = tool.spoilt_message(topic, float("nan"), 0)
+    assert isinstance(message, topic.type)
+    assert "nan" in str(message)
+
+
+def fake_process(proc: Path, number: int, arguments: list[str], domain: str) -> None:
+    folder = proc / str(number)
+    folder.mkdir()
+    (folder / "cmdline").write_bytes("\0".join([*arguments, ""]).encode())
+    (folder / "environ").write_bytes(f"HOME=/\0ROS_DOMAIN_ID={domain}\0".encode())
+
+
+def test_processes_are_those_of_the_node_and_the_domain(tmp_path):
+    fake_process(tmp_path, 1, ["python", "-m", "contact_reach_ros.nodes.planner", "--ros-args"], "7")
+    fake_process(tmp_path, 2, ["python", "-m", "contact_reach_ros.nodes.planner"], "8")
+    fake_process(tmp_path, 3, ["/usr/bin/python3", "/ws/lib/contact_reach_ros/controller"], "7")
+    fake_process(tmp_path, 4, ["vim", "planner.py", "planner"], "7")
+    user = (tmp_path / "1").stat().st_uid
+    assert tool.node_processes("planner", tmp_path, "7", user) == [1]
+    assert tool.node_processes("controller", tmp_path, "7", user) == [3]
+    assert tool.node_processes("controller", tmp_path, "8", user) == []
+    assert tool.node_processes("planner", tmp_path, "7", user + 1) == []
+
+
+def test_rate_and_time_are_checked():
+    with pytest.raises(InputError, match="rate 0"):
+        tool.disturb(topics.COMMANDS.name, "nan", 0.0, 1.0)
+
+
+def call(env: dict[str, str], *arguments: str) -> subprocess.CompletedProcess:
+    return subprocess.run([*module("nodes.faults"), *arguments], env=env, capture_output=True, text=True, timeout=120)
+
+
+def state_of(pid: int) -> str:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def test_tool_on_a_running_driver(tmp_path):
+    env, log = environment(), tmp_path / "driver.log"
+    lonely = call(env, "send", "push")
+    assert lonely.returncode == 2 and "no simulated driver listens on sim/faults" in lonely.stderr
+    assert "no process of node driver" in call(env, "freeze", "driver").stderr
+    wrong = call(env, "send", "push forc=1")
+    assert wrong.returncode == 2 and "did you mean 'force'" in wrong.stderr
+    with running([*module("nodes.driver"), "--ros-args", "-p", "scene:=free"], env, log) as process:
+        wait_for(lambda: "active" in log.read_text(), 60, "driver active")
+        assert call(env, "send", "push at=1 for=0.1").returncode == 0
+        wait_for(lambda: "faults: push at=1 for=0.1" in log.read_text(), 20, "schedule in the driver")
+        assert call(env, "publish", topics.COMMANDS.name, "garbage", "--for", "0.5").returncode == 0
+        wait_for(lambda: "effort_controller/commands" in log.read_text(), 20, "garbage refused")
+        assert call(env, "freeze", "driver").returncode == 0
+        assert state_of(process.pid) == "T"
+        assert call(env, "continue", "driver").returncode == 0
+        assert state_of(process.pid) != "T"
+        assert call(env, "kill", "driver").returncode == 0
+        assert process.wait(10) == -signal.SIGKILL
+
+
+def test_zeros_are_finite():
+    assert np.isfinite(tool.spoilt_message(topics.COMMANDS, 0.0, 0).data).all()
