@@ -53,7 +53,7 @@ _MATCHING_MINUTES = 2.0
 _PUSH_TICKS = 100
 _BETWEEN_S = (0.5, 1.0)
 _PROMPT_MS = LATENCY_TARGETS_MS["p95"]
-_RISE = 1.0 - 1.0 / np.e
+_RISE = 1.0 - math.exp(-1.0)
 
 
 def bench_observer(minutes: float, file: Path | None, plot: Path | None) -> dict[str, Any]:
