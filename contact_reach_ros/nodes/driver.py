@@ -168,8 +168,11 @@ class DriverNode(ManagedNode):
         missed = late_ns // _TICK_NS
         self._missed += missed
         # The simulated robot moves on as a real one would, whether or not this process was on time.
-        for _ in range(1 + min(missed, _MAX_CATCH_UP)):
+        caught_up = min(missed, _MAX_CATCH_UP)
+        for _ in range(1 + caught_up):
             self._tick(now_ns)
+        # After a longer pause the simulated robot has stood still for a while; its clock has not.
+        self._start_ns += (missed - caught_up) * _TICK_NS
         self._next_ns += (1 + missed) * _TICK_NS
         self._publish()
 
