@@ -87,7 +87,7 @@ def shortcomings(case: Case, result, limits) -> list[str]:
 
 
 _WATCHDOG = "drive: no command for"
-_TORQUE = "observer: external torque"
+_TORQUE = "observer: (sudden )?external torque"
 _NO_PLAN = "controller: no valid plan"
 _NO_OBSERVER = "controller: observer silent"
 
@@ -98,6 +98,7 @@ _STUCK = (
     "compares commands with motion, or closes the brakes"
 )
 _STALE = "a command is held for 20 ms while the arm moves; nobody stops an arm that is too fast"
+_CIRCLES = "with plans that come 0.1 s late the arm still moves about the goal after 5 s"
 _COASTS = "the compliant stop's damping takes more than a second to bring the arm to rest; nobody closes the brakes"
 _UNSTABLE = (
     "the loop is unstable with 10 ms of delay and more, and so is the damping of the compliant stop; nobody closes "
@@ -141,7 +142,7 @@ CASES = (
     Case("nan_states share=0.3 at=0.5", REACHED, scene="ball", planner="small", refused="joint states"),
     # Sensors
     Case("velocity_noise deviation=0.02", REACHED),
-    Case("velocity_noise deviation=0.1", REACHED),
+    Case("velocity_noise deviation=0.1", EITHER, _TORQUE),
     Case("velocity_noise deviation=0.5 at=0.5", STILL, _TORQUE, unmet=_NOISE),
     Case("velocity_noise deviation=2 at=0.5", STILL, _TORQUE, unmet=_NOISE),
     Case("stuck_encoder joint=lbr_A1 at=0.5", STILL, _TORQUE, unmet=_STUCK),
@@ -153,7 +154,7 @@ CASES = (
     Case("torque_sensor gain=-1 at=0.5", STILL, _TORQUE),
     Case("torque_sensor gain=-1 joint=lbr_A2 at=2", STILL, _TORQUE, scene="wall", force=30.0),
     Case("torque_sensor gain=0 at=0.5", STILL, _TORQUE),
-    Case("torque_sensor bias=5 at=0.5", REACHED),
+    Case("torque_sensor bias=5 at=0.5", EITHER, _TORQUE),
     Case("torque_sensor bias=40 joint=lbr_A3 at=0.5", STILL, f"{_TORQUE} on lbr_A3"),
     # Robot and surroundings
     Case("payload mass=0.5 at=0.5", REACHED),
@@ -161,7 +162,7 @@ CASES = (
     Case("payload mass=2 at=0.5", EITHER, scene="ball", planner="small", force=40.0),
     Case("payload mass=10 at=0.5", STILL, _TORQUE, unmet=_SINKS),
     Case("friction factor=3 at=0.5", REACHED),
-    Case("friction factor=20 at=0.5", REACHED),
+    Case("friction factor=20 at=0.5", EITHER, _TORQUE),
     Case("foam factor=2", REACHED, scene="ball", force=20.0),
     Case("foam factor=5", REACHED, scene="ball", planner="small", force=60.0),
     Case("foam factor=3 at=1", REACHED, scene="wall", force=60.0),
@@ -174,7 +175,9 @@ CASES = (
     Case('push link=lbr_link_4 force="0 200 0" at=0.5 for=0.1', STILL, _TORQUE, is_pushed=True),
     Case('push link=lbr_link_7 force="0 0 -30" at=0.5 for=0.5', EITHER, _TORQUE, is_pushed=True),
     Case('push link=lbr_link_7 force="0 100 0" at=0.5 for=0.5', STILL, _TORQUE, is_pushed=True, unmet=_COASTS),
-    Case('push link=lbr_link_5 force="0 0 80" at=2 for=0.2', STILL, _TORQUE, scene="wall", is_pushed=True),
+    Case(
+        'push link=lbr_link_5 force="0 0 80" at=2 for=0.2', STILL, _TORQUE, scene="wall", is_pushed=True, unmet=_COASTS
+    ),
     # Clock
     Case("clock_jump step=-0.01 at=0.5", REACHED),
     Case("clock_jump step=1 at=0.5", REACHED),
@@ -197,7 +200,7 @@ CASES = (
     Case("late_plans delay=0.05", REACHED),
     Case("late_plans delay=0.2 at=0.5", REACHED),
     Case("late_plans delay=0.5 at=0.5", STILL, _NO_PLAN, refused="plans"),
-    Case("late_plans delay=0.1 at=0.5", REACHED, scene="ball", planner="small"),
+    Case("late_plans delay=0.1 at=0.5", REACHED, scene="ball", planner="small", unmet=_CIRCLES),
     # Together
     Case(f"{_IN_THE_WAY}; observer_silent at=0.9", STILL, f"{_NO_OBSERVER}|{_TORQUE}"),
     Case(f"{_IN_THE_WAY}; drop_states share=0.3", STILL, _TORQUE),

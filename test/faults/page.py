@@ -71,4 +71,4 @@ def replaced(text: str, heading: str, table: str) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "or")
+    return text.replace("|", " or ")
