@@ -21,7 +21,11 @@ from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettin
 from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
 
 MATERIAL = Material(
-    sphere_stiffness=100.0, sphere_damping=30.0, node_stiffness=0.0, node_damping=5.0, edge_stiffness=60.0
+    sphere_stiffness=100.0,
+    sphere_damping=30.0,
+    node_stiffness=0.0,
+    node_damping=5.0,
+    edge_stiffness=WallSettings().edge_stiffness,
 )
 STAMP_NS = 1_795_233_693_122_143_135
 
