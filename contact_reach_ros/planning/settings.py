@@ -42,7 +42,7 @@ class PlanningSettings(Settings):
     )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
-        0.5, "rotation error to a goal that has one", unit="1/rad", minimum=0.0, maximum=10.0
+        0.2, "rotation error to a goal that has one", unit="1/rad", minimum=0.0, maximum=10.0
     )
     joint_limit_weight: float = setting(
         20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
