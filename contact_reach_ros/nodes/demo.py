@@ -13,20 +13,18 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, to_point
+from contact_reach_ros.nodes.messages import to_point
 from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor
+from contact_reach_ros.nodes.watcher import Watcher
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
@@ -40,7 +38,6 @@ from contact_reach_ros.units import NANOSECONDS
 
 INTERRUPTED = 130
 
-_PLANNER = "planner"
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DISCOVERY_S = 15.0
@@ -78,62 +75,6 @@ class DemoOptions:
     json: Path | None = None
 
 
-class _Watcher:
-    """Newest state of the stack, as a user's node would see it."""
-
-    def __init__(self, supervisor: Supervisor, model: RobotModel, target: np.ndarray) -> None:
-        self._model = model
-        self._target = target
-        self._order = JointOrder(iiwa14.JOINT_NAMES)
-        self.stamp_ns = 0
-        self.distance = float("nan")
-        self.force = 0.0
-        self.safety = "starting"
-        self.stopped = False
-        self.commanded = False
-        self.plan_ns = 0
-        self.planner_ready = False
-        inbox = supervisor.inbox
-        inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
-        inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
-        inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        inbox.add(topics.REFERENCE_POSE, self._on_plan, topics.NEWEST)
-        inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
-
-    def line(self, since_ns: int) -> str:
-        """One line of progress."""
-        age = f"{(self.stamp_ns - self.plan_ns) / 1e6:4.0f} ms" if self.plan_ns else "   -   "
-        return (
-            f"{(self.stamp_ns - since_ns) / NANOSECONDS:5.1f} s   distance {1000 * self.distance:6.1f} mm   "
-            f"contact {self.force:5.1f} N   plan age {age}   {self.safety}"
-        )
-
-    def _on_state(self, message: JointState) -> None:
-        position, _ = self._model.flange_pose(self._order.pick(message, "position", topics.JOINT_STATES.name))
-        self.distance = float(np.linalg.norm(position - self._target))
-        self.stamp_ns = nanoseconds(message.header.stamp)
-        # The driver knows no acting torque while its brakes are closed.
-        self.commanded = bool(np.isfinite(message.effort).all())
-
-    def _on_contacts(self, message: JointState) -> None:
-        self.force = message.effort[-1]
-
-    def _on_safety(self, message: DiagnosticStatus) -> None:
-        if message.level >= DiagnosticStatus.ERROR:
-            self.stopped = True
-            self.safety = f"STOP by {message.name}: {message.message}"
-        elif message.name == "controller" and not self.stopped:
-            self.safety = message.message
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == _PLANNER:
-                self.planner_ready = status.message != topics.WAITING_FOR_STATE
-
-    def _on_plan(self, message: MultiDOFJointTrajectory) -> None:
-        self.plan_ns = nanoseconds(message.header.stamp)
-
-
 def run_demo(options: DemoOptions) -> int:
     """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
 
@@ -164,7 +105,7 @@ def run_demo(options: DemoOptions) -> int:
     interrupted, failure = False, ""
     end_ns: int | None = None
     try:
-        end_ns = _drive_to_goal(node, supervisor, _Watcher(supervisor, model, scene.target), scene.target, options)
+        end_ns = _drive_to_goal(node, supervisor, Watcher(supervisor, model, scene.target), scene.target, options)
     except KeyboardInterrupt:
         interrupted = True
     except ContactReachError as error:
@@ -186,7 +127,7 @@ def run_demo(options: DemoOptions) -> int:
 
 
 def _drive_to_goal(
-    node: Node, supervisor: Supervisor, watcher: _Watcher, target: np.ndarray, options: DemoOptions
+    node: Node, supervisor: Supervisor, watcher: Watcher, target: np.ndarray, options: DemoOptions
 ) -> int:
     """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
     publisher = node.create_publisher(topics.GOAL_POSE.type, topics.GOAL_POSE.name, topics.GOAL_POSE.qos)
