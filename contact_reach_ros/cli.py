@@ -65,8 +65,13 @@ def _parser() -> argparse.ArgumentParser:
 
     bench = commands.add_parser("bench", help="measure on this machine")
     benches = bench.add_subparsers(required=True, metavar="WHAT")
-    control = benches.add_parser("control", help="arithmetic of controller and observer, per tick")
-    control.add_argument("--ticks", type=int, default=20000, help="ticks to measure (default: 20000)")
+    control = benches.add_parser(
+        "control", help="arithmetic of controller and observer, per tick; with --seconds how the stack keeps its time"
+    )
+    control.add_argument("--ticks", type=int, default=20000, help="ticks of arithmetic to measure (default: 20000)")
+    control.add_argument("--seconds", type=float, help="run the stack in real time for so long instead")
+    control.add_argument("--load", type=int, default=0, help="with so many processes that never sleep (default: 0)")
+    control.add_argument("--scene", default="ball", help="a name or a YAML file (default: ball)")
     control.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     control.set_defaults(run=_bench_control)
     foam = benches.add_parser(
@@ -217,6 +222,11 @@ def _fault(options: argparse.Namespace) -> int:
 
 
 def _bench_control(options: argparse.Namespace) -> int:
+    if options.seconds is not None:
+        from contact_reach_ros.nodes.control_bench import ControlBench, bench_control_stack
+
+        bench_control_stack(ControlBench(options.seconds, options.load, options.scene), options.json)
+        return 0
     from contact_reach_ros.experiments.bench_control import bench_control
 
     bench_control(options.ticks, options.json)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 _BUCKETS = 20000
+_FINE, _COARSE = 200, 200
+"""So many buckets are told one by one; later ones so many together."""
 
 PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
 """Names of percentiles in diagnostics and reports."""
@@ -44,6 +46,53 @@ class Histogram:
                 return min(float(self._bucket_us * (bucket + 1)), self.maximum_ns / 1000)
         return self.maximum_ns / 1000
 
+    def counts(self) -> dict[int, int]:
+        """How many durations there were, by an upper edge in µs; the first 200 buckets apart, later ones 200 together.
+
+        What is longer than all buckets has twice the last one's edge.
+        """
+        told: dict[int, int] = {}
+        left = self.count
+        for bucket, count in enumerate(self._counts):
+            if count:
+                last = bucket if bucket < _FINE else bucket // _COARSE * _COARSE + _COARSE - 1
+                edge = self._bucket_us * (last + 1 if bucket < _BUCKETS else 2 * _BUCKETS)
+                told[edge] = told.get(edge, 0) + count
+                left -= count
+                if left <= 0:
+                    break
+        return told
+
     def summary(self) -> Mapping[str, float]:
         """Percentiles in µs, by the names that reports use."""
         return {name: self.percentile_us(percent) for name, percent in PERCENTILES.items()}
+
+
+def write_counts(counts: Mapping[int, int]) -> str:
+    """Counts by upper edge in µs as text, for diagnostics: 'edge:count edge:count ...'."""
+    return " ".join(f"{edge}:{count}" for edge, count in counts.items())
+
+
+def read_counts(text: str) -> dict[int, int]:
+    """What `write_counts` wrote."""
+    return {int(edge): int(count) for edge, _, count in (entry.partition(":") for entry in text.split())}
+
+
+def counts_between(first: Mapping[int, int], last: Mapping[int, int]) -> dict[int, int]:
+    """What was counted after `first` and before `last`, by upper edge in µs."""
+    grown = {edge: count - first.get(edge, 0) for edge, count in sorted(last.items())}
+    return {edge: count for edge, count in grown.items() if count > 0}
+
+
+def percentiles_us(counts: Mapping[int, int]) -> dict[str, float]:
+    """The same percentiles as `Histogram.summary`, of counts by upper edge in µs; NaN without any."""
+    total = sum(counts.values())
+    found = dict.fromkeys(PERCENTILES, float("nan"))
+    for name, percent in PERCENTILES.items():
+        seen = 0
+        for edge, count in sorted(counts.items()):
+            seen += count
+            if seen >= percent / 100.0 * total:
+                found[name] = float(edge)
+                break
+    return found

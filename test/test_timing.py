@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.timing import PERCENTILES, Histogram
+from contact_reach_ros.timing import (
+    PERCENTILES,
+    Histogram,
+    counts_between,
+    percentiles_us,
+    read_counts,
+    write_counts,
+)
 
 BUCKET_US = 5.0
 LONGEST_US = 100_000.0
@@ -61,3 +68,29 @@ def test_summary_has_the_names_that_reports_use():
     assert list(summary) == list(PERCENTILES)
     for name, percent in PERCENTILES.items():
         assert summary[name] == pytest.approx(10 * percent, abs=2 * BUCKET_US)
+
+
+def test_counts_tell_how_many_durations_there_were_of_each_length():
+    histogram = filled([1.0, 4.0, 7.0, 999.0, 1234.0, 150_000.0])
+    counts = histogram.counts()
+    assert list(counts.values()) == [2, 1, 1, 1, 1]
+    edges = list(counts)
+    assert edges[:3] == [5, 10, 1000]
+    assert 1234 <= edges[3] <= 2234
+    assert edges[4] > LONGEST_US
+    assert read_counts(write_counts(counts)) == counts
+
+
+@given(st.lists(st.integers(0, 99_999), max_size=50), st.lists(st.integers(0, 99_999), max_size=50))
+def test_what_happened_between_two_times_has_counts_of_its_own(before, between):
+    histogram = filled(before)
+    first = histogram.counts()
+    for duration in between:
+        histogram.add(1000 * duration)
+    assert counts_between(first, histogram.counts()) == dict(sorted(filled(between).counts().items()))
+
+
+def test_percentiles_of_counts_are_those_of_the_histogram():
+    histogram = filled(list(np.linspace(1, 990, 2000)))
+    assert percentiles_us(histogram.counts()) == pytest.approx(histogram.summary(), abs=BUCKET_US)
+    assert all(math.isnan(value) for value in percentiles_us({}).values())

@@ -31,7 +31,7 @@ from contact_reach_ros.nodes.serialized import CommandWriter, JointStateReader
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.timing import Histogram
+from contact_reach_ros.timing import Histogram, write_counts
 
 PRIORITY = 70
 
@@ -106,6 +106,7 @@ class ControllerNode(ManagedNode):
             "plan age s": controller.references.age(self._state_ns),
             "position error m": float(np.linalg.norm(controller.error[:3])),
             **{f"compute {key} us": value for key, value in self._compute.summary().items()},
+            "compute counts": write_counts(self._compute.counts()),
         }
         return controller.stop_reason or waiting, values
 

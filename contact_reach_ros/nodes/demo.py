@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from contact_reach_ros.control.settings import ImpedanceSettings
@@ -21,16 +20,14 @@ from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.messages import to_point
 from contact_reach_ros.nodes.processes import StackOptions, processes
-from contact_reach_ros.nodes.supervisor import StackError, Supervisor
-from contact_reach_ros.nodes.watcher import Watcher
+from contact_reach_ros.nodes.supervisor import Supervisor
+from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
 from contact_reach_ros.recording.summary import Episode, EpisodeSummary
-from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
@@ -40,7 +37,6 @@ INTERRUPTED = 130
 
 _LOOK_S = 0.1
 _LINE_S = 1.0
-_DISCOVERY_S = 15.0
 _DYING_S = 0.5
 _AFTERWARDS_NS = 300_000_000
 _LAG_S = 5.0
@@ -105,7 +101,7 @@ def run_demo(options: DemoOptions) -> int:
     interrupted, failure = False, ""
     end_ns: int | None = None
     try:
-        end_ns = _drive_to_goal(node, supervisor, Watcher(supervisor, model, scene.target), scene.target, options)
+        end_ns = _drive_to_goal(supervisor, Watcher(node, supervisor, model, scene.target), options)
     except KeyboardInterrupt:
         interrupted = True
     except ContactReachError as error:
@@ -126,34 +122,17 @@ def run_demo(options: DemoOptions) -> int:
     return 0 if summary is not None and summary.success and not failure else 1
 
 
-def _drive_to_goal(
-    node: Node, supervisor: Supervisor, watcher: Watcher, target: np.ndarray, options: DemoOptions
-) -> int:
+def _drive_to_goal(supervisor: Supervisor, watcher: Watcher, options: DemoOptions) -> int:
     """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
-    publisher = node.create_publisher(topics.GOAL_POSE.type, topics.GOAL_POSE.name, topics.GOAL_POSE.qos)
     began = time.monotonic()
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    supervisor.wait_heard("recorder", _RECORDED, _DISCOVERY_S)
-    # Planner and recorder have to be matched with this publisher before it says something, the brakes be open and the
-    # planner know where the arm is.
-    deadline = time.monotonic() + _DISCOVERY_S
-    while publisher.get_subscription_count() < 2 or not (watcher.commanded and watcher.planner_ready):
-        supervisor.spin(_LOOK_S)
-        supervisor.check()
-        if watcher.stopped:
-            raise StackError(watcher.safety)
-        if time.monotonic() > deadline:
-            raise StackError(
-                f"after {_DISCOVERY_S:.0f} s the driver does not hear the controller, the planner not the driver, or "
-                "nobody the goal"
-            )
-    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
-    goal = PoseStamped()
-    goal.header.frame_id = iiwa14.BASE_NAME
-    goal.header.stamp = node.get_clock().now().to_msg()
-    goal.pose.position = to_point(target.tolist())
-    goal.pose.orientation.w = 1.0
-    publisher.publish(goal)
+    supervisor.wait_heard("recorder", _RECORDED, DISCOVERY_S)
+    # Planner and recorder have to hear goals before there is one.
+    watcher.wait_ready(listeners=2)
+    _say(
+        f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(watcher.target, 3).tolist()} m", done=True
+    )
+    watcher.send_goal()
     sent_ns = watcher.stamp_ns
     reached_ns: int | None = None
     said_at = 0.0

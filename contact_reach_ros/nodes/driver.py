@@ -38,7 +38,7 @@ from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.scene import parse_target
 from contact_reach_ros.settings import Settings, setting
-from contact_reach_ros.timing import Histogram
+from contact_reach_ros.timing import Histogram, write_counts
 from contact_reach_ros.units import NANOSECONDS
 
 PRIORITY = 80
@@ -155,6 +155,7 @@ class DriverNode(ManagedNode):
         }
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
+            values[f"{name} counts"] = write_counts(histogram.counts())
         return self._drive.stop_reason, values
 
     def _realtime_tick(self) -> None:

@@ -125,7 +125,7 @@ class Supervisor:
             stderr=self._log,
             # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
             start_new_session=True,
-            preexec_fn=_end_with_parent,
+            preexec_fn=end_with_parent,
         )
 
     def _wait_active(
@@ -167,6 +167,11 @@ class Supervisor:
             if code is not None:
                 how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
                 raise StackError(f"{name} ended ({how}){self._see_log()}")
+
+    @property
+    def process_ids(self) -> dict[str, int]:
+        """Of the processes that were started, by name."""
+        return {name: process.pid for name, process in self._running.items()}
 
     def shutdown(self) -> None:
         """Bring the arm to rest and end all processes: planner first, recorder last."""
@@ -235,6 +240,6 @@ class Supervisor:
         self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")
 
 
-def _end_with_parent() -> None:
-    """In the child: be ended by the kernel when the supervisor is killed, so that no orphan moves an arm."""
+def end_with_parent() -> None:
+    """In a child: be ended by the kernel when its parent is killed, so that no orphan moves an arm."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,0 +1,280 @@
+"""`contact-reach bench control --seconds`: how well the running stack keeps its time, with other programs beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+
+from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.nodes import echo, topics
+from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.nodes.managed import initialise
+from contact_reach_ros.nodes.processes import StackOptions, processes
+from contact_reach_ros.nodes.supervisor import StackError, Supervisor, end_with_parent
+from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
+from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
+from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.timing import counts_between, percentiles_us, read_counts
+
+NAME = "bench_control"
+
+_DRIVER, _CONTROLLER = "driver", "controller"
+_LOOK_S = 0.1
+_GOAL_S = 8.0
+"""A goal that takes longer is given up for the next one."""
+_SETTLE_S = 3.0
+"""After bring-up, before anything counts."""
+_ECHO_S = (3.0, 20.0)
+_ECHO_SHARE = 0.25
+_MEMORY_S = 60.0
+"""Memory is compared with what it is after the first minute, or after half the time if that is shorter."""
+_HOG = "while True: pass"
+
+
+@dataclass(frozen=True)
+class ControlBench:
+    """What is run.
+
+    Attributes
+    ----------
+    seconds
+        Time that is measured, s.
+    load
+        Processes beside the stack that never sleep.
+    scene, seed
+        Where the arm goes to and fro between its start and the target.
+    """
+
+    seconds: float = 60.0
+    load: int = 2
+    scene: str = "ball"
+    seed: int = 0
+
+    def check(self) -> None:
+        """Raise `SettingsError` for what cannot be run."""
+        if not 2.0 <= self.seconds <= 86400.0:
+            raise SettingsError(f"--seconds {self.seconds:g}: expected 2 to 86400 s")
+        if not 0 <= self.load <= 64:
+            raise SettingsError(f"--load {self.load}: expected 0 to 64 processes")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What was known at one time: counters of driver and controller, and memory by process, MB."""
+
+    diagnostics: Mapping[str, Mapping[str, str]]
+    memory: Mapping[str, float]
+
+    def number(self, key: str) -> int:
+        return int(self.diagnostics[_DRIVER][key])
+
+    def counts(self, node: str, name: str) -> dict[int, int]:
+        return read_counts(self.diagnostics[node][f"{name} counts"])
+
+
+def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any]:
+    """Measure bare echoes, then the stack, under the same load; print a table and write JSON to `file`.
+
+    Raises
+    ------
+    ContactReachError
+        If an option or the scene is wrong, or the stack does not come up or is stopped.
+    """
+    bench.check()
+    scene = make_scene(read_scene(bench.scene), bench.seed)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    # Removed only when all went well: what a process said is there to be read when it did not.
+    directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
+    _say("bare echoes ...")
+    with _hogs(bench.load):
+        echoes = measure_echo(float(np.clip(_ECHO_SHARE * bench.seconds, *_ECHO_S)))
+    options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"))
+    initialise([NAME])
+    node = Node(NAME)
+    supervisor = Supervisor(node, processes(options), options.parameter_file, directory / "log")
+    watcher = Watcher(node, supervisor, RobotModel(), scene.target)
+    try:
+        first, settled, last, reached, realtime = _measure(bench, supervisor, watcher)
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        supervisor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    shutil.rmtree(directory)
+    report = make_report(bench, echoes, first, settled, last, reached, realtime)
+    _print(report)
+    if file is not None:
+        file.write_text(json.dumps(report, indent=2) + "\n")
+    return report
+
+
+def _measure(bench: ControlBench, supervisor: Supervisor, watcher: Watcher) -> tuple[Sample, Sample, Sample, int, bool]:
+    """Samples at the beginning, after some of the time and at the end; goals that were reached; real-time priority."""
+    began = time.monotonic()
+    supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: None)
+    supervisor.wait_heard("recorder", (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
+    watcher.wait_ready(listeners=2)
+    _say(f"stack active after {time.monotonic() - began:.1f} s; {bench.seconds:g} s with {bench.load} hogs ...")
+    identities = supervisor.process_ids
+    realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (_DRIVER, _CONTROLLER))
+    goals = [watcher.target, watcher.position.copy()]
+    with _hogs(bench.load):
+        trips = _go_to_and_fro(supervisor, watcher, goals)
+        _until(time.monotonic() + _SETTLE_S, trips)
+        first = _sample(supervisor, watcher)
+        begin = time.monotonic()
+        _until(begin + min(_MEMORY_S, 0.5 * bench.seconds), trips)
+        settled = _sample(supervisor, watcher)
+        _until(begin + bench.seconds, trips)
+        reached = next(trips)
+        last = _sample(supervisor, watcher)
+    return first, settled, last, reached, realtime
+
+
+def _go_to_and_fro(supervisor: Supervisor, watcher: Watcher, goals: Sequence[np.ndarray]) -> Iterator[int]:
+    """Watch for a moment at each step; yields how many goals were reached so far."""
+    reached = sent = 0
+    deadline = 0.0
+    while True:
+        arrived = sent > 0 and watcher.distance <= SUCCESS_DISTANCE
+        if arrived or time.monotonic() > deadline:
+            reached += arrived
+            watcher.target = goals[sent % len(goals)]
+            watcher.send_goal()
+            sent += 1
+            deadline = time.monotonic() + _GOAL_S
+            watcher.distance = float("nan")
+        supervisor.spin(_LOOK_S)
+        supervisor.check()
+        if watcher.stopped:
+            raise StackError(watcher.safety)
+        yield reached
+
+
+def _until(deadline: float, trips: Iterator[int]) -> None:
+    while time.monotonic() < deadline:
+        next(trips)
+
+
+def _sample(supervisor: Supervisor, watcher: Watcher) -> Sample:
+    memory = {name: _resident_mb(identity) for name, identity in supervisor.process_ids.items()}
+    return Sample({name: watcher.diagnostics[name] for name in (_DRIVER, _CONTROLLER)}, memory)
+
+
+def _resident_mb(process: int) -> float:
+    """Memory of a process that is in use, MB."""
+    for line in Path(f"/proc/{process}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1000.0
+    return float("nan")
+
+
+def make_report(
+    bench: ControlBench,
+    echoes: Mapping[str, float],
+    first: Sample,
+    settled: Sample,
+    last: Sample,
+    reached: int,
+    realtime: bool,
+) -> dict[str, Any]:
+    """The result as JSON has it: what happened between the first and the last sample, memory from the settled one on."""
+    missed = last.number("missed ticks") - first.number("missed ticks")
+    ticks = last.number("ticks") - first.number("ticks")
+    trip = percentiles_us(counts_between(first.counts(_DRIVER, "round trip"), last.counts(_DRIVER, "round trip")))
+    late = percentiles_us(counts_between(first.counts(_DRIVER, "wake-up late"), last.counts(_DRIVER, "wake-up late")))
+    compute = percentiles_us(counts_between(first.counts(_CONTROLLER, "compute"), last.counts(_CONTROLLER, "compute")))
+    growth = {name: last.memory[name] - settled.memory[name] for name in last.memory}
+    return {
+        "seconds": bench.seconds,
+        "load": bench.load,
+        "scene": bench.scene,
+        "realtime": realtime,
+        "ticks": ticks,
+        "missed_fraction": missed / max(ticks, 1),
+        "round_trip_us": {key: trip[key] for key in ("p50", "p99", "p999")},
+        "wakeup_late_us": {key: late[key] for key in ("p50", "p99")},
+        "compute_us": {key: compute[key] for key in ("p50", "p99")},
+        "echo_us": dict(echoes),
+        "ratio_to_echo": trip["p50"] / echoes["p50"],
+        "memory_growth_mb": max(growth.values()),
+        "memory_growth_mb_by_process": growth,
+        "goals_reached": reached,
+    }
+
+
+def _print(report: Mapping[str, Any]) -> None:
+    trip, late, compute, echoes = (report[key] for key in ("round_trip_us", "wakeup_late_us", "compute_us", "echo_us"))
+    growth = report["memory_growth_mb_by_process"]
+    most = max(growth, key=growth.__getitem__)
+    rows = [
+        ("ticks", f"{report['ticks']}, missed {100 * report['missed_fraction']:.3f} %"),
+        ("round trip", f"p50 {trip['p50']:.0f}, p99 {trip['p99']:.0f}, p99.9 {trip['p999']:.0f} us"),
+        ("woken up late", f"p50 {late['p50']:.0f}, p99 {late['p99']:.0f} us"),
+        ("controller", f"p50 {compute['p50']:.0f}, p99 {compute['p99']:.0f} us"),
+        ("bare echo", f"p50 {echoes['p50']:.0f} us; the loop takes {report['ratio_to_echo']:.2f} times as long"),
+        ("memory", f"{report['memory_growth_mb']:+.2f} MB at most, {most}"),
+        ("goals reached", f"{report['goals_reached']}"),
+        ("real time", "SCHED_FIFO" if report["realtime"] else "no: not permitted"),
+    ]
+    for label, text in rows:
+        print(f"  {label:16}{text}")
+
+
+def measure_echo(seconds: float) -> dict[str, float]:
+    """Percentiles of the round trip between two bare nodes, µs."""
+    command = [sys.executable, "-m", echo.__name__]
+    pong = subprocess.Popen([*command, echo.PONG], preexec_fn=end_with_parent, start_new_session=True)
+    try:
+        ping = subprocess.run(
+            [*command, echo.PING, "--seconds", str(seconds)], stdout=subprocess.PIPE, text=True, check=False
+        )
+    finally:
+        pong.terminate()
+        pong.wait()
+    if ping.returncode != 0:
+        raise ContactReachError(f"bare echoes: the sender ended with exit code {ping.returncode}, see above")
+    result: dict[str, float] = json.loads(ping.stdout)
+    return result
+
+
+@contextmanager
+def _hogs(count: int) -> Iterator[None]:
+    """Processes that take all the time they get."""
+    hogs = [
+        subprocess.Popen([sys.executable, "-c", _HOG], preexec_fn=end_with_parent, start_new_session=True)
+        for _ in range(count)
+    ]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
