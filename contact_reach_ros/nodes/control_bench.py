@@ -77,15 +77,25 @@ class ControlBench:
 
 @dataclass(frozen=True)
 class Sample:
-    """What was known at one time: counters of driver and controller, and memory by process, MB."""
+    """What was known at one time.
+
+    Attributes
+    ----------
+    diagnostics
+        Newest values of driver and controller, by name.
+    memory
+        By process, MB.
+    """
 
     diagnostics: Mapping[str, Mapping[str, str]]
     memory: Mapping[str, float]
 
     def number(self, key: str) -> int:
+        """One of the driver's counters."""
         return int(self.diagnostics[_DRIVER][key])
 
     def counts(self, node: str, name: str) -> dict[int, int]:
+        """One of a node's histograms: counts by upper edge in µs."""
         return read_counts(self.diagnostics[node][f"{name} counts"])
 
 
@@ -197,7 +207,7 @@ def make_report(
     reached: int,
     realtime: bool,
 ) -> dict[str, Any]:
-    """The result as JSON has it: what happened between the first and the last sample, memory from the settled one on."""
+    """The result as JSON has it, from samples at the beginning, when memory has settled, and at the end."""
     missed = last.number("missed ticks") - first.number("missed ticks")
     ticks = last.number("ticks") - first.number("ticks")
     trip = percentiles_us(counts_between(first.counts(_DRIVER, "round trip"), last.counts(_DRIVER, "round trip")))

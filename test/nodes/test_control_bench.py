@@ -1,4 +1,4 @@
-"""`contact-reach bench control --seconds`: what it makes of the stack's counters. What it finds depends on the machine."""
+"""`contact-reach bench control --seconds`: what it makes of counters; what it finds depends on the machine."""
 
 import subprocess
 
@@ -13,7 +13,7 @@ ECHOES = {"p50": 200.0, "p95": 250.0, "p99": 300.0, "p999": 400.0}
 
 
 def sample(ticks, missed, trips_us, memory):
-    """A sample of a stack whose histograms hold these round trips, ten times as short wake-ups and half as long computing."""
+    """A sample with these round trips; a tenth of each is the wake-up, half the computing."""
     counts = {}
     for share, name in ((1.0, "round trip counts"), (0.1, "wake-up late counts"), (0.5, "compute counts")):
         histogram = Histogram()
