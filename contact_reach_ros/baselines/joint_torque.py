@@ -11,7 +11,6 @@ that the law can ask for at rest with actions within γ, so that both planners m
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings, stop_damping
+from contact_reach_ros.baselines.method import ControlledMethod
+from contact_reach_ros.control.controller import ControllerSettings, stop_damping
 from contact_reach_ros.control.law import ImpedanceLaw
 from contact_reach_ros.control.limits import JointLimitRepulsion
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.planning.cost import Objective, Problem, Rollout
 from contact_reach_ros.planning.objectives import action_bounds, make_objective
 from contact_reach_ros.planning.prediction import Held, Predictor, reference_at
@@ -216,48 +215,24 @@ class TorquePlanner(RecedingHorizonPlanner):
         return TorquePlan(**values, torques=torques)
 
 
-class JointTorqueMethod:
+class JointTorqueMethod(ControlledMethod):
     """Applies planned torques plus C + g as they are, without feedback other than planning again.
 
     Until the first plan takes effect, the controller holds the arm; when a plan has run out, joints are damped. Torques
     are capped at the data sheet's limits, and joints near their limits are pushed back, as with the other methods.
-
-    Parameters
-    ----------
-    planner
-        With room for the scene's obstacles.
-    settings
-        Of the controller that holds the arm at first.
     """
 
     def __init__(self, planner: TorquePlanner, settings: ControllerSettings) -> None:
-        self.planner = planner
-        self._settings = settings
+        super().__init__(planner, settings)
         self._model = RobotModel()
-        self._controller = Controller(settings, self._model)
         self._repulsion = JointLimitRepulsion(settings.limits)
         self._damping = stop_damping(settings.supervision)
         self._plans: list[Plan] = []
 
-    @property
-    def stop_reason(self) -> str:
-        """Why the arm was stopped; empty if it was not."""
-        return self._controller.stop_reason if self._controller.mode is Mode.STOPPED else ""
-
-    def warm_up(self, progress: Callable[[str], None]) -> None:
-        """Warm the planner up."""
-        self.planner.warm_up(progress)
-
-    def reseed(self, seed: int) -> None:
-        """Reseed the planner."""
-        self.planner.reseed(seed)
-
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin to hold the arm, without earlier plans."""
-        self.planner.reset()
+        super().start(q, v, now_ns)
         self._plans.clear()
-        self._controller = Controller(self._settings, self._model)
-        self._controller.start(q, v, now_ns)
 
     def plan(self, q: Array, v: Array, now_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
         """Let the planner plan; its torques are in force from `effect_ns` on."""
@@ -280,7 +255,3 @@ class JointTorqueMethod:
             torque += repulsion
         limits = np.array(iiwa14.TORQUE_LIMITS)
         return np.clip(torque, -limits, limits)
-
-    def observer_report(self, stopped_because: str, now_ns: int) -> None:
-        """A non-empty reason brings the controller's compliant stop."""
-        self._controller.observer_report(stopped_because, now_ns)

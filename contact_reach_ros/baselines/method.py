@@ -66,8 +66,8 @@ class Method(Protocol):
         """Hear that the observer lives; a non-empty reason stops the arm."""
 
 
-class ReferenceMethod:
-    """A planner whose references the controller follows by laws (1)-(3), or (6).
+class ControlledMethod:
+    """What methods have in common: a planner, and a controller that holds and stops the arm.
 
     Parameters
     ----------
@@ -101,6 +101,14 @@ class ReferenceMethod:
         self._controller = Controller(self._settings, self._controller.model)
         self._controller.start(q, v, now_ns)
 
+    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
+        """Pass the report on to the controller."""
+        self._controller.observer_report(stopped_because, clock_ns)
+
+
+class ReferenceMethod(ControlledMethod):
+    """A planner whose references the controller follows by laws (1)-(3), or (6)."""
+
     def plan(self, q: Array, v: Array, now_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
         """Let the planner plan and hand its references to the controller."""
         plan = self.planner.plan(q, v, now_ns, effect_ns, goal, spheres)
@@ -124,7 +132,3 @@ class ReferenceMethod:
     def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
         """One tick of the controller."""
         return self._controller.tick(q, v, now_ns, clock_ns)
-
-    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
-        """Pass the report on to the controller."""
-        self._controller.observer_report(stopped_because, clock_ns)

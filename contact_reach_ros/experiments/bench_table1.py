@@ -32,6 +32,7 @@ from contact_reach_ros.experiments.grid import (
     cells,
     concrete_scene,
     failed,
+    reason,
     run_cell,
 )
 from contact_reach_ros.experiments.journal import Journal, journal_of, read_journal, write_whole
@@ -326,7 +327,7 @@ def _run(crew: Crew, tasks: list[EpisodeTask], done: dict[Cell, Record], journal
     try:
         with _progress(len(done), total) as advance:
             for task, found in run_all(crew, run_cell, by_program(tasks)):
-                record = failed(task.cell, str(found)) if isinstance(found, BaseException) else found
+                record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
                 done[task.cell] = record
                 if journal is not None:
                     journal.append(record)

@@ -16,6 +16,7 @@ import numpy as np
 from contact_reach_ros.baselines.method import Method
 from contact_reach_ros.baselines.methods import PATH_METHODS, make_method
 from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
 from contact_reach_ros.observer.budget import ContactBudget
@@ -114,7 +115,7 @@ def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
 
 
 def run_cell(task: EpisodeTask) -> Record:
-    """Run an episode; an error is reported as a failed episode, with its message."""
+    """Run an episode; one that cannot be run is reported as failed, with the reason."""
     begin = time.perf_counter()
     try:
         with _process:
@@ -125,8 +126,8 @@ def run_cell(task: EpisodeTask) -> Record:
             result = run_episode(
                 scene, method, task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
             )
-    except Exception as error:
-        return failed(task.cell, f"{type(error).__name__}: {error}")
+    except ContactReachError as error:
+        return failed(task.cell, reason(error))
     gains, permitted_force = task.setup.controller.impedance, task.setup.budget.permitted_force
     metrics = measure(result, scene.target, task.setup.planning, gains, permitted_force)
     times = [plan.solve_s for plan in result.plans]
@@ -136,6 +137,11 @@ def run_cell(task: EpisodeTask) -> Record:
         "plan_s": float(np.median(times)) if times else None,
     }
     return {**dataclasses.asdict(task.cell), **dataclasses.asdict(metrics), "timing": timing}
+
+
+def reason(error: BaseException) -> str:
+    """What a record says of an error."""
+    return f"{type(error).__name__}: {error}"
 
 
 def failed(cell: Cell, message: str) -> Record:

@@ -16,6 +16,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from contact_reach_ros.doctor import arm, sockets
 from contact_reach_ros.doctor.findings import Check, Finding, failed, passed, warned
 from contact_reach_ros.doctor.machine import disk
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import bringup, graph_checks
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.discovery import OLD_SWITCH, RANGE, choose_discovery, reach
@@ -230,7 +231,7 @@ def parameter_file(file: Path) -> Finding:
         for node, sections in _SECTIONS.items():
             check_arguments(["", "--params-file", str(file)], node, sections)
             _check_whole(file, node, sections)
-    except Exception as error:
+    except ContactReachError as error:
         return failed(name, str(error), fix)
     nobody = [
         str(pattern) for pattern in patterns if "*" not in str(pattern) and str(pattern).strip("/") not in _SECTIONS
@@ -260,7 +261,7 @@ def contact_budget(file: Path) -> Finding:
     fix = "set contact_budget of planner and observer to one readable file (see config/contact_budget.yaml)"
     try:
         budgets = {node: load_budget(path) for node, path in paths.items()}
-    except Exception as error:
+    except ContactReachError as error:
         return failed(name, str(error), fix)
     planner, observer = budgets.values()
     if planner != observer:

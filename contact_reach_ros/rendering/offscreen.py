@@ -156,7 +156,7 @@ def _main(file: str) -> None:
         import mujoco
 
         mujoco.GLContext(8, 8).free()
-    except Exception as error:
+    except Exception as error:  # whatever it is, the parent tries another renderer and says why
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(_UNAVAILABLE)
     views = pickle.load(sys.stdin.buffer)
