@@ -23,8 +23,14 @@ venv: $(STAMP) ## create .venv and install the package into it
 demo: $(STAMP) ## run the demonstration
 	@$(BIN)/contact-reach demo $(ARGS)
 
+# The nodes' tests run stacks that take both cores of a small machine, some in real time: nothing runs beside them.
 test: $(STAMP) ## run the tests
+ifeq ($(strip $(ARGS)),)
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup --ignore=test/nodes
+	@$(BIN)/python -m pytest test/nodes
+else
 	@$(BIN)/python -m pytest $(ARGS)
+endif
 
 lint: $(STAMP) ## check style and types
 	@$(BIN)/ruff check .

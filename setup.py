@@ -67,7 +67,16 @@ setup(
         "baselines": ["ompl"],
         "dask": ["distributed"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
-        "test": ["cma", "colcon-common-extensions", "distributed", "hypothesis", "mypy", "pytest", "ruff"],
+        "test": [
+            "cma",
+            "colcon-common-extensions",
+            "distributed",
+            "hypothesis",
+            "mypy",
+            "pytest",
+            "pytest-xdist",
+            "ruff",
+        ],
     },
     entry_points={
         "console_scripts": [

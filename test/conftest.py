@@ -3,12 +3,14 @@
 import os
 
 import hypothesis
+import pytest
+from ros_domains import own_domain
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# Nodes under test must not hear other robots, or another test run on this machine.
+# Nodes under test must not hear other robots, or another test run on this machine; each worker has a domain.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+os.environ["ROS_DOMAIN_ID"] = str(own_domain())
 
 # The same examples every time, and no deadline: what is tested does not depend on the machine's speed.
 hypothesis.settings.register_profile("reproducible", derandomize=True, deadline=None, database=None)
@@ -17,3 +19,10 @@ hypothesis.settings.load_profile("reproducible")
 
 def pytest_addoption(parser):
     parser.addoption("--write-faults", action="store_true", help="write what test/faults finds to docs/faults.md")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """With several workers, the tests of a folder share one, and with it the fixtures and the compiled programs."""
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(item.path.parent.name))

@@ -31,7 +31,7 @@ def make_planner(seed: int = 0) -> CollisionFreePlanner:
     return planner
 
 
-@pytest.fixture(scope="module", params=range(4))
+@pytest.fixture(scope="module", params=range(2))
 def ball_episode(request):
     scene = make_scene(read_scene("ball"), request.param)
     planner = make_planner(request.param)

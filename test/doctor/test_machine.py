@@ -130,7 +130,7 @@ def test_a_planner_that_cannot_start_says_why():
 
 
 def test_a_planner_is_timed():
-    small = {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}
+    small = {"population": 32, "elite": 8, "line_search_points": 32, "max_steps": 3}
     parameters = {f"planning.{name}": value for name, value in small.items()} | {"max_spheres": 0}
     finding = planner_speed({**parameters, "latency": 1000.0})
     assert finding.verdict is Verdict.PASS and finding.values["spheres"] == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import subprocess
@@ -13,18 +12,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
+from ros_domains import fresh_domain
 
-SMALL_PLANNER = {"planning": {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}}
+SMALL_PLANNER = {"planning": {"population": 32, "elite": 8, "line_search_points": 32, "max_steps": 3}}
 """Makes plans in a fraction of the time, for tests that are not about the planner."""
-
-_domains = itertools.count(101 + os.getpid() % 60)
 
 
 def environment() -> dict[str, str]:
     """Environment of a domain that no other test uses."""
     # Discovery is left to the package's own default, as a user has it.
     inherited = {name: value for name, value in os.environ.items() if name != "ROS_AUTOMATIC_DISCOVERY_RANGE"}
-    return {**inherited, "ROS_DOMAIN_ID": str(next(_domains) % 130 + 101), "RCUTILS_COLORIZED_OUTPUT": "0"}
+    return {**inherited, "ROS_DOMAIN_ID": str(fresh_domain()), "RCUTILS_COLORIZED_OUTPUT": "0"}
 
 
 def parameter_file(path: Path, **nodes: dict) -> Path:

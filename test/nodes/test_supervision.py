@@ -12,6 +12,10 @@ from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, pr
 from contact_reach_ros.recording.bag_reader import BagReader
 from contact_reach_ros.recording.signals import read_signals
 
+PATIENT_PLANNER = {**SMALL_PLANNER, "latency": 0.25}
+"""Has a quarter of a second for each plan: with less, a busy machine makes every plan too late to take effect, until
+the controller stops the arm before it has moved."""
+
 REST = 0.1
 """Joint speed that counts as rest, sensor noise included, rad/s."""
 
@@ -20,7 +24,7 @@ REST = 0.1
 def moving_demo(tmp_path):
     """A demo in real time whose arm is on its way: environment, process, output file and folder."""
     env = environment()
-    parameters = parameter_file(tmp_path / "small.yaml", planner=SMALL_PLANNER)
+    parameters = parameter_file(tmp_path / "small.yaml", planner=PATIENT_PLANNER)
     output = tmp_path / "output.txt"
     command = [*module("cli"), "demo", "--scene", "free", "--output", str(tmp_path), "--parameters", str(parameters)]
     with running(command, env, output) as process:

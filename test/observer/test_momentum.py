@@ -1,5 +1,7 @@
 """The momentum observer on an arm that is exactly its model."""
 
+import itertools
+
 import numpy as np
 import pytest
 from arm_simulation import HOME, REST, TICK_NS, ideal_plant, random_states
@@ -282,11 +284,16 @@ class TestInterruptions:
         assert observed.observer.gaps == 0
 
     @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-    @pytest.mark.parametrize("field", ["position", "velocity", "torque"])
-    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+    @pytest.mark.parametrize(
+        ("field", "value"),
+        [
+            *itertools.product(["position", "velocity", "torque"], [np.nan, np.inf, -np.inf]),
+            # An angle is an angle, however large.
+            ("velocity", 1e308),
+            ("torque", 1e308),
+        ],
+    )
     def test_state_that_is_not_finite_is_refused_and_forgotten(self, observed, field, value):
-        if (field, value) == ("position", 1e308):
-            pytest.skip("an angle is an angle, however large")
         observer = observed.observer
         before = observer.residual.copy()
         gravity = RobotModel().gravity_at(HOME)

@@ -1,6 +1,6 @@
 """Compiled programs that several tests share: compiling them takes most of the time of these tests."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import jax
 import numpy as np
@@ -9,6 +9,20 @@ from planning_helpers import make_objective, make_planner
 
 from contact_reach_ros.planning.cost import Objective, Problem, Rollout
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+
+
+@pytest.fixture(scope="module")
+def quick_compilation() -> Iterator[None]:
+    """Let XLA leave out most optimisations: 0.4 of the time to compile, for programs that take 7 times as long to run.
+
+    What a program computes is the same to rounding. Optimised ones run in the episodes and stacks of other folders.
+    """
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,7 @@
 """The cost (5): its parts, and its gradient."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,8 @@ from contact_reach_ros.planning.cost import ROUNDING, Problem
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames, rotation_about
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 FLANGE = link_frames(HOME)[1][-1]
 STILL = np.zeros((3, 13, LANES))
@@ -100,25 +104,27 @@ def test_references_are_the_predicted_pose_plus_the_action(roll_out):
         np.testing.assert_allclose(turned, expected, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("touching", [False, True])
-def test_gradient_agrees_with_finite_differences(touching):
-    """To 1e-6 in double and to 1e-2 in single precision, relative to the steepest slope."""
+@pytest.fixture(scope="module")
+def costs_and_slopes(objective) -> Callable[[Problem, jax.Array], tuple[jax.Array, jax.Array]]:
+    """One program gives both for points (39, 39) in units of the bounds: compiling is what takes the time here."""
     bounds = np.tile([0.01] * 3 + [0.2] * 10, 3)
-    point = np.random.default_rng(1).uniform(-0.5, 0.5, 39)
-    points = np.tile(point[:, None], (1, 39))
-    objective = make_objective()
 
-    # One program gives both costs and slopes: compiling is what takes the time here.
-    @jax.jit
-    def costs_and_slopes(problem: Problem, points: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def run(problem: Problem, points: jax.Array) -> tuple[jax.Array, jax.Array]:
         def cost(points: jax.Array) -> jax.Array:
             return objective.cost(problem, (points * bounds[:, None]).reshape(3, 13, -1))
 
         return jax.jvp(cost, (points,), (jnp.eye(39, dtype=points.dtype),))
 
-    problem = make_problem(
-        HOME, FLANGE + np.array([0.2, 0.1, -0.1]), ball(at_forearm(0.005)) if touching else None, orientation=0.1
-    )
+    return jax.jit(run)
+
+
+@pytest.mark.parametrize("touching", [False, True])
+def test_gradient_agrees_with_finite_differences(costs_and_slopes, touching):
+    """To 1e-6 in double and to 1e-2 in single precision, relative to the steepest slope."""
+    point = np.random.default_rng(1).uniform(-0.5, 0.5, 39)
+    points = np.tile(point[:, None], (1, 39))
+    obstacle = ball(at_forearm(0.005) if touching else FAR_BALL)
+    problem = make_problem(HOME, FLANGE + np.array([0.2, 0.1, -0.1]), obstacle, orientation=0.1)
     _, single = costs_and_slopes(cast(problem, np.float32), points.astype(np.float32))
     assert single.dtype == np.float32
     with jax.enable_x64(True):

@@ -18,6 +18,8 @@ from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import default_arm
 from contact_reach_ros.robot.kinematics import link_frames as table_frames
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 STIFFNESS = 1000.0
 AN_INSTANT = 1e-6
 """A step in which no sphere gives way, s."""

@@ -1,6 +1,5 @@
 """The recorder as users start it: a process of its own, ended by a signal."""
 
-import itertools
 import os
 import re
 import signal
@@ -19,6 +18,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_domains import fresh_domain
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
@@ -32,15 +32,13 @@ RELIABLE = QoSProfile(depth=1000)
 LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-_domains = itertools.count(os.getpid())
-
 
 class Recorder:
     """A recorder process on a domain of its own, and a node beside it that publishes."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self.domain = 1 + next(_domains) % 100
+        self.domain = fresh_domain()
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self.domain)
         self.node: Node = rclpy.create_node("publisher", context=self._context)
