@@ -235,7 +235,7 @@ class PlannerNode(ManagedNode):
         """Time until a plan begun now can take effect: what the last ones took, on a machine that may be busy."""
         if self._lockstep or not self._recent_ns:
             return self._min_latency_ns
-        return min(max(self._min_latency_ns, *self._recent_ns), _MAX_LATENCY_NS)
+        return max(self._min_latency_ns, min(max(self._recent_ns), _MAX_LATENCY_NS))
 
     def _make_plan(self, q: np.ndarray, v: np.ndarray, now_ns: int, effect_ns: int, goal: Goal) -> None:
         if self._planner is None:
