@@ -4,30 +4,39 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Collection, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
-from mcap.records import Schema
+from mcap.records import Channel, Schema
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.recording import bag_metadata
-from contact_reach_ros.recording.mcap_file import McapFile
+from contact_reach_ros.recording.mcap_file import PROFILE, McapFile
+from contact_reach_ros.recording.topics import OfferedQos, TypeDefinition, read_offered_qos
 from contact_reach_ros.units import NANOSECONDS
+
+CDR = "cdr"
+"""Serialisation of ROS 2 messages."""
+ROS2MSG = "ros2msg"
+"""Language of the definitions that the decoder reads."""
 
 
 class RawMessage(NamedTuple):
-    """A message as it was received: serialised, with its times in ns since the epoch."""
+    """A message as it was received: serialised, with its times in ns since the epoch and its publisher's number."""
 
     topic: str
     type: str
     log_time_ns: int
     publish_time_ns: int
     data: bytes
+    sequence: int
 
 
 class BagMessage(NamedTuple):
@@ -41,11 +50,13 @@ class BagMessage(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class RecordedTopic:
-    """A topic of a bag, its type and the number of its messages."""
+    """A topic of a bag: its type, the number of its messages, what its publishers offered, and how it is serialised."""
 
     name: str
     type: str
     message_count: int
+    offered_qos: tuple[OfferedQos, ...] = ()
+    encoding: str = CDR
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,11 +111,32 @@ class BagReader:
         if not self._path.exists():
             raise BagError(f"bag '{self._path}' does not exist")
         self._notes: list[str] = []
-        information = bag_metadata.read(self._path) if self._path.is_dir() else None
-        self._files = [McapFile(file) for file in self._find_files(information)]
+        information = self._read_information() if self._path.is_dir() else None
+        self._files = self._open(self._find_files(information))
+        self._times: list[dict[int, np.ndarray]] | None = None
+        self._decodable: set[str] = set()
+        self._unreadable: dict[str, str] = {}
+        self._undecoded: Counter[str] = Counter()
+        self._first_error: dict[str, str] = {}
         self._store = get_typestore(Stores.EMPTY)
         self._registered: set[str] = set()
         self.summary = self._summarise(information)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Those of the summary, and what has been found since then: damaged chunks, messages that are none."""
+        damaged = [
+            f"{file.path.name}: {file.damaged_chunks} chunks are damaged, their messages are left out"
+            for file in self._files
+            if file.damaged_chunks
+        ]
+        undecoded = [
+            f"topic '{topic}': {count} messages are no {self.topics()[topic].type} and left out;"
+            f" {self._first_error[topic]}"
+            for topic, count in self._undecoded.items()
+        ]
+        found = [*damaged, *self._unreadable.values(), *undecoded]
+        return (*self.summary.notes, *(note for note in found if note not in self.summary.notes))
 
     def topics(self) -> Mapping[str, RecordedTopic]:
         """The topics of the bag by name."""
@@ -113,41 +145,101 @@ class BagReader:
     def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Messages of some topics, or of all, as they were received.
 
-        They come by time of reception; from a cut file in the order in which they were written.
+        They come by time of reception; from a cut file in the order in which they were written. What lies in damaged
+        chunks is left out, which `notes` tells afterwards.
 
         Raises
         ------
         BagError
-            If the bag has no such topic or is damaged.
+            If the bag has no such topic.
         """
         wanted = set(self.topics()) if topics is None else set(topics)
         missing = sorted(wanted - set(self.topics()))
         if missing:
             known = ", ".join(sorted(self.topics())) or "none"
             raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
+        types = {name: topic.type for name, topic in self.topics().items()}
         for file in self._files:
             for channel, message in file.messages(wanted):
-                type_name = self.topics()[channel.topic].type
-                yield RawMessage(channel.topic, type_name, message.log_time, message.publish_time, message.data)
+                name = channel.topic
+                received, sent, _, sequence, data = message
+                yield RawMessage(name, types[name], received, sent, data, sequence)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages of some topics, or of all, decoded by the definitions that the bag itself holds.
 
+        Topics and messages that cannot be decoded are left out, which `notes` tells afterwards.
+
         Raises
         ------
         BagError
-            If the bag has no such topic or is damaged, or a message does not fit its definition.
+            If the bag has no such topic.
         """
         for raw in self.raw_messages(topics):
-            if raw.type not in self._registered:
-                self._register(raw.type)
+            if raw.topic in self._unreadable or not self._readable(raw.topic, raw.type):
+                continue
             try:
                 decoded = self._decode(raw.data, raw.type)
             except (SerdeError, struct.error, IndexError, ValueError) as error:
-                raise BagError(
-                    f"bag '{self._path}', topic '{raw.topic}', received at {raw.log_time_ns} ns: no {raw.type}: {error}"
-                ) from error
+                self._undecoded[raw.topic] += 1
+                self._first_error.setdefault(raw.topic, f"the first was received at {raw.log_time_ns} ns: {error}")
+                continue
             yield BagMessage(raw.topic, raw.log_time_ns, raw.publish_time_ns, decoded)
+
+    def reception_times(self, topic: str) -> np.ndarray:
+        """(n,) ns since the epoch, in the order of the file, without reading messages where there is an index.
+
+        Raises
+        ------
+        BagError
+            If the bag has no such topic.
+        """
+        if topic not in self.topics():
+            raise BagError(f"bag '{self._path}' has no topic '{topic}'")
+        if self._times is None:
+            self._times = [file.reception_times() for file in self._files]
+        parts = [
+            times[number]
+            for file, times in zip(self._files, self._times, strict=True)
+            for number, channel in file.contents.channels.items()
+            if channel.topic == topic and number in times
+        ]
+        return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
+
+    def definition(self, type_name: str) -> TypeDefinition:
+        """The definition of a type that the bag holds.
+
+        Raises
+        ------
+        BagError
+            If it holds none.
+        """
+        schema = self._schema(type_name)
+        if schema is None:
+            raise BagError(f"bag '{self._path}' has no definition of the type '{type_name}'")
+        hashes = (
+            channel.metadata.get("topic_type_hash", "")
+            for file in self._files
+            for channel in file.contents.channels.values()
+            if channel.schema_id in file.contents.schemas and file.contents.schemas[channel.schema_id].name == type_name
+        )
+        return TypeDefinition(schema.encoding, schema.data, next(filter(None, hashes), ""))
+
+    def _readable(self, topic: str, type_name: str) -> bool:
+        """Whether the messages of a topic can be decoded; the reason why not is kept."""
+        if topic in self._decodable:
+            return True
+        encoding = self.topics()[topic].encoding
+        try:
+            if encoding != CDR:
+                raise BagError(f"is serialised as {encoding or 'nothing known'}, expected {CDR}")
+            if type_name not in self._registered:
+                self._register(type_name)
+        except BagError as error:
+            self._unreadable[topic] = f"topic '{topic}' is left out: {error}"
+            return False
+        self._decodable.add(topic)
+        return True
 
     def _decode(self, data: bytes, type_name: str) -> Any:
         # Not by `deserialize_cdr`, which refuses bytes after the end: rclpy's `serialize_message` leaves up to eight.
@@ -156,14 +248,40 @@ class BagReader:
         decode = definition.deserialize_cdr_le if little_endian else definition.deserialize_cdr_be
         return decode(data[4:], 0, definition.cls, self._store)[0]
 
+    def _read_information(self) -> Mapping[str, Any] | None:
+        try:
+            information = bag_metadata.read(self._path)
+        except BagError as error:
+            if not any(self._path.glob("*.mcap")):
+                raise
+            self._notes.append(f"{error}; the mcap files are read without it")
+            return None
+        if information is None and any(self._path.glob("*.mcap")):
+            self._notes.append(
+                "metadata.yaml is missing: the recording was not closed; `contact-reach bag repair` closes it"
+            )
+        return information
+
+    def _open(self, paths: Sequence[Path]) -> list[McapFile]:
+        """The files that can be read; one that cannot is noted if there are others."""
+        files, errors = [], []
+        for path in paths:
+            try:
+                files.append(McapFile(path))
+            except BagError as error:
+                errors.append(error)
+        if errors and not files:
+            raise errors[0]
+        self._notes += [str(error) for error in errors]
+        return files
+
     def _find_files(self, information: Mapping[str, Any] | None) -> list[Path]:
         if not self._path.is_dir():
             return [self._path]
         if information is None:
-            files = sorted(self._path.glob("*.mcap"))
+            files = sorted(self._path.glob("*.mcap"), key=_file_number)
             if not files:
                 raise BagError(f"'{self._path}' is no bag: it has neither metadata.yaml nor an mcap file")
-            self._notes.append("metadata.yaml is missing: the recording was not closed")
             return files
         storage = information.get("storage_identifier")
         if storage != "mcap":
@@ -183,21 +301,31 @@ class BagReader:
     def _summarise(self, information: Mapping[str, Any] | None) -> BagSummary:
         topics: dict[str, RecordedTopic] = {}
         for file in self._files:
-            for number, channel in file.contents.channels.items():
-                schema = file.contents.schemas.get(channel.schema_id)
-                type_name = schema.name if schema else ""
-                counted = topics.get(channel.topic, RecordedTopic(channel.topic, type_name, 0))
-                if counted.type != type_name:
+            contents = file.contents
+            if contents.profile not in (None, PROFILE):
+                self._notes.append(
+                    f"{file.path.name} has the profile '{contents.profile}', expected '{PROFILE}':"
+                    " it may be no recording of ROS 2"
+                )
+            for number, channel in contents.channels.items():
+                schema = contents.schemas.get(channel.schema_id)
+                found = self._topic(channel, schema, contents.message_counts.get(number, 0))
+                known = topics.setdefault(channel.topic, dataclasses.replace(found, message_count=0))
+                if known.type != found.type:
                     raise BagError(
-                        f"{file.path}: topic '{channel.topic}' has both type {counted.type} and {type_name},"
+                        f"{file.path}: topic '{channel.topic}' has both type {known.type} and {found.type},"
                         " expected one"
                     )
-                count = counted.message_count + file.contents.message_counts.get(number, 0)
-                topics[channel.topic] = dataclasses.replace(counted, message_count=count)
-            if file.contents.cut_at is not None:
+                count = known.message_count + found.message_count
+                topics[channel.topic] = dataclasses.replace(known, message_count=count)
+            if contents.cut_at is not None:
                 self._notes.append(
-                    f"{file.path.name} is cut or damaged: readable up to byte {file.contents.cut_at}"
+                    f"{file.path.name} is cut or damaged: readable up to byte {contents.cut_at}"
                     f" of {file.path.stat().st_size}"
+                )
+            if file.damaged_chunks:
+                self._notes.append(
+                    f"{file.path.name}: {file.damaged_chunks} chunks are damaged, their messages are left out"
                 )
         filled = [file.contents for file in self._files if any(file.contents.message_counts.values())]
         start_ns = min((contents.start_ns for contents in filled), default=0)
@@ -210,6 +338,15 @@ class BagReader:
             bag_metadata.custom_data(information or self._embedded_information()),
             tuple(self._notes),
         )
+
+    def _topic(self, channel: Channel, schema: Schema | None, message_count: int) -> RecordedTopic:
+        try:
+            offered_qos = read_offered_qos(channel.metadata.get("offered_qos_profiles", ""))
+        except BagError as error:
+            self._notes.append(f"topic '{channel.topic}': {error}")
+            offered_qos = ()
+        type_name = schema.name if schema else ""
+        return RecordedTopic(channel.topic, type_name, message_count, offered_qos, channel.message_encoding)
 
     def _embedded_information(self) -> Mapping[str, Any] | None:
         """The copy of the metadata in the last file that has one."""
@@ -227,20 +364,23 @@ class BagReader:
 
     def _register(self, type_name: str) -> None:
         schema = self._schema(type_name)
-        if schema is None or schema.encoding != "ros2msg":
+        if schema is None or schema.encoding != ROS2MSG:
             encoding = schema.encoding if schema else "none"
-            raise BagError(
-                f"bag '{self._path}': type '{type_name}' has a definition in the encoding '{encoding}',"
-                " expected ros2msg"
-            )
+            raise BagError(f"type '{type_name}' has a definition in the encoding '{encoding}', expected {ROS2MSG}")
         try:
             self._store.register(get_types_from_msg(schema.data.decode(), type_name))
             # Compiles the decoder, which shows whether a dependency is missing.
             self._store.get_msgdef(type_name)
         except (TypesysError, UnicodeDecodeError, KeyError) as error:
-            raise BagError(f"bag '{self._path}': type '{type_name}' has no clear definition: {error}") from error
+            raise BagError(f"type '{type_name}' has no clear definition: {error}") from error
         self._registered.add(type_name)
 
     def _schema(self, type_name: str) -> Schema | None:
         schemas = (schema for file in self._files for schema in file.contents.schemas.values())
         return next((schema for schema in schemas if schema.name == type_name), None)
+
+
+def _file_number(path: Path) -> tuple[int, str]:
+    """Order of the files of a split bag: by the number at the end of the name."""
+    number = path.stem.rpartition("_")[2]
+    return (int(number) if number.isdigit() else 0, path.name)

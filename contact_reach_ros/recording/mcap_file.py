@@ -6,29 +6,35 @@ import dataclasses
 import os
 import struct
 import zlib
-from collections import Counter
+from array import array
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-import zstandard
-from mcap.exceptions import McapError
+import numpy as np
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Chunk, ChunkIndex, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.recording.mcap_chunks import (
+    DAMAGE,
+    OrderedChunks,
+    StoredMessage,
+    chunk_content,
+    chunk_definitions,
+    chunk_messages,
+    reception_times,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
+PROFILE = "ros2"
+"""Of the mcap files that rosbag2 writes."""
 
 # Opcode, length, positions of summary and summary offsets, checksum.
 _FOOTER = struct.Struct("<BQQQI")
 _CHECKSUM_BYTES = 4
-
-# What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text,
-# or a length that nothing can have.
-_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +43,8 @@ class McapContents:
 
     Attributes
     ----------
+    profile :
+        What its writer says it follows: "ros2" for a bag; None if the file is cut before that.
     schemas, channels :
         By their number in the file.
     message_counts :
@@ -51,6 +59,7 @@ class McapContents:
         Byte position up to which a damaged file could be read, None for a whole one.
     """
 
+    profile: str | None
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
     message_counts: dict[int, int]
@@ -63,6 +72,13 @@ class McapContents:
 
 class McapFile:
     """A recording in one mcap file, opened anew for every pass over it.
+
+    Attributes
+    ----------
+    path :
+        The file.
+    contents :
+        What it holds.
 
     Raises
     ------
@@ -81,25 +97,47 @@ class McapFile:
             raise BagError(f"{path}: is empty; the recording stopped before anything was written")
         if start != MAGIC:
             raise BagError(f"{path}: is no mcap file (its first bytes are {start.hex(' ')})")
+        self._chunks: list[ChunkIndex] = []
+        self._times: dict[int, array[int]] = {}
+        self._damaged: set[int] = set()
         self.contents = self._read_summary() or self._scan()
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, Message]]:
-        """Messages of the topics: by time of reception, or in the order of the file where it has no index.
+    @property
+    def damaged_chunks(self) -> int:
+        """Chunks that were found to be damaged so far; their messages are lost."""
+        return len(self._damaged)
 
-        Raises
-        ------
-        BagError
-            If an indexed file turns out to be damaged.
-        """
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, StoredMessage]]:
+        """Messages of the topics: by time of reception, or in the order of the file where it has no index."""
+        channels = {number: channel for number, channel in self.contents.channels.items() if channel.topic in topics}
         with self.path.open("rb") as stream:
-            if not self.contents.indexed:
-                yield from self._messages_until_cut(stream, topics)
-                return
-            try:
-                for _, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages(topics):
+            if self.contents.indexed:
+                ordered = OrderedChunks(self._chunks)
+                ordered.damaged = self._damaged
+                found = ordered.messages(stream, set(channels))
+            else:
+                found = _Records(stream).messages()
+            for message in found:
+                channel = channels.get(message.channel_id)
+                if channel is not None:
                     yield channel, message
-            except _DAMAGE as error:
-                raise BagError(f"{self.path}: is damaged: {error}") from error
+
+    def reception_times(self) -> dict[int, np.ndarray]:
+        """Times of reception, (n,) in ns since the epoch, by channel number and in the order of the file."""
+        if not self.contents.indexed:
+            return {channel: np.array(times, dtype=np.int64) for channel, times in self._times.items()}
+        with self.path.open("rb") as stream:
+            try:
+                found = reception_times(stream, self._chunks)
+            except DAMAGE:
+                found = {}
+        if all(len(found.get(channel, ())) == count for channel, count in self.contents.message_counts.items()):
+            return found
+        # A file without message indexes, or with damaged ones.
+        times: dict[int, array[int]] = {}
+        for channel, message in self.messages({channel.topic for channel in self.contents.channels.values()}):
+            times.setdefault(channel.id, array("q")).append(message.log_time_ns)
+        return {channel: np.array(received, dtype=np.int64) for channel, received in times.items()}
 
     def _read_summary(self) -> McapContents | None:
         """What the summary at the end says, None if it is missing or says too little."""
@@ -110,11 +148,14 @@ class McapFile:
                 if summary is None or not _complete(summary) or summary.statistics is None:
                     return None
                 metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-            except (*_DAMAGE, OSError):
+                profile = reader.get_header().profile
+            except (*DAMAGE, OSError):
                 # OSError: a file that is shorter than a footer.
                 return None
+        self._chunks = summary.chunk_indexes
         statistics = summary.statistics
         return McapContents(
+            profile,
             summary.schemas,
             summary.channels,
             dict(statistics.channel_message_counts),
@@ -126,51 +167,81 @@ class McapFile:
         )
 
     def _scan(self) -> McapContents:
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        counts: Counter[int] = Counter()
-        metadata: dict[str, dict[str, str]] = {}
-        start_ns, end_ns = 0, 0
         with self.path.open("rb") as stream:
             records = _Records(stream)
-            for record in records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    channels[record.id] = record
-                elif isinstance(record, Metadata):
-                    metadata[record.name] = record.metadata
-                elif isinstance(record, Message):
-                    start_ns = min(start_ns, record.log_time) if counts else record.log_time
-                    end_ns = max(end_ns, record.log_time)
-                    counts[record.channel_id] += 1
+            for message in records.messages():
+                self._times.setdefault(message.channel_id, array("q")).append(message.log_time_ns)
+        self._damaged = records.damaged
+        filled = self._times.values()
         return McapContents(
-            schemas, channels, dict(counts), start_ns, end_ns, metadata, indexed=False, cut_at=records.cut_at
+            records.profile,
+            records.schemas,
+            records.channels,
+            {channel: len(times) for channel, times in self._times.items()},
+            min((min(times) for times in filled), default=0),
+            max((max(times) for times in filled), default=0),
+            records.metadata,
+            indexed=False,
+            cut_at=records.cut_at,
         )
-
-    def _messages_until_cut(self, stream: BinaryIO, topics: Collection[str]) -> Iterator[tuple[Channel, Message]]:
-        channels = self.contents.channels
-        for record in _Records(stream):
-            if isinstance(record, Message) and channels[record.channel_id].topic in topics:
-                yield channels[record.channel_id], record
 
 
 class _Records:
-    """The records of a stream, those inside chunks included, up to its end or to where it is damaged."""
+    """The records of a stream, those inside chunks included, up to its end or to where it is cut.
+
+    A chunk that is whole but not what was written is left out.
+    """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
+        self._size = os.fstat(stream.fileno()).st_size
+        self.profile: str | None = None
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.damaged: set[int] = set()
         self.cut_at: int | None = None
 
-    def __iter__(self) -> Iterator[McapRecord]:
+    def messages(self) -> Iterator[StoredMessage]:
+        """The messages in the order of the file; the rest is kept in the attributes."""
         position = 0
         try:
-            for record in StreamReader(self._stream, emit_chunks=True).records:
-                # A chunk that is cut fails its checksum here, before any of its messages is passed on.
-                yield from breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            for record in StreamReader(self._stream, emit_chunks=True, record_size_limit=self._size).records:
+                if isinstance(record, Chunk):
+                    yield from self._unpack(record, position)
+                elif isinstance(record, Message):
+                    if record.channel_id in self.channels:
+                        yield StoredMessage(
+                            record.log_time, record.publish_time, record.channel_id, record.sequence, record.data
+                        )
+                elif isinstance(record, Header):
+                    self.profile = record.profile
+                elif isinstance(record, Metadata):
+                    self.metadata[record.name] = record.metadata
+                elif isinstance(record, Schema | Channel):
+                    self._define(record)
                 position = self._stream.tell()
-        except _DAMAGE:
+        except DAMAGE:
             self.cut_at = position
+
+    def _unpack(self, chunk: Chunk, position: int) -> list[StoredMessage]:
+        try:
+            content = chunk_content(chunk)
+            for definition in chunk_definitions(content):
+                self._define(definition)
+            return [message for message in chunk_messages(content) if message.channel_id in self.channels]
+        except DAMAGE:
+            if self._stream.tell() >= self._size:
+                # Nothing follows: this is where the file is cut.
+                raise
+            self.damaged.add(position)
+            return []
+
+    def _define(self, record: Schema | Channel) -> None:
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        else:
+            self.channels[record.id] = record
 
 
 def _summary_is_sound(stream: BinaryIO) -> bool:

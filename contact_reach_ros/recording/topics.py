@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
+
+import yaml
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
@@ -39,6 +42,77 @@ class OfferedQos:
             "liveliness_lease_duration": _seconds_and_nanoseconds(self.liveliness_lease_ns),
             "avoid_ros_namespace_conventions": self.avoid_ros_namespace_conventions,
         }
+
+    @classmethod
+    def from_mapping(cls, profile: Mapping[str, Any]) -> OfferedQos:
+        """The profile that a bag holds; older versions have numbers where this one has words.
+
+        Raises
+        ------
+        BagError
+            If it is no such profile.
+        """
+        try:
+            return cls(
+                history=_word("history", profile),
+                depth=int(profile["depth"]),
+                reliability=_word("reliability", profile),
+                durability=_word("durability", profile),
+                deadline_ns=_nanoseconds(profile["deadline"]),
+                lifespan_ns=_nanoseconds(profile["lifespan"]),
+                liveliness=_word("liveliness", profile),
+                liveliness_lease_ns=_nanoseconds(profile["liveliness_lease_duration"]),
+                avoid_ros_namespace_conventions=bool(profile["avoid_ros_namespace_conventions"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise BagError(
+                f"quality of service {profile!r}: expected the profile of a rosbag2 file ({error})"
+            ) from error
+
+
+_NUMBERED: Mapping[str, Mapping[Any, str]] = {
+    "history": {0: "system_default", 1: "keep_last", 2: "keep_all", 3: "unknown"},
+    "reliability": {0: "system_default", 1: "reliable", 2: "best_effort", 3: "unknown", 4: "best_available"},
+    "durability": {0: "system_default", 1: "transient_local", 2: "volatile", 3: "unknown", 4: "best_available"},
+    "liveliness": {0: "system_default", 1: "automatic", 3: "manual_by_topic", 4: "unknown", 5: "best_available"},
+}
+"""What rmw's numbers stand for, which files up to version 8 hold."""
+
+
+def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
+    """The profiles that an mcap channel holds as YAML; empty if there are none.
+
+    Raises
+    ------
+    BagError
+        If the text is something else.
+    """
+    try:
+        profiles = yaml.safe_load(text) or []
+    except yaml.YAMLError as error:
+        raise BagError(f"quality of service: not valid YAML: {error}") from error
+    if not isinstance(profiles, list):
+        raise BagError(f"quality of service {profiles!r}: expected a list of profiles")
+    return tuple(OfferedQos.from_mapping(profile) for profile in profiles)
+
+
+@dataclasses.dataclass(frozen=True)
+class TypeDefinition:
+    """What is known of a message type.
+
+    Attributes
+    ----------
+    encoding :
+        Language of the text, "ros2msg" or "ros2idl".
+    text :
+        The definition, followed by those that it needs.
+    type_hash :
+        RIHS01_<64 hexadecimal digits>, or empty.
+    """
+
+    encoding: str
+    text: bytes
+    type_hash: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,3 +155,11 @@ def parse_topic(text: str) -> tuple[str, str | None]:
 def _seconds_and_nanoseconds(duration_ns: int) -> dict[str, int]:
     seconds, nanoseconds = divmod(duration_ns, NANOSECONDS)
     return {"sec": seconds, "nsec": nanoseconds}
+
+
+def _nanoseconds(duration: Mapping[str, int]) -> int:
+    return duration["sec"] * NANOSECONDS + duration["nsec"]
+
+
+def _word(field: str, profile: Mapping[str, Any]) -> str:
+    return _NUMBERED[field].get(profile[field], str(profile[field]))

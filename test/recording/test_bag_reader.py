@@ -96,10 +96,13 @@ def test_unknown_topic_is_named_with_those_that_exist(shared_sample: SampleBag) 
 def test_message_that_is_none_is_named(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", [Topic("/a", "sensor_msgs/msg/JointState")]) as writer:
         writer.write("/a", b"\0\1\0\0\1\0", 12345)
+        writer.write("/a", serialize_message(JointState(name=["a"], position=[1.0])), 12346)
     reader = BagReader(tmp_path / "bag")
-    assert len(list(reader.raw_messages())) == 1
-    with pytest.raises(BagError, match="'/a', received at 12345 ns"):
-        list(reader.messages())
+    assert len(list(reader.raw_messages())) == 2
+    assert [item.message.name for item in reader.messages()] == [["a"]]
+    (note,) = reader.notes
+    assert "topic '/a': 1 messages are no sensor_msgs/msg/JointState" in note
+    assert "received at 12345 ns" in note
 
 
 def test_missing_bag(tmp_path: Path) -> None:
@@ -129,6 +132,11 @@ def test_directory_of_another_kind(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", ["", "- 1\n", "a: [", "other: {}\n", "rosbag2_bagfile_information: 3\n"])
 def test_metadata_of_another_kind(sample: SampleBag, content: str) -> None:
     (sample.directory / "metadata.yaml").write_text(content)
+    reader = BagReader(sample.directory)
+    assert len(list(reader.messages())) == len(sample.written)
+    assert reader.summary.custom_data["seed"] == "7"
+    assert "metadata.yaml" in reader.notes[0]
+    sample.file.unlink()
     with pytest.raises(BagError, match=r"metadata\.yaml"):
         BagReader(sample.directory)
 
@@ -225,6 +233,70 @@ def test_cut_file_is_readable_up_to_the_cut(
     # The fixture writes a chunk for every 40 messages, and none of those that are whole may be given up.
     whole_chunks = [end for end in chunk_ends(shared_sample.file) if end <= length]
     assert len(read) == 40 * len(whole_chunks)
+
+
+def test_damaged_chunk_is_left_out_and_the_rest_read(sample: SampleBag) -> None:
+    content = bytearray(sample.file.read_bytes())
+    first_end, second_end = chunk_ends(sample.file)[:2]
+    content[(first_end + second_end) // 2 + 200] ^= 255
+    for whole in (True, False):
+        sample.file.write_bytes(content if whole else content[:-100])
+        reader = BagReader(sample.directory)
+        read = [raw.log_time_ns for raw in reader.raw_messages()]
+        assert read == [entry[1] for number, entry in enumerate(sample.written) if not 40 <= number < 80]
+        assert any("1 chunks are damaged" in note for note in reader.notes)
+
+
+def test_topic_that_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: Path) -> None:
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="")
+        text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        unknown = writer.register_schema("arm_msgs/msg/Gain", "ros2msg", b"arm_msgs/Missing gain\n")
+        other = writer.register_schema("arm_msgs/msg/Other", "protobuf", b"\1")
+        channels = [
+            writer.register_channel("/gain", "cdr", unknown),
+            writer.register_channel("/text", "cdr", text),
+            writer.register_channel("/other", "cdr", other),
+            writer.register_channel("/json", "json", text),
+        ]
+        for time in range(8):
+            data = serialize_message(String(data=str(time)))
+            writer.add_message(channels[time % 4], time, data, time)
+        writer.finish()
+    reader = BagReader(path)
+    assert [item.message.data for item in reader.messages()] == ["1", "5"]
+    notes = "\n".join(reader.notes)
+    assert "profile '', expected 'ros2'" in notes
+    for topic, reason in {
+        "/gain": "no clear definition",
+        "/other": "'protobuf'",
+        "/json": "serialised as json",
+    }.items():
+        assert f"topic '{topic}' is left out" in notes
+        assert reason in notes
+
+
+def test_reception_times_with_and_without_index(shared_sample: SampleBag, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(shared_sample.file.read_bytes()[:-10])
+    expected = [received for topic, received, *_ in shared_sample.written if topic == "/goal_pose"]
+    for path in (shared_sample.directory, cut):
+        assert BagReader(path).reception_times("/goal_pose").tolist() == expected
+
+
+def test_overlapping_chunks_come_by_time_of_reception(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    times = random.permutation(500)
+    with BagWriter(tmp_path / "bag", [Topic("/a", "std_msgs/msg/String")]) as writer:
+        for number, time in enumerate(times):
+            writer.write("/a", serialize_message(String(data=str(time))), int(time))
+            if number % 30 == 29:
+                writer.flush()
+    reader = BagReader(tmp_path / "bag")
+    assert [raw.log_time_ns for raw in reader.raw_messages()] == list(range(500))
+    assert reader.reception_times("/a").tolist() == times.tolist()
 
 
 @settings(max_examples=60)
