@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from contact_reach_ros import __version__
 from contact_reach_ros.errors import ContactReachError
@@ -62,6 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("-h", "--help", dest="wants_help", action="store_true")
     fault.add_argument("arguments", nargs=argparse.REMAINDER)
     fault.set_defaults(run=_fault)
+
+    _add_bag(commands.add_parser("bag", help="look into a recording, or repair it").add_subparsers)
 
     bench = commands.add_parser("bench", help="measure on this machine")
     benches = bench.add_subparsers(required=True, metavar="WHAT")
@@ -170,6 +173,18 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_bag(add_subparsers: Callable[..., Any]) -> None:
+    actions = add_subparsers(required=True, metavar="WHAT")
+    info = actions.add_parser("info", help="topics, rates, gaps and lost messages of a bag")
+    info.add_argument("bag", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
+    info.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    info.set_defaults(run=_bag_info)
+    repair = actions.add_parser("repair", help="make a complete bag of what can be read of a damaged one")
+    repair.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file; it is left as it is")
+    repair.add_argument("--output", type=Path, metavar="DIR", help="the new bag (default: BAG_repaired)")
+    repair.set_defaults(run=_bag_repair)
+
+
 def _add_figure_options(figure: argparse.ArgumentParser, methods: str, output: str) -> None:
     """Options that both figures have, with the methods and the file that are the default."""
     figure.add_argument("--methods", nargs="+", metavar="METHOD", help=f"as for table1 (default: {methods})")
@@ -210,6 +225,23 @@ def _doctor(options: argparse.Namespace) -> int:
             json=options.json,
         )
     )
+
+
+def _bag_info(options: argparse.Namespace) -> int:
+    from contact_reach_ros.recording.bag_info import bag_info
+
+    bag_info(options.bag, options.json)
+    return 0
+
+
+def _bag_repair(options: argparse.Namespace) -> int:
+    from contact_reach_ros.recording.repair import repair_bag
+
+    repair = repair_bag(options.bag, options.output)
+    for note in repair.notes:
+        print(f"note: {note}")
+    print(f"{repair.message_count} messages of {repair.topic_count} topics are in {repair.bag}")
+    return 0
 
 
 def _fault(options: argparse.Namespace) -> int:

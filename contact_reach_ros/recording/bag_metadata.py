@@ -32,23 +32,50 @@ class TopicCount:
     message_count: int
 
 
+@dataclasses.dataclass
+class FileSpan:
+    """A file of a bag: its name, the number of its messages, and the times of the first and the last, ns."""
+
+    name: str
+    message_count: int = 0
+    start_ns: int | None = None
+    end_ns: int = 0
+
+    def add(self, time_ns: int) -> None:
+        """Count a message received at this time, in any order."""
+        self.message_count += 1
+        if self.start_ns is None or time_ns < self.start_ns:
+            self.start_ns = time_ns
+        if time_ns > self.end_ns:
+            self.end_ns = time_ns
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Start, duration and count as rosbag2 spells them."""
+        start_ns = self.start_ns or 0
+        return {
+            "starting_time": {"nanoseconds_since_epoch": start_ns},
+            "duration": {"nanoseconds": max(0, self.end_ns - start_ns)},
+            "message_count": self.message_count,
+        }
+
+
 def information(
-    file_name: str,
-    topics: Sequence[TopicCount],
-    start_ns: int,
-    duration_ns: int,
-    custom_data: Mapping[str, str],
+    files: Sequence[FileSpan], topics: Sequence[TopicCount], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
-    """What rosbag2 keeps about a bag of one mcap file."""
-    start = {"nanoseconds_since_epoch": start_ns}
-    duration = {"nanoseconds": duration_ns}
-    message_count = sum(entry.message_count for entry in topics)
+    """What rosbag2 keeps about a bag of one or more mcap files."""
+    filled = [file for file in files if file.start_ns is not None]
+    whole = FileSpan(
+        "",
+        sum(file.message_count for file in files),
+        min((file.start_ns for file in filled if file.start_ns is not None), default=None),
+        max((file.end_ns for file in filled), default=0),
+    ).as_mapping()
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": message_count,
+        "duration": whole["duration"],
+        "starting_time": whole["starting_time"],
+        "message_count": whole["message_count"],
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -65,19 +92,32 @@ def information(
         # The chunks inside an mcap file may be compressed; these two are about whole messages or files.
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, "starting_time": start, "duration": duration, "message_count": message_count}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [{"path": file.name, **file.as_mapping()} for file in files],
         "custom_data": dict(custom_data) or None,
         "ros_distro": ROS_DISTRO,
     }
 
 
 def write(directory: Path, content: Mapping[str, Any]) -> None:
-    """Write metadata.yaml; renamed into place, so that it is always a whole one."""
+    """Write metadata.yaml; renamed into place once it is on the disk, so that it is always a whole one."""
     target = directory / FILE_NAME
     partial = target.with_suffix(".yaml.partial")
-    partial.write_text(dump_yaml({_ROOT: dict(content)}), encoding="utf-8")
+    with partial.open("w", encoding="utf-8") as stream:
+        stream.write(dump_yaml({_ROOT: dict(content)}))
+        stream.flush()
+        os.fsync(stream.fileno())
     os.replace(partial, target)
+    sync_directory(directory)
+
+
+def sync_directory(directory: Path) -> None:
+    """Have the names in a directory survive a power cut."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def read(directory: Path) -> dict[str, Any] | None:

@@ -19,13 +19,8 @@ from rosbags.typesys.base import TypesysError
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.recording import bag_metadata
 from contact_reach_ros.recording.mcap_file import PROFILE, McapFile
-from contact_reach_ros.recording.topics import OfferedQos, TypeDefinition, read_offered_qos
+from contact_reach_ros.recording.topics import CDR, ROS2MSG, OfferedQos, TypeDefinition, read_offered_qos
 from contact_reach_ros.units import NANOSECONDS
-
-CDR = "cdr"
-"""Serialisation of ROS 2 messages."""
-ROS2MSG = "ros2msg"
-"""Language of the definitions that the decoder reads."""
 
 
 class RawMessage(NamedTuple):

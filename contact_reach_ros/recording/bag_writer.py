@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from mcap.writer import CompressionType, Writer
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.recording import bag_metadata
 from contact_reach_ros.recording.message_types import MessageTypes
-from contact_reach_ros.recording.topics import Topic
+from contact_reach_ros.recording.topics import CDR, ROS2MSG, Topic, TypeDefinition
 
 COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
 # Larger chunks compress no better for these messages, and each stalls the writing thread for longer.
@@ -23,13 +25,14 @@ CHUNK_BYTES = 256 * 1024
 @dataclasses.dataclass
 class _Channel:
     topic: Topic
-    channel_id: int
-    type_hash: str
+    definition: TypeDefinition
+    encoding: str
+    number: int = 0
     message_count: int = 0
 
 
 class BagWriter:
-    """A bag that is being written: a directory with metadata.yaml and one mcap file.
+    """A bag that is being written: a directory with metadata.yaml and one or more mcap files.
 
     To be used from one thread. Leaving the `with` block, or `close`, completes the bag; what was flushed
     before a crash can be read all the same.
@@ -44,6 +47,9 @@ class BagWriter:
         "zstd" or "none", applied to each chunk of the file.
     custom_data :
         Text to keep in the bag, such as scene and seed.
+    split_bytes, split_ns :
+        Size of a file and time between its first and its next message, ns, with which another one is begun; 0: never.
+        Each file has all schemas and channels and can be read by itself.
 
     Raises
     ------
@@ -58,32 +64,39 @@ class BagWriter:
         *,
         compression: str = "zstd",
         custom_data: Mapping[str, str] | None = None,
+        split_bytes: int = 0,
+        split_ns: int = 0,
     ) -> None:
         if compression not in COMPRESSIONS:
             raise BagError(f"bag compression '{compression}': expected one of {', '.join(COMPRESSIONS)}")
+        if split_bytes < 0 or split_ns < 0:
+            raise BagError(f"bag split at {split_bytes} bytes or {split_ns} ns: expected 0 or more for both")
         self._directory = Path(directory)
+        self._compression = COMPRESSIONS[compression]
+        self._split_bytes, self._split_ns = split_bytes, split_ns
         self._custom_data: dict[str, str] = {}
+        self._custom_data_written = True
         for key, value in (custom_data or {}).items():
             self.set_custom_data(key, value)
         self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
-        self._first_ns: int | None = None
-        self._last_ns = 0
+        self._files: list[bag_metadata.FileSpan] = []
         self._closed = False
+        # One thread, since a disk may keep a caller waiting for long.
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._syncing: Future[None] | None = None
+        self._stream: BinaryIO
+        self._writer: Writer
         try:
             self._directory.mkdir(parents=True)
-            self._stream = self.file.open("xb")
+            self._open_file()
         except FileExistsError as error:
             raise BagError(
                 f"bag '{self._directory}' exists and is not overwritten; choose another name or remove it"
             ) from error
         except OSError as error:
             raise BagError(f"bag '{self._directory}' cannot be created: {error.strerror}") from error
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression])
-        self._writer.start(profile="ros2", library="contact_reach_ros")
-        # A first copy, so that scene and seed are known even if the recording is cut.
-        self._add_information()
         for topic in topics:
             self.add_topic(topic)
         self.flush()
@@ -95,8 +108,8 @@ class BagWriter:
 
     @property
     def file(self) -> Path:
-        """The mcap file of the bag."""
-        return self._directory / f"{self._directory.resolve().name}_0.mcap"
+        """The mcap file that is being written, the newest of the bag."""
+        return self._directory / self._files[-1].name
 
     @property
     def message_count(self) -> int:
@@ -104,7 +117,7 @@ class BagWriter:
         return sum(channel.message_count for channel in self._channels.values())
 
     def set_custom_data(self, key: str, value: str) -> None:
-        """Keep a line of text in the bag, replacing an earlier one of the same key.
+        """Keep a line of text in the bag, replacing an earlier one of the same key; the next `flush` writes it.
 
         Raises
         ------
@@ -113,10 +126,21 @@ class BagWriter:
         """
         if not isinstance(key, str) or not isinstance(value, str):
             raise BagError(f"bag custom data {key!r} = {value!r}: expected text for both")
-        self._custom_data[key] = value
+        if self._custom_data.get(key) != value:
+            self._custom_data[key] = value
+            self._custom_data_written = False
 
-    def add_topic(self, topic: Topic) -> None:
+    def add_topic(self, topic: Topic, definition: TypeDefinition | None = None, encoding: str = CDR) -> None:
         """Prepare for the messages of one more topic.
+
+        Parameters
+        ----------
+        topic :
+            Name, type and quality of service.
+        definition :
+            Of its type; looked up among the standard types and the sourced workspaces when None.
+        encoding :
+            How its messages are serialised.
 
         Raises
         ------
@@ -127,20 +151,12 @@ class BagWriter:
             raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
         if topic.name in self._channels:
             raise BagError(f"bag '{self._directory}': topic '{topic.name}' is added twice")
-        schema_id = self._schema_ids.get(topic.type)
-        if schema_id is None:
-            definition = self._types.definition(topic.type)
-            schema_id = self._writer.register_schema(topic.type, "ros2msg", definition.encode())
-            self._schema_ids[topic.type] = schema_id
-        type_hash = self._types.type_hash(topic.type)
-        offered_qos = bag_metadata.dump_yaml([qos.as_mapping() for qos in topic.offered_qos])
-        channel_id = self._writer.register_channel(
-            topic.name,
-            "cdr",
-            schema_id,
-            {"offered_qos_profiles": offered_qos, "topic_type_hash": type_hash},
-        )
-        self._channels[topic.name] = _Channel(topic, channel_id, type_hash)
+        if definition is None:
+            text = self._types.definition(topic.type).encode()
+            definition = TypeDefinition(ROS2MSG, text, self._types.type_hash(topic.type))
+        channel = _Channel(topic, definition, encoding)
+        self._register(channel)
+        self._channels[topic.name] = channel
 
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0
@@ -171,27 +187,37 @@ class BagWriter:
         if publish_time_ns is None:
             publish_time_ns = log_time_ns
         try:
-            self._writer.add_message(channel.channel_id, log_time_ns, data, publish_time_ns, sequence)
+            if self._is_full(log_time_ns):
+                self._finish_file()
+                self._open_file()
+            self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence)
         except OSError as error:
             raise self._refused(error) from error
         channel.message_count += 1
-        if self._first_ns is None or log_time_ns < self._first_ns:
-            self._first_ns = log_time_ns
-        if log_time_ns > self._last_ns:
-            self._last_ns = log_time_ns
+        self._files[-1].add(log_time_ns)
 
-    def flush(self) -> None:
+    def flush(self, durable: bool = False) -> None:
         """Hand everything written so far to the operating system, so that killing the process cannot lose it.
+
+        Parameters
+        ----------
+        durable :
+            Also have the disk write it, so that a power cut cannot lose it; that goes on after the call returns.
 
         Raises
         ------
         BagError
-            If the disk refuses.
+            If the disk refuses, also what an earlier call asked for.
         """
         if self._closed:
             return
         try:
+            if not self._custom_data_written:
+                self._add_information()
             self._writer.flush()
+            if durable and (self._syncing is None or self._syncing.done()):
+                self._wait_for_disk()
+                self._syncing = self._disk.submit(os.fdatasync, self._stream.fileno())
         except OSError as error:
             raise self._refused(error) from error
 
@@ -207,12 +233,12 @@ class BagWriter:
             return
         self._closed = True
         try:
-            with self._stream:
-                self._add_information()
-                self._writer.finish()
+            self._finish_file()
             bag_metadata.write(self._directory, self._information())
         except OSError as error:
             raise self._refused(error) from error
+        finally:
+            self._disk.shutdown()
 
     def __enter__(self) -> Self:
         return self
@@ -222,21 +248,68 @@ class BagWriter:
     ) -> None:
         self.close()
 
+    def _open_file(self) -> None:
+        name = f"{self._directory.resolve().name}_{len(self._files)}.mcap"
+        self._stream = (self._directory / name).open("xb")
+        bag_metadata.sync_directory(self._directory)
+        self._files.append(bag_metadata.FileSpan(name))
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=self._compression)
+        self._writer.start(profile="ros2", library="contact_reach_ros")
+        # A first copy, so that scene and seed are known even if the recording is cut.
+        self._add_information()
+        self._schema_ids.clear()
+        for channel in self._channels.values():
+            self._register(channel)
+
+    def _finish_file(self) -> None:
+        with self._stream:
+            self._wait_for_disk()
+            self._add_information()
+            self._writer.finish()
+            self._stream.flush()
+            os.fdatasync(self._stream.fileno())
+
+    def _is_full(self, time_ns: int) -> bool:
+        file = self._files[-1]
+        if file.start_ns is None:
+            return False
+        aged = self._split_ns and time_ns - file.start_ns >= self._split_ns
+        return bool(aged or (self._split_bytes and self._stream.tell() >= self._split_bytes))
+
+    def _register(self, channel: _Channel) -> None:
+        topic, definition = channel.topic, channel.definition
+        schema_id = self._schema_ids.get(topic.type)
+        if schema_id is None:
+            schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
+            self._schema_ids[topic.type] = schema_id
+        offered_qos = bag_metadata.dump_yaml([qos.as_mapping() for qos in topic.offered_qos])
+        channel.number = self._writer.register_channel(
+            topic.name,
+            channel.encoding,
+            schema_id,
+            {"offered_qos_profiles": offered_qos, "topic_type_hash": definition.type_hash},
+        )
+
+    def _wait_for_disk(self) -> None:
+        """The outcome of what was asked for last."""
+        syncing, self._syncing = self._syncing, None
+        if syncing is not None:
+            syncing.result()
+
     def _refused(self, error: OSError) -> BagError:
         return BagError(f"bag '{self._directory}' cannot be written: {error.strerror or error}")
 
     def _add_information(self) -> None:
         text = bag_metadata.dump_yaml(self._information())
         self._writer.add_metadata(bag_metadata.MCAP_NAME, {bag_metadata.MCAP_KEY: text})
+        self._custom_data_written = True
 
     def _information(self) -> dict[str, Any]:
-        first_ns = self._first_ns or 0
         topics = [
-            bag_metadata.TopicCount(channel.topic, channel.type_hash, channel.message_count)
+            bag_metadata.TopicCount(channel.topic, channel.definition.type_hash, channel.message_count)
             for channel in self._channels.values()
         ]
-        duration_ns = max(0, self._last_ns - first_ns)
-        return bag_metadata.information(self.file.name, topics, first_ns, duration_ns, self._custom_data)
+        return bag_metadata.information(self._files, topics, self._custom_data)
 
 
 def new_bag_directory(base: Path | str) -> Path:

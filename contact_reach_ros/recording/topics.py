@@ -11,6 +11,11 @@ import yaml
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
+ROS2MSG = "ros2msg"
+"""Language of .msg files, the one of definitions that is read and written here."""
+CDR = "cdr"
+"""Serialisation of ROS 2 messages."""
+
 INFINITE_NS = 2**63 - 1
 """A duration without limit, as ROS writes it, in ns."""
 

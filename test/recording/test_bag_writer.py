@@ -1,3 +1,4 @@
+import os
 import resource
 import shutil
 from pathlib import Path
@@ -16,6 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.recording.bag_reader import BagReader
 from contact_reach_ros.recording.bag_writer import BagWriter, new_bag_directory
 from contact_reach_ros.recording.topics import OfferedQos, Topic
 
@@ -276,6 +278,77 @@ def test_refused_parameters_leave_no_bag_behind(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="expected text"):
         BagWriter(tmp_path / "bag", custom_data={"seed": 3})  # type: ignore[dict-item]
     assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("split", [{"split_ns": 50 * STEP_NS}, {"split_bytes": 12_000}])
+def test_split_bag_is_read_by_all_libraries(tmp_path: Path, split: dict[str, int]) -> None:
+    noise = np.random.default_rng(0)
+    written = []
+    with BagWriter(tmp_path / "bag", [TEXT], compression="none", custom_data={"seed": "1"}, **split) as writer:
+        for index in range(200):
+            written.append((START_NS + index * STEP_NS, text(noise.bytes(100).hex())))
+            writer.write("/text", written[-1][1], written[-1][0])
+            if index % 10 == 9:
+                writer.flush(durable=True)
+            if index == 120:
+                writer.add_topic(Topic("/late", "std_msgs/msg/String"))
+                writer.write("/late", text(), written[-1][0])
+    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    names = information["relative_file_paths"]
+    assert names == [f"bag_{number}.mcap" for number in range(len(names))]
+    assert len(names) >= 3
+    assert sorted(path.name for path in (tmp_path / "bag").glob("*.mcap")) == names
+    assert information["duration"] == {"nanoseconds": 199 * STEP_NS}
+    assert information["message_count"] == 201 == sum(file["message_count"] for file in information["files"])
+    if "split_ns" in split:
+        assert [file["duration"] for file in information["files"]] == [{"nanoseconds": 49 * STEP_NS}] * 4
+    with Reader(tmp_path / "bag") as reader:
+        read = [(time, bytes(data)) for connection, time, data in reader.messages() if connection.topic == "/text"]
+    assert read == written
+    found = []
+    for name in names:
+        with (tmp_path / "bag" / name).open("rb") as stream:
+            decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/text"])
+            found += [(item[2].log_time, item[2].data) for item in decoded]
+    assert found == written
+    own = BagReader(tmp_path / "bag")
+    assert [(raw.log_time_ns, raw.data) for raw in own.raw_messages(["/text"])] == written
+    assert own.reception_times("/text").tolist() == [time for time, _ in written]
+    # A lost file is told, and the others are read.
+    (tmp_path / "bag" / "bag_1.mcap").unlink()
+    rest = BagReader(tmp_path / "bag")
+    assert 0 < rest.summary.message_count < 201
+    assert "bag_1.mcap: cannot be opened" in rest.notes[0]
+
+
+def test_what_is_to_survive_a_power_cut_is_handed_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr("os.fdatasync", lambda descriptor: synced.append(os.fstat(descriptor).st_size))
+    with BagWriter(tmp_path / "bag", [TEXT], compression="none") as writer:
+        writer.write("/text", text("x" * 1000), 1)
+        writer.flush(durable=True)
+        size = writer.file.stat().st_size
+        assert size > 1000
+    assert synced == [size, (tmp_path / "bag" / "bag_0.mcap").stat().st_size]
+
+
+def test_disk_that_fails_later_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("os.fdatasync", fail)
+    writer = BagWriter(tmp_path / "bag", [TEXT])
+    writer.flush(durable=True)
+    with pytest.raises(BagError, match="Input/output error"):
+        writer.close()
+
+
+def test_custom_data_of_an_unfinished_bag_is_the_newest(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag", [TEXT], custom_data={"seed": "3"})
+    writer.set_custom_data("parameters", "planner: {}")
+    writer.flush()
+    assert BagReader(tmp_path / "bag").summary.custom_data == {"seed": "3", "parameters": "planner: {}"}
+    writer.close()
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:

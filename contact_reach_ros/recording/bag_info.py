@@ -1,0 +1,203 @@
+"""What is in a bag, at a glance: topics, rates, gaps and drops, from the index alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from contact_reach_ros.recording.bag_reader import BagReader, RecordedTopic
+from contact_reach_ros.units import NANOSECONDS
+
+LOST = "messages_lost"
+"""Key of the custom data for the number of messages that the recorder missed; with a topic behind it, of that topic."""
+
+GAP_RATIO = 5.0
+"""A gap is that many times longer than the usual time between two messages of its topic..."""
+GAP_LEAST_S = 0.01
+"""... and not shorter than this, s."""
+_FEW = 100
+"""Fewer messages have no usual time between them."""
+_MEGA = 1e6
+
+
+@dataclasses.dataclass(frozen=True)
+class TopicInfo:
+    """One topic.
+
+    Attributes
+    ----------
+    name, type, message_count :
+        Of the topic.
+    qos :
+        In words, such as "reliable, latched".
+    rate_hz :
+        Messages over the time from the first to the last of them; NaN for fewer than two.
+    gaps :
+        How often the next message took longer than usual, see `GAP_RATIO`; None for fewer than 100 messages.
+    longest_gap_s :
+        Longest time between two messages; NaN for fewer than two.
+    out_of_order :
+        Messages whose time of reception is before that of the one ahead of them in the file.
+    lost :
+        Messages that did not reach the recorder, None if it is not known.
+    """
+
+    name: str
+    type: str
+    message_count: int
+    qos: str
+    rate_hz: float
+    gaps: int | None
+    longest_gap_s: float
+    out_of_order: int
+    lost: int | None
+
+
+@dataclasses.dataclass(frozen=True)
+class BagInfo:
+    """A bag: size in bytes, start in ns since the epoch, duration in s, and what was kept with it."""
+
+    path: Path
+    size: int
+    start_ns: int
+    duration_s: float
+    message_count: int
+    topics: tuple[TopicInfo, ...]
+    custom_data: dict[str, str]
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; NaN becomes None."""
+        content = dataclasses.asdict(self) | {"path": str(self.path), "notes": list(self.notes)}
+        for topic in content["topics"]:
+            topic |= {key: None for key, value in topic.items() if isinstance(value, float) and np.isnan(value)}
+        return content
+
+
+def read_info(path: Path) -> BagInfo:
+    """Look into a bag.
+
+    Raises
+    ------
+    BagError
+        If nothing of it can be read.
+    """
+    reader = BagReader(path)
+    summary = reader.summary
+    topics = tuple(
+        _topic_info(topic, reader.reception_times(name), summary.custom_data)
+        for name, topic in sorted(summary.topics.items())
+    )
+    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+    return BagInfo(
+        path,
+        sum(file.stat().st_size for file in files),
+        summary.start_ns,
+        summary.duration,
+        summary.message_count,
+        topics,
+        dict(summary.custom_data),
+        reader.notes,
+    )
+
+
+def _topic_info(topic: RecordedTopic, times_ns: np.ndarray, custom_data: Mapping[str, str]) -> TopicInfo:
+    steps = np.diff(times_ns)
+    rate = gap = float("nan")
+    gaps = None
+    if len(times_ns) > 1:
+        span = float(times_ns.max() - times_ns.min()) / NANOSECONDS
+        rate = (len(times_ns) - 1) / span if span > 0.0 else float("nan")
+        forward = np.diff(np.sort(times_ns)) / NANOSECONDS
+        gap = float(forward.max())
+        if len(times_ns) >= _FEW:
+            gaps = int(np.count_nonzero(forward > max(GAP_RATIO * float(np.median(forward)), GAP_LEAST_S)))
+    return TopicInfo(
+        topic.name,
+        topic.type,
+        topic.message_count,
+        _qos(topic),
+        rate,
+        gaps,
+        gap,
+        int(np.count_nonzero(steps < 0)),
+        _lost(topic.name, custom_data),
+    )
+
+
+def _lost(topic: str, custom_data: Mapping[str, str]) -> int | None:
+    if not custom_data.get(LOST, "").isdigit():
+        return None
+    of_topic = custom_data.get(f"{LOST}{topic}", "0")
+    return int(of_topic) if of_topic.isdigit() else None
+
+
+def _qos(topic: RecordedTopic) -> str:
+    if not topic.offered_qos:
+        return "not known"
+    words = sorted({profile.reliability.replace("_", " ") for profile in topic.offered_qos}, reverse=True)
+    latched = any(profile.durability == "transient_local" for profile in topic.offered_qos)
+    return ", ".join([*words, *(["latched"] if latched else [])])
+
+
+def bag_info(path: Path, file: Path | None, console: Console | None = None) -> None:
+    """Print what is in a bag, and write it as JSON if a file is given.
+
+    Raises
+    ------
+    BagError
+        If nothing of it can be read.
+    """
+    info = read_info(path)
+    if file is not None:
+        file.write_text(json.dumps(info.as_json(), indent=2) + "\n")
+    console = console or Console()
+    began = datetime.fromtimestamp(info.start_ns / NANOSECONDS).isoformat(" ", "milliseconds") if info.start_ns else "-"
+    console.print(
+        f"[bold]{info.path}[/]: {info.message_count} messages in {info.duration_s:.3f} s from {began},"
+        f" {info.size / _MEGA:.1f} MB",
+        highlight=False,
+    )
+    console.print(_table(info.topics))
+    for key, value in sorted(info.custom_data.items()):
+        if not key.startswith(f"{LOST}/"):
+            lines = value.splitlines()
+            shown = value if len(lines) <= 1 else f"({len(lines)} lines)"
+            console.print(f"  {key}: {shown}", highlight=False, markup=False)
+    for note in info.notes:
+        console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
+
+
+def _table(topics: Sequence[TopicInfo]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("topic", overflow="fold")
+    table.add_column("type", overflow="fold")
+    for name in ("messages", "Hz", "gaps", "longest ms", "lost"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("QoS")
+    for topic in topics:
+        lost = "?" if topic.lost is None else str(topic.lost)
+        late = f" ({topic.out_of_order} out of order)" if topic.out_of_order else ""
+        table.add_row(
+            topic.name,
+            topic.type,
+            f"{topic.message_count}{late}",
+            _number(topic.rate_hz),
+            "-" if topic.gaps is None else str(topic.gaps),
+            _number(1e3 * topic.longest_gap_s),
+            f"[red]{lost}[/]" if topic.lost else lost,
+            topic.qos,
+        )
+    return table
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.1f}"
