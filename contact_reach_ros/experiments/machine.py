@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib.metadata import version
 from pathlib import Path
 
-_PACKAGES = ("jax", "brax", "mujoco", "numpy", "pin")
+from contact_reach_ros.versions import versions
 
 
 def machine() -> dict[str, object]:
@@ -16,8 +15,7 @@ def machine() -> dict[str, object]:
         "cpu": _processor(),
         "cores": os.cpu_count(),
         "load": os.getloadavg()[0],
-        "python": platform.python_version(),
-        **{package: version(package) for package in _PACKAGES},
+        **versions(),
     }
 
 

@@ -17,7 +17,7 @@ from contact_reach_ros.doctor import arm, sockets
 from contact_reach_ros.doctor.findings import Check, Finding, failed, passed, warned
 from contact_reach_ros.doctor.machine import disk
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.nodes import bringup, graph_checks
+from contact_reach_ros.nodes import bringup, graph_checks, topics
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.discovery import OLD_SWITCH, RANGE, choose_discovery, reach
 from contact_reach_ros.nodes.driver import DriverNode
@@ -112,7 +112,7 @@ class RosDoctor:
                 Check("time source", lambda: graph_checks.time_source(graph)),
                 Check("safety state", lambda: graph_checks.safety_state(graph)),
             ]
-            parts["topics"] = [_topic_check(graph, topic) for topic in graph_checks.STACK_TOPICS]
+            parts["topics"] = [_topic_check(graph, topic) for topic in topics.ALL]
             parts["arm"] = self._arm(look)
             rate = look.bytes_per_second()
         parts["recording"] = [Check("disk for bags", lambda: disk(bags, rate and rate * _COMPRESSED))]

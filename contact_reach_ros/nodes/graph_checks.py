@@ -21,8 +21,6 @@ _NEEDED_NODES = ("controller", "observer", "planner")
 
 _NEEDED_TOPICS = (*ALONE, topics.SAFETY_STATE, topics.EXTERNAL_TORQUE)
 
-STACK_TOPICS: tuple[Topic, ...] = tuple(value for value in vars(topics).values() if isinstance(value, Topic))
-
 
 class Endpoint(NamedTuple):
     """One publisher or subscription: full name of its node, type of its messages, what it offers or asks for."""

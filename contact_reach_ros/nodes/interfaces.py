@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.recorder import RECORDED
 from contact_reach_ros.nodes.topics import Topic
 
 
@@ -106,13 +105,11 @@ MANAGED = {
         ],
         [topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE],
     ),
-    "recorder": _managed([], RECORDED),
+    "recorder": _managed([], topics.ALL),
 }
 """The lifecycle nodes."""
 
 DOCTOR = "contact_reach_doctor"
-
-HEARD_BY_DOCTOR = tuple({topic.name: topic for topic in (*RECORDED, topics.LOCKSTEP_HORIZON)}.values())
 
 INTERFACES = {
     **MANAGED,
@@ -121,7 +118,7 @@ INTERFACES = {
     ),
     DOCTOR: _node(
         [],
-        HEARD_BY_DOCTOR,
+        topics.ALL,
         [f"{name}/{service}" for name in sorted(MANAGED) for service in ("get_state", "get_parameters")],
     ),
 }

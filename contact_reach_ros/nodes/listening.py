@@ -20,8 +20,8 @@ from sensor_msgs.msg import JointState
 
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.graph_checks import STACK_TOPICS, Endpoint, Graph, type_name
-from contact_reach_ros.nodes.interfaces import DOCTOR, HEARD_BY_DOCTOR, MANAGED
+from contact_reach_ros.nodes.graph_checks import Endpoint, Graph, type_name
+from contact_reach_ros.nodes.interfaces import DOCTOR, MANAGED
 from contact_reach_ros.nodes.messages import nanoseconds
 from contact_reach_ros.nodes.realtime import LoopGroup
 from contact_reach_ros.robot import iiwa14
@@ -82,7 +82,7 @@ class Look:
             self._listen(seconds)
         subscriptions = {
             topic.name: self._endpoints(node.get_subscriptions_info_by_topic(self._full(topic.name)))
-            for topic in STACK_TOPICS
+            for topic in topics.ALL
         }
         self.graph = Graph(self._nodes(), self._publishers(), subscriptions, states, simulated, self._safety())
         self._executor.shutdown()
@@ -127,7 +127,7 @@ class Look:
         changed = time.monotonic()
         while time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
-            now_seen = (self._nodes(), [self._node.count_publishers(self._full(topic.name)) for topic in STACK_TOPICS])
+            now_seen = (self._nodes(), [self._node.count_publishers(self._full(topic.name)) for topic in topics.ALL])
             if now_seen != seen:
                 seen, changed = now_seen, time.monotonic()
             elif now_seen[0] and time.monotonic() - changed > _SETTLED_S:
@@ -136,7 +136,7 @@ class Look:
     def _listen(self, seconds: float) -> None:
         group = LoopGroup()
         subscriptions = {}
-        for topic in HEARD_BY_DOCTOR:
+        for topic in topics.ALL:
             infos = self._node.get_publishers_info_by_topic(self._full(topic.name))
             if any(info.topic_type == type_name(topic) for info in infos):
                 qos = topics.ALL_EVENTS if topic is topics.SAFETY_STATE else _EVERYTHING
@@ -185,7 +185,7 @@ class Look:
     def _publishers(self) -> dict[str, list[Endpoint]]:
         return {
             topic.name: self._endpoints(self._node.get_publishers_info_by_topic(self._full(topic.name)))
-            for topic in STACK_TOPICS
+            for topic in topics.ALL
         }
 
     def _full(self, name: str) -> str:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from contact_reach_ros.nodes.parameters import parameters_in
+from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.scenes.files import read_scene, scene_file
 from contact_reach_ros.scenes.scene import SceneFile
 from contact_reach_ros.scenes.spheres import sphere_capacity
 
@@ -90,14 +91,28 @@ def processes(options: StackOptions) -> list[Process]:
     }
     table = []
     if options.bag:
-        origin = [f"scene={options.scene}", f"seed={options.seed}"]
-        table.append(Process("recorder", {"bag": options.bag, "custom_data": origin}, first=True))
+        table.append(Process("recorder", {"bag": options.bag, **_origin(options)}, first=True))
     if options.driver:
         table.append(Process("driver", simulation))
     table.append(Process("observer", time))
     table.append(Process("controller", time))
     table.append(Process("planner", {**time, **_obstacles(scene, options.parameter_file)}, first=True))
     return table
+
+
+def _origin(options: StackOptions) -> dict[str, ParameterValue]:
+    """What a bag is told about the run that it holds."""
+    budget = str(parameters_in(options.parameter_file, "observer").get("contact_budget", ""))
+    files = {
+        "parameter_file": options.parameter_file,
+        "scene_file": scene_file(options.scene),
+        "contact_budget": budget_file(budget),
+    }
+    values = {"scene": options.scene, "seed": options.seed, "target": options.target, "lockstep": options.lockstep}
+    return {
+        "custom_data": [f"{key}={value}" for key, value in values.items()],
+        "files": [f"{key}={path.resolve()}" for key, path in files.items()],
+    }
 
 
 def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:

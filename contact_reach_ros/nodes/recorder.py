@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import shutil
 import sys
 import threading
 import time
@@ -11,7 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import yaml
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes import topics
@@ -22,30 +26,14 @@ from contact_reach_ros.nodes.topic_recorder import TopicRecorder
 from contact_reach_ros.recording.bag_writer import COMPRESSIONS, BagWriter
 from contact_reach_ros.recording.topics import parse_topic
 from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.versions import git_revision, versions
 
-RECORDED = (
-    topics.JOINT_STATES,
-    topics.COMMANDS,
-    topics.GOAL_POSE,
-    topics.REFERENCE_POSE,
-    topics.REFERENCE_POSTURE,
-    topics.OBSTACLES,
-    topics.EXTERNAL_TORQUE,
-    topics.EXTERNAL_WRENCH,
-    topics.SAFETY_STATE,
-    topics.DIAGNOSTICS,
-    topics.PLAN_PATH,
-    topics.PLAN_MARKERS,
-    topics.SIM_CONTACTS,
-    topics.ROBOT_DESCRIPTION,
-    topics.CLOCK,
-)
-"""What is recorded when no topic is named."""
-
+_MEGA = 1e6
 DRAIN_PERIOD = 0.02
 DISCOVERY_PERIOD = 0.1
-FLUSH_PERIOD = 1.0
-"""A recorder that is killed loses what came within this time, s."""
+FLUSH_PERIOD = 0.5
+"""A recorder that is killed loses what came within this time, s; a power cut also what the disk was about to write."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +43,7 @@ class RecorderSettings(Settings):
     bag: str = setting("", "directory to create; named after date and time when empty, never overwritten")
     topics: tuple[str, ...] = setting((), "name or name:package/msg/Type each; everything of the stack when empty")
     custom_data: tuple[str, ...] = setting((), "key=value each: text to keep in the bag, such as scene and seed")
+    files: tuple[str, ...] = setting((), "key=path each: text files to keep in the bag, such as the parameter file")
 
 
 @dataclass(frozen=True)
@@ -63,6 +52,11 @@ class StorageSettings(Settings):
 
     compression: str = setting(
         "zstd", "compression of the file's chunks: half the size for a tenth more work", choices=tuple(COMPRESSIONS)
+    )
+    split_mb: float = setting(0.0, "size at which another file is begun; 0: never", unit="MB", minimum=0.0)
+    split_s: float = setting(0.0, "time after which another file is begun; 0: never", unit="s", minimum=0.0)
+    min_free_mb: float = setting(
+        500.0, "space that is left to others: with less the bag is completed, or not begun", unit="MB", minimum=0.0
     )
 
 
@@ -77,18 +71,29 @@ class RecorderNode(ManagedNode):
         self._writer: BagWriter | None = None
         self._recorder: TopicRecorder | None = None
         self._next_discovery = self._next_flush = 0.0
+        self._ended_early = ""
         self._lock = threading.Lock()
         """Between the loop thread and a deactivation."""
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the bag."""
         settings: RecorderSettings = self.settings[""]
-        directory = settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}"
+        storage: StorageSettings = self.settings["storage"]
+        directory = Path(settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}")
+        self._ended_early = ""
         try:
-            wanted = [parse_topic(text) for text in settings.topics or [topic.name for topic in RECORDED]]
-            custom_data = dict(map(_key_and_value, settings.custom_data))
-            compression = self.settings["storage"].compression
-            self._writer = BagWriter(Path(directory), compression=compression, custom_data=custom_data)
+            wanted = [parse_topic(text) for text in settings.topics or [topic.name for topic in topics.ALL]]
+            custom_data = {**_provenance(), **_custom_data(settings)}
+            shortage = _shortage(directory, storage)
+            if shortage:
+                raise BagError(f"bag '{directory}' is not begun: {shortage}")
+            self._writer = BagWriter(
+                directory,
+                compression=storage.compression,
+                custom_data=custom_data,
+                split_bytes=int(storage.split_mb * _MEGA),
+                split_ns=int(storage.split_s * NANOSECONDS),
+            )
         except BagError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -105,6 +110,8 @@ class RecorderNode(ManagedNode):
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Messages written and lost."""
+        if self._ended_early:
+            return f"not recording: {self._ended_early}", {}
         if self._writer is None or self._recorder is None:
             return "", {}
         lost = self._recorder.lost
@@ -131,7 +138,13 @@ class RecorderNode(ManagedNode):
         recorder.drain()
         if now >= self._next_flush:
             self._next_flush = now + FLUSH_PERIOD
-            writer.flush()
+            recorder.note_losses()
+            writer.flush(durable=True)
+            self._ended_early = _shortage(writer.directory, self.settings["storage"])
+            if self._ended_early:
+                # Others need the disk as well, and an arm need not stop because nobody writes down what it does.
+                self.say(LoggingSeverity.ERROR, f"the recording ends here: {self._ended_early}")
+                self._complete()
 
     def close(self) -> None:
         """Write what is still on its way and complete the bag.
@@ -142,16 +155,19 @@ class RecorderNode(ManagedNode):
             If the disk refuses.
         """
         with self._lock:
-            if self._writer is None or self._recorder is None:
-                return
-            writer, recorder = self._writer, self._recorder
-            self._writer = self._recorder = None
-            with writer:
-                recorder.stop()
-        size = sum(file.stat().st_size for file in writer.directory.iterdir()) / 1e6
-        self.get_logger().info(
-            f"recorded {writer.message_count} messages ({recorder.lost} lost), {size:.1f} MB, in {writer.directory}"
-        )
+            self._complete()
+        self.write_out()
+
+    def _complete(self) -> None:
+        if self._writer is None or self._recorder is None:
+            return
+        writer, recorder = self._writer, self._recorder
+        self._writer = self._recorder = None
+        with writer:
+            recorder.stop()
+        size = sum(file.stat().st_size for file in writer.directory.iterdir()) / _MEGA
+        line = f"recorded {writer.message_count} messages ({recorder.lost} lost), {size:.1f} MB, in {writer.directory}"
+        self.say(LoggingSeverity.INFO, line)
 
 
 def main() -> None:
@@ -159,10 +175,47 @@ def main() -> None:
     sys.exit(run(RecorderNode, Role.BACKGROUND, sys.argv))
 
 
-def _key_and_value(text: str) -> tuple[str, str]:
+def _custom_data(settings: RecorderSettings) -> dict[str, str]:
+    """The text that the parameters name.
+
+    Raises
+    ------
+    BagError
+        If an entry is no key=value, or a file cannot be read.
+    """
+    custom_data = dict(_key_and_value("custom_data", text) for text in settings.custom_data)
+    for key, path in (_key_and_value("files", text) for text in settings.files):
+        try:
+            custom_data[key] = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise BagError(f"parameter files, entry '{key}': {path} cannot be read as text: {error}") from error
+    return custom_data
+
+
+def _provenance() -> dict[str, str]:
+    revision = git_revision()
+    made_by = {"versions": yaml.safe_dump({**versions(), "rmw": get_rmw_implementation_identifier()})}
+    return made_by if revision is None else {**made_by, "git_revision": revision}
+
+
+def _shortage(directory: Path, storage: StorageSettings) -> str:
+    """Says what is missing if the disk has less space than is to be left; else empty."""
+    existing = directory.resolve()
+    while not existing.is_dir():
+        existing = existing.parent
+    free = shutil.disk_usage(existing).free / _MEGA
+    if free >= storage.min_free_mb:
+        return ""
+    return (
+        f"{free:.0f} MB are free in {existing}, fewer than the {storage.min_free_mb:.0f} MB of storage.min_free_mb; "
+        "make room, or record elsewhere"
+    )
+
+
+def _key_and_value(parameter: str, text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not equals or not key:
-        raise BagError(f"parameter custom_data, entry '{text}': expected key=value")
+        raise BagError(f"parameter {parameter}, entry '{text}': expected key=value")
     return key, value
 
 

@@ -17,7 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes.realtime import LoopGroup
 from contact_reach_ros.recording.bag_writer import BagWriter
-from contact_reach_ros.recording.loss import LossCounter
+from contact_reach_ros.recording.loss import LOST, LossCounter
 from contact_reach_ros.recording.topics import OfferedQos, Topic
 
 HISTORY_DEPTH = 1000
@@ -102,7 +102,7 @@ class TopicRecorder:
             self._writer.write(recorded.topic.name, data, received_ns, sent_ns, sequence or 0)
 
     def stop(self) -> None:
-        """Write what is still on its way, and note in the bag how many messages were lost.
+        """Write what is still on its way, note what was lost, and listen no more.
 
         Raises
         ------
@@ -112,12 +112,17 @@ class TopicRecorder:
         self.drain()
         time.sleep(SETTLING_TIME)
         self.drain()
+        self.note_losses()
+        for recorded in self._recorded.values():
+            self._node.destroy_subscription(recorded.subscription)
+
+    def note_losses(self) -> None:
+        """Note in the bag how many messages were lost so far."""
         known = all(recorded.loss.known for recorded in self._recorded.values())
-        self._writer.set_custom_data("messages_lost", str(self.lost) if known else "unknown")
+        self._writer.set_custom_data(LOST, str(self.lost) if known else "unknown")
         for name, recorded in self._recorded.items():
             if recorded.loss.lost:
-                self._writer.set_custom_data(f"messages_lost{name}", str(recorded.loss.lost))
-            self._node.destroy_subscription(recorded.subscription)
+                self._writer.set_custom_data(f"{LOST}{name}", str(recorded.loss.lost))
 
     @property
     def lost(self) -> int:

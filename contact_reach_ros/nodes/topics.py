@@ -62,5 +62,8 @@ ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
 CLOCK = Topic("clock", Clock)
 LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header)
 
+ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
+"""All of them, which is what a recorder writes."""
+
 WAITING_FOR_STATE = "waiting for the first joint state"
 """Message in the planner's diagnostics until it knows where the arm is."""

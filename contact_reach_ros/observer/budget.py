@@ -57,6 +57,11 @@ class ContactBudget(Settings):
 DEFAULT_BUDGET_FILE = "contact_budget.yaml"
 
 
+def budget_file(path: str | Path = "") -> Path:
+    """The file of a contact budget; the one that comes with the package when no path is given."""
+    return Path(path) if path else config_file(DEFAULT_BUDGET_FILE)
+
+
 def load_budget(path: str | Path = "") -> ContactBudget:
     """Read a contact budget; the one that comes with the package when no path is given.
 
@@ -65,5 +70,5 @@ def load_budget(path: str | Path = "") -> ContactBudget:
     SettingsError
         If the file is missing or not YAML, or has an unknown key or a value out of range; file and key are named.
     """
-    file = Path(path) if path else config_file(DEFAULT_BUDGET_FILE)
+    file = budget_file(path)
     return ContactBudget.from_mapping(read_yaml(file), str(file))

@@ -14,10 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from contact_reach_ros.recording.bag_reader import BagReader, RecordedTopic
+from contact_reach_ros.recording.loss import LOST
 from contact_reach_ros.units import NANOSECONDS
-
-LOST = "messages_lost"
-"""Key of the custom data for the number of messages that the recorder missed; with a topic behind it, of that topic."""
 
 GAP_RATIO = 5.0
 """A gap is that many times longer than the usual time between two messages of its topic..."""
@@ -26,6 +24,8 @@ GAP_LEAST_S = 0.01
 _FEW = 100
 """Fewer messages have no usual time between them."""
 _MEGA = 1e6
+_WIDE = 150
+"""Characters that a table with the types needs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,14 +159,14 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
     info = read_info(path)
     if file is not None:
         file.write_text(json.dumps(info.as_json(), indent=2) + "\n")
-    console = console or Console()
+    console = console or _console()
     began = datetime.fromtimestamp(info.start_ns / NANOSECONDS).isoformat(" ", "milliseconds") if info.start_ns else "-"
     console.print(
         f"[bold]{info.path}[/]: {info.message_count} messages in {info.duration_s:.3f} s from {began},"
         f" {info.size / _MEGA:.1f} MB",
         highlight=False,
     )
-    console.print(_table(info.topics))
+    console.print(_table(info.topics, with_type=console.width >= _WIDE))
     for key, value in sorted(info.custom_data.items()):
         if not key.startswith(f"{LOST}/"):
             lines = value.splitlines()
@@ -176,19 +176,26 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
         console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
 
 
-def _table(topics: Sequence[TopicInfo]) -> Table:
+def _console() -> Console:
+    """As wide as the terminal; a file or pipe takes any width."""
+    console = Console()
+    return console if console.is_terminal else Console(width=_WIDE)
+
+
+def _table(topics: Sequence[TopicInfo], with_type: bool) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("topic", overflow="fold")
-    table.add_column("type", overflow="fold")
+    if with_type:
+        table.add_column("type", no_wrap=True)
     for name in ("messages", "Hz", "gaps", "longest ms", "lost"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("QoS")
+    table.add_column("QoS", no_wrap=True)
     for topic in topics:
         lost = "?" if topic.lost is None else str(topic.lost)
         late = f" ({topic.out_of_order} out of order)" if topic.out_of_order else ""
         table.add_row(
             topic.name,
-            topic.type,
+            *([topic.type] if with_type else []),
             f"{topic.message_count}{late}",
             _number(topic.rate_hz),
             "-" if topic.gaps is None else str(topic.gaps),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+LOST = "messages_lost"
+"""Key of a bag's custom data for the number of messages that were missed; with a topic behind it, of that topic."""
+
 
 class LossCounter:
     """Finds gaps in the sequence numbers of the messages of one topic.

@@ -56,7 +56,7 @@ def read_scene(name: str) -> SceneFile:
     SettingsError
         If a file has an unknown section or key, a value out of range, or a lower bound above its upper one.
     """
-    file = _find(name, Path())
+    file = scene_file(name)
     if not file.is_file():
         raise SceneError(f"scene '{name}' is unknown; expected one of {', '.join(scene_names())}, or a YAML file")
     sections = _read_sections(file, [])
@@ -74,6 +74,11 @@ def read_scene(name: str) -> SceneFile:
 
 def _package_directory() -> Path:
     return share_directory() / "config" / "scenes"
+
+
+def scene_file(name: str) -> Path:
+    """File of a scene by its name, or by its path; it may not exist."""
+    return _find(name, Path())
 
 
 def _find(name: str, folder: Path) -> Path:

@@ -10,8 +10,7 @@ import pytest
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, running, wait_for
 
 from contact_reach_ros.doctor.findings import Verdict
-from contact_reach_ros.nodes import discovery, doctor
-from contact_reach_ros.nodes.graph_checks import STACK_TOPICS
+from contact_reach_ros.nodes import discovery, doctor, topics
 from contact_reach_ros.robot import iiwa14
 
 HELPER = """
@@ -170,7 +169,7 @@ def test_a_good_stack_passes(stack, tmp_path):
     expected = ["nodes", "lifecycle", "time source", "safety state", "discovery", "sockets", "parameters"]
     expected += ["contact budget", "rclpy", "middleware", "disk for bags"]
     expected += ["joint names and order", "driver rate", "clocks", "gravity against torque"]
-    expected += [topic.name for topic in STACK_TOPICS]
+    expected += [topic.name for topic in topics.ALL]
     others = {name: found[name] for name in expected if found[name]["verdict"] != "pass"}
     assert not others
     assert set(found["nodes"]["values"]["nodes"]) >= {"/bringup", "/driver", "/controller", "/observer", "/planner"}

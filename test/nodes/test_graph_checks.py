@@ -7,7 +7,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from contact_reach_ros.doctor.findings import Verdict
 from contact_reach_ros.nodes import graph_checks, topics
-from contact_reach_ros.nodes.graph_checks import STACK_TOPICS, Endpoint, Graph, type_name
+from contact_reach_ros.nodes.graph_checks import Endpoint, Graph, type_name
 from contact_reach_ros.nodes.interfaces import ALONE, MANAGED
 
 
@@ -19,8 +19,8 @@ def endpoints(wanted, act):
 
 GOOD = Graph(
     nodes=[f"/{name}" for name in MANAGED],
-    publishers={wanted.name: endpoints(wanted, "publishes") for wanted in STACK_TOPICS},
-    subscriptions={wanted.name: endpoints(wanted, "subscribes") for wanted in STACK_TOPICS},
+    publishers={wanted.name: endpoints(wanted, "publishes") for wanted in topics.ALL},
+    subscriptions={wanted.name: endpoints(wanted, "subscribes") for wanted in topics.ALL},
     states=dict.fromkeys(MANAGED, "active"),
     simulated_time=dict.fromkeys(MANAGED, True),
     safety=[("controller", "holding", False), ("observer", "monitoring", False)],
@@ -42,7 +42,7 @@ def with_publisher(wanted, *more):
 
 
 def test_a_good_graph_passes():
-    findings = [check(GOOD) for check in WHOLE] + [graph_checks.topic(GOOD, wanted) for wanted in STACK_TOPICS]
+    findings = [check(GOOD) for check in WHOLE] + [graph_checks.topic(GOOD, wanted) for wanted in topics.ALL]
     assert [finding for finding in findings if finding.verdict is not Verdict.PASS] == []
 
 

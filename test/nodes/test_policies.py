@@ -15,7 +15,7 @@ from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.policies import policy
 from contact_reach_ros.nodes.processes import StackOptions, processes
-from contact_reach_ros.nodes.recorder import RECORDED, RecorderNode
+from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.resources import share_directory
 
 NODES = {
@@ -70,7 +70,7 @@ def test_the_table_says_what_a_node_does_in_all_its_modes(name):
     )
     if name == "recorder":
         # It subscribes to topics once they have a publisher.
-        subscribes |= {topic.name for topic in RECORDED}
+        subscribes |= {topic.name for topic in topics.ALL}
     table = INTERFACES[name]
     assert publishes == table.publishes
     assert subscribes == table.subscribes
@@ -81,7 +81,7 @@ def test_the_table_says_what_a_node_does_in_all_its_modes(name):
 def test_every_process_and_every_topic_of_the_stack_is_in_the_table():
     assert {process.name for process in processes(StackOptions(bag="bag"))} == set(MANAGED) == set(NODES)
     named = {name for interface in INTERFACES.values() for name in interface.publishes | interface.subscribes}
-    assert {topic.name for topic in vars(topics).values() if isinstance(topic, topics.Topic)} <= named
+    assert {topic.name for topic in topics.ALL} <= named
 
 
 @pytest.mark.parametrize("name", INTERFACES)

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,7 +24,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.recording.bag_reader import BagReader
+from contact_reach_ros.recording.repair import repair_bag
 
 PATIENCE = 60.0
 """How long a test waits for another process before it fails, s."""
@@ -115,7 +118,9 @@ def custom_data(directory: Path) -> dict[str, str]:
 def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> None:
     latched = recorder.publisher(String, "robot_description", LATCHED, wait=False)
     latched.publish(String(data="<robot/>"))
-    recorder.start("custom_data:=[scene=ball, 'note=a=b']")
+    parameters = recorder.directory.with_name("parameters.yaml")
+    parameters.write_text("planner: {}\n# γ\n")
+    recorder.start("custom_data:=[scene=ball, 'note=a=b']", f"files:=[parameter_file={parameters}]")
     states = recorder.publisher(JointState, "joint_states", RELIABLE)
     commands = recorder.publisher(Float64MultiArray, "effort_controller/commands", RELIABLE)
     recorder.until(latched.get_subscription_count, "a subscription to the latched topic")
@@ -152,7 +157,15 @@ def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> 
     assert description.message.data == "<robot/>"
     for raw in reader.raw_messages():
         assert 0 < raw.publish_time_ns <= raw.log_time_ns
-    assert custom_data(recorder.directory) == {"scene": "ball", "note": "a=b", "messages_lost": "0"}
+    kept = custom_data(recorder.directory)
+    assert {key: kept[key] for key in ("scene", "note", "messages_lost", "parameter_file")} == {
+        "scene": "ball",
+        "note": "a=b",
+        "messages_lost": "0",
+        "parameter_file": "planner: {}\n# γ\n",
+    }
+    assert yaml.safe_load(kept["versions"])["rmw"] == rclpy.get_rmw_implementation_identifier()
+    assert re.fullmatch("[0-9a-f]{40}(-dirty)?", kept.get("git_revision", "0" * 40))
 
 
 def test_offered_qos_is_kept(recorder: Recorder) -> None:
@@ -202,6 +215,36 @@ def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
     assert [item.message.data for item in reader.messages()] == [str(count) for count in range(50)]
     assert reader.summary.custom_data["seed"] == "5"
     assert len(reader.summary.notes) == 2
+    repaired = BagReader(repair_bag(recorder.directory).bag)
+    assert [item.message.data for item in repaired.messages()] == [str(count) for count in range(50)]
+    assert repaired.notes == ()
+
+
+def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: free)
+    rclpy.init(
+        args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]", "-p", "storage.min_free_mb:=1.0"],
+        domain_id=1 + next(_domains) % 100,
+    )
+    try:
+        node = RecorderNode()
+        node.trigger_configure()
+        node.trigger_activate()
+        node.turn()
+        assert node.diagnosis()[0] == ""
+        free = free._replace(free=900_000)
+        deadline = time.monotonic() + PATIENCE
+        while not node.diagnosis()[0] and time.monotonic() < deadline:
+            node.turn()
+        assert "not recording: 1 MB are free" in node.diagnosis()[0]
+        # The stack goes on.
+        node.turn()
+        node.close()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert BagReader(tmp_path / "bag").notes == ()
 
 
 def test_existing_bag_is_refused(recorder: Recorder) -> None:
@@ -219,6 +262,9 @@ def test_existing_bag_is_refused(recorder: Recorder) -> None:
     [
         ("storage.compression:=gzip", "expected one of none, zstd"),
         ("custom_data:=[seed]", "entry 'seed': expected key=value"),
+        ("files:=[a=/no/such/file]", "parameter files, entry 'a': /no/such/file cannot be read"),
+        ("storage.min_free_mb:=1e15", "is not begun: "),
+        ("storage.split_s:=-1.0", "storage.split_s"),
         ("topics:=['joint_states:JointState']", "expected package/msg/Type"),
         ("bag:=5", "bag"),
     ],
