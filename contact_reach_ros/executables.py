@@ -40,6 +40,11 @@ def recorder() -> None:
     _run("recorder")
 
 
+def replay() -> None:
+    """Publish a bag again."""
+    _run("replay")
+
+
 def bringup() -> None:
     """Run the whole stack."""
     _run("bringup")

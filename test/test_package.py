@@ -17,7 +17,8 @@ from contact_reach_ros.errors import ContactReachError
 
 SOURCES = Path(__file__).resolve().parents[1]
 PACKAGE = "contact_reach_ros"
-EXECUTABLES = {"driver", "controller", "observer", "planner", "recorder", "bringup", "faults", "contact-reach"}
+NODES = {"driver", "controller", "observer", "planner", "recorder", "replay", "bringup"}
+EXECUTABLES = {*NODES, "faults", "contact-reach"}
 BUILD_FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE", "constraints.txt")
 BUILD_FOLDERS = ("resource", PACKAGE)
 SHARED_FOLDERS = ("config", "launch", "msg_docs", "bags")

@@ -173,7 +173,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
                 words = f"{subscription.node} gets nothing from {publisher.node}: {reason}"
                 return failed(wanted.name, f"{found}; {words}", fix, **values)
     if wanted in _NEEDED_TOPICS and not publishers:
-        owners = [name for name, interface in INTERFACES.items() if wanted.name in interface.publishes]
+        owners = [name for name, interface in MANAGED.items() if wanted.name in interface.publishes]
         fix = f"start {' or '.join(owners)} (ros2 run contact_reach_ros {owners[0]}), or remap your topic to this name"
         return failed(wanted.name, found, fix, **values)
     return passed(wanted.name, found, **values)

@@ -70,6 +70,13 @@ def _managed(publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: It
     )
 
 
+def _replay() -> Interface:
+    """What it may publish where security is on: nothing that an arm might follow."""
+    harmless = [topic for topic in topics.ALL if topic not in (*ALONE, *COMMANDING)]
+    plain = _node(harmless, [])
+    return Interface(plain.publishes, plain.subscribes, plain.serves | {"~/pause", "~/step"})
+
+
 _STOP = ("~/stop", "~/reset")
 
 MANAGED = {
@@ -111,6 +118,23 @@ MANAGED = {
 
 DOCTOR = "contact_reach_doctor"
 
+REPLAY = "replay"
+
+ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
+"""Topics that must have a single publisher: with two of them the arm gets the commands of both in turn."""
+
+COMMANDING = (
+    topics.COMMANDS,
+    topics.REFERENCE_POSE,
+    topics.REFERENCE_POSTURE,
+    topics.GOAL_POSE,
+    topics.SIM_FAULTS,
+)
+"""Topics whose messages make an arm move, or its simulation go wrong."""
+
+ACTING = ("driver", "controller", "planner")
+"""Nodes that act on what they hear; the others only watch."""
+
 INTERFACES = {
     **MANAGED,
     "bringup": _node(
@@ -121,8 +145,6 @@ INTERFACES = {
         topics.ALL,
         [f"{name}/{service}" for name in sorted(MANAGED) for service in ("get_state", "get_parameters")],
     ),
+    REPLAY: _replay(),
 }
 """All nodes of the package, by name."""
-
-ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
-"""Topics that must have a single publisher: with two of them the arm gets the commands of both in turn."""

@@ -108,7 +108,8 @@ def _origin(options: StackOptions) -> dict[str, ParameterValue]:
         "scene_file": scene_file(options.scene),
         "contact_budget": budget_file(budget),
     }
-    values = {"scene": options.scene, "seed": options.seed, "target": options.target, "lockstep": options.lockstep}
+    lockstep = "true" if options.lockstep else "false"
+    values = {"scene": options.scene, "seed": options.seed, "target": options.target, "lockstep": lockstep}
     return {
         "custom_data": [f"{key}={value}" for key, value in values.items()],
         "files": [f"{key}={path.resolve()}" for key, path in files.items()],

@@ -18,7 +18,7 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes.realtime import LoopGroup
 from contact_reach_ros.recording.bag_writer import BagWriter
 from contact_reach_ros.recording.loss import LOST, LossCounter
-from contact_reach_ros.recording.topics import OfferedQos, Topic
+from contact_reach_ros.recording.topics import OfferedQos, Topic, check_type_name
 
 HISTORY_DEPTH = 1000
 """Messages per topic that wait in the middleware while the recorder is held up: 1 s at 1 kHz."""
@@ -148,22 +148,29 @@ class TopicRecorder:
         expected = self._wanted[name] or types[0]
         if types != [expected]:
             raise BagError(f"topic '{name}' has the type {', '.join(types)}, expected {expected}")
-        message_class = _message_class(expected)
+        recorded_class = message_class(expected)
         qos = _acceptable_qos(publishers)
         offered = tuple(_offered(publisher.qos_profile) for publisher in publishers)
         topic = Topic(name, expected, offered)
         self._writer.add_topic(topic)
-        subscription = self._subscribe(name, message_class, qos)
-        self._recorded[name] = _Recorded(topic, message_class, qos, subscription, LossCounter())
+        subscription = self._subscribe(name, recorded_class, qos)
+        self._recorded[name] = _Recorded(topic, recorded_class, qos, subscription, LossCounter())
 
-    def _subscribe(self, name: str, message_class: type, qos: QoSProfile) -> Subscription:
+    def _subscribe(self, name: str, recorded_class: type, qos: QoSProfile) -> Subscription:
         return self._node.create_subscription(
-            message_class, name, lambda _: None, qos, callback_group=self._group, raw=True
+            recorded_class, name, lambda _: None, qos, callback_group=self._group, raw=True
         )
 
 
-def _message_class(type_name: str) -> type:
-    package, _, name = type_name.split("/")
+def message_class(type_name: str) -> type:
+    """The class of a message type.
+
+    Raises
+    ------
+    BagError
+        If the type is not installed.
+    """
+    package, _, name = check_type_name(type_name).split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as error:

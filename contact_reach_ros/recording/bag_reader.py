@@ -137,8 +137,8 @@ class BagReader:
         """The topics of the bag by name."""
         return self.summary.topics
 
-    def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Messages of some topics, or of all, as they were received.
+    def raw_messages(self, topics: Collection[str] | None = None, start_ns: int = 0) -> Iterator[RawMessage]:
+        """Messages of some topics, or of all, as they were received, from a time of reception on.
 
         They come by time of reception; from a cut file in the order in which they were written. What lies in damaged
         chunks is left out, which `notes` tells afterwards.
@@ -155,7 +155,7 @@ class BagReader:
             raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
         types = {name: topic.type for name, topic in self.topics().items()}
         for file in self._files:
-            for channel, message in file.messages(wanted):
+            for channel, message in file.messages(wanted, start_ns):
                 name = channel.topic
                 received, sent, _, sequence, data = message
                 yield RawMessage(name, types[name], received, sent, data, sequence)

@@ -101,11 +101,12 @@ class OrderedChunks:
         self._indexes = sorted(indexes, key=lambda index: (index.message_start_time, index.chunk_start_offset))
         self.damaged: set[int] = set()
 
-    def messages(self, stream: BinaryIO, channels: set[int]) -> Iterator[StoredMessage]:
-        """Messages of some channels."""
+    def messages(self, stream: BinaryIO, channels: set[int], start_ns: int = 0) -> Iterator[StoredMessage]:
+        """Messages of some channels, from a time of reception on."""
         waiting: list[StoredMessage] = []
         for index in self._indexes:
-            if index.message_index_offsets and channels.isdisjoint(index.message_index_offsets):
+            unwanted = index.message_index_offsets and channels.isdisjoint(index.message_index_offsets)
+            if unwanted or index.message_end_time < start_ns:
                 continue
             if waiting and waiting[-1].log_time_ns < index.message_start_time:
                 yield from waiting
@@ -119,7 +120,7 @@ class OrderedChunks:
             except DAMAGE:
                 self.damaged.add(index.chunk_start_offset)
                 continue
-            waiting += [message for message in found if message.channel_id in channels]
+            waiting += [message for message in found if message[2] in channels and message[0] >= start_ns]
             # Stable: messages of the same time stay in the order of the file.
             waiting.sort(key=_TIME)
         yield from waiting

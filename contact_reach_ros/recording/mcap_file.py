@@ -107,16 +107,16 @@ class McapFile:
         """Chunks that were found to be damaged so far; their messages are lost."""
         return len(self._damaged)
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, StoredMessage]]:
-        """Messages of the topics: by time of reception, or in the order of the file where it has no index."""
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[tuple[Channel, StoredMessage]]:
+        """Messages of the topics from a time of reception on: by that time, or as in the file where it has no index."""
         channels = {number: channel for number, channel in self.contents.channels.items() if channel.topic in topics}
         with self.path.open("rb") as stream:
             if self.contents.indexed:
                 ordered = OrderedChunks(self._chunks)
                 ordered.damaged = self._damaged
-                found = ordered.messages(stream, set(channels))
+                found = ordered.messages(stream, set(channels), start_ns)
             else:
-                found = _Records(stream).messages()
+                found = (message for message in _Records(stream).messages() if message.log_time_ns >= start_ns)
             for message in found:
                 channel = channels.get(message.channel_id)
                 if channel is not None:

@@ -1,0 +1,253 @@
+"""Replaying: what is published, how it is steered, and where it is refused."""
+
+import signal
+import subprocess
+import threading
+from pathlib import Path
+
+import pytest
+import rclpy
+from mcap.writer import Writer
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from stack_helpers import environment, module, wait_for
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from contact_reach_ros.nodes.replay import main, publisher_qos
+from contact_reach_ros.nodes.replay_guard import Endpoints, objections
+from contact_reach_ros.recording.bag_writer import BagWriter
+from contact_reach_ros.recording.topics import OfferedQos, Topic
+
+PATIENCE = 60.0
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+LATCHED = OfferedQos(depth=3, durability="transient_local")
+BEST_EFFORT = OfferedQos(reliability="best_effort")
+TOPICS = (
+    Topic("/robot_description", "std_msgs/msg/String", (LATCHED,)),
+    Topic("/joint_states", "sensor_msgs/msg/JointState", (OfferedQos(depth=1000),)),
+    Topic("/effort_controller/commands", "std_msgs/msg/Float64MultiArray", (BEST_EFFORT,)),
+)
+TICKS = 200
+
+
+def make_bag(directory: Path) -> dict[str, list[bytes]]:
+    """A recording of 0.4 s; returns the messages by topic."""
+    written: dict[str, list[bytes]] = {topic.name: [] for topic in TOPICS}
+
+    with BagWriter(directory, TOPICS) as writer:
+
+        def write(name: str, message: object, at_ms: float) -> None:
+            written[name].append(serialize_message(message))
+            writer.write(name, written[name][-1], START + int(at_ms * MS))
+
+        write("/robot_description", String(data="<robot/>"), 0)
+        for tick in range(TICKS):
+            write("/joint_states", JointState(name=["a"], position=[float(tick)]), 2 * tick + 1)
+            write("/effort_controller/commands", Float64MultiArray(data=[float(tick)]), 2 * tick + 1.5)
+    return written
+
+
+def decoded(messages: list[bytes], kind: type) -> list[object]:
+    """For comparison: on its way a message is padded."""
+    return [deserialize_message(message, kind) for message in messages]
+
+
+def replay(*arguments: object) -> list[str]:
+    return [*module("nodes.replay"), *map(str, arguments)]
+
+
+class Listener:
+    """A node beside a replay, spinning in a thread."""
+
+    def __init__(self, env: dict[str, str], name: str = "listener") -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=int(env["ROS_DOMAIN_ID"]))
+        self.node: Node = rclpy.create_node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._executor.spin)
+        self._thread.start()
+
+    def hear(self, kind: type, topic: str, qos: QoSProfile) -> list[bytes]:
+        heard: list[bytes] = []
+        self.node.create_subscription(kind, topic, heard.append, qos, raw=True)
+        return heard
+
+    def call(self, kind: type, name: str, request: object) -> object:
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(PATIENCE)
+        future = client.call_async(request)
+        wait_for(future.done, PATIENCE, name)
+        return future.result()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+@pytest.fixture
+def env():
+    return environment()
+
+
+@pytest.fixture
+def listener(env):
+    made = Listener(env)
+    yield made
+    made.close()
+
+
+def test_bag_is_published_as_it_was_and_steered_by_services(tmp_path, env, listener):
+    written = make_bag(tmp_path / "bag")
+    deep = QoSProfile(depth=1000)
+    latched = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    states = listener.hear(JointState, "/joint_states", deep)
+    descriptions = listener.hear(String, "/robot_description", latched)
+    output = (tmp_path / "output").open("w+")
+    names = ("--topics", "joint_states", "/robot_description")
+    arguments = (tmp_path / "bag", *names, "--paused", "--json", tmp_path / "json")
+    process = subprocess.Popen(replay(*arguments), env=env, stdout=output, stderr=output)
+    try:
+        wait_for(lambda: listener.node.count_publishers("/joint_states"), PATIENCE, "publisher")
+        (offered,) = listener.node.get_publishers_info_by_topic("/robot_description")
+        assert offered.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        for count in (1, 2):
+            assert listener.call(Trigger, "/replay/step", Trigger.Request()).success
+            wait_for(lambda count=count: len(states) == count, PATIENCE, f"{count} states")
+        assert decoded(descriptions, String) == decoded(written["/robot_description"], String)
+        assert listener.call(SetBool, "/replay/pause", SetBool.Request(data=False)).message == "playing"
+        assert process.wait(PATIENCE) == 0
+    finally:
+        process.kill()
+        process.wait()
+    assert decoded(states, JointState) == decoded(written["/joint_states"], JointState)
+    output.seek(0)
+    assert f"{TICKS + 1} messages of 2 topics" in output.read()
+    assert f'"messages": {TICKS + 1}' in (tmp_path / "json").read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_an_endless_replay_cleanly(tmp_path, env, listener, number):
+    make_bag(tmp_path / "bag")
+    states = listener.hear(JointState, "/joint_states", QoSProfile(depth=1000))
+    times: list[int] = []
+    listener.node.create_subscription(Clock, "/clock", lambda message: times.append(message.clock.sec), 10)
+    arguments = (tmp_path / "bag", "--topics", "joint_states", "--loop", "--rate", 10, "--start", 0.2, "--clock")
+    process = subprocess.Popen(replay(*arguments), env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        wait_for(lambda: len(states) > 2 * TICKS and times, PATIENCE, "more than two rounds")
+        process.send_signal(number)
+        output, _ = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    assert process.returncode == 0, output
+    assert "Traceback" not in output
+    assert "times" in output
+    assert set(times) == {START // 1_000_000_000}
+
+
+def test_commands_are_not_replayed_to_a_live_arm(tmp_path, env):
+    make_bag(tmp_path / "bag")
+    arm = Listener(env, "my_arm")
+    newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    arm.hear(Float64MultiArray, "/effort_controller/commands", newest)
+    try:
+        result = subprocess.run(replay(tmp_path / "bag"), env=env, capture_output=True, text=True, timeout=PATIENCE)
+        assert result.returncode == 2
+        (line,) = result.stderr.splitlines()
+        assert "/effort_controller/commands is heard by /my_arm, which could move an arm" in line
+        assert "--allow-motion" in line
+        # It must not even appear as a second publisher, for which a driver would stop its arm.
+        assert arm.node.count_publishers("/effort_controller/commands") == 0
+    finally:
+        arm.close()
+
+
+def nodes(*names: str) -> frozenset[str]:
+    return frozenset(f"/{name}" for name in names)
+
+
+COMMANDS, STATES, GOAL = "/effort_controller/commands", "/joint_states", "/goal_pose"
+LIVE_STACK = {
+    COMMANDS: Endpoints(nodes("controller"), nodes("driver", "observer")),
+    STATES: Endpoints(nodes("driver"), nodes("controller", "observer", "planner")),
+    GOAL: Endpoints(nodes(), nodes("planner")),
+    "/external_torque": Endpoints(nodes("observer"), nodes("rviz2")),
+}
+
+
+@pytest.mark.parametrize(
+    ("graph", "replayed", "expected"),
+    [
+        (LIVE_STACK, [COMMANDS], "commands is heard by /driver,"),
+        (LIVE_STACK, [STATES], "joint_states is heard by /controller, /planner,"),
+        (LIVE_STACK, [GOAL], "goal_pose is heard by /planner"),
+        (LIVE_STACK, ["/external_torque"], ""),
+        # Whoever only watches may hear all of it.
+        ({COMMANDS: Endpoints(nodes(), nodes("observer", "recorder"))}, [COMMANDS, STATES], ""),
+        ({STATES: Endpoints(nodes(), nodes("rviz2", "observer"))}, [STATES], ""),
+        # Unknown nodes: by what they do.
+        ({COMMANDS: Endpoints(nodes(), nodes("lbr/hardware"))}, [COMMANDS], "/lbr/hardware"),
+        (
+            {STATES: Endpoints(nodes(), nodes("my_law")), COMMANDS: Endpoints(nodes("my_law"), nodes())},
+            [STATES],
+            "joint_states is heard by /my_law",
+        ),
+        ({STATES: Endpoints(nodes("driver"), nodes())}, [STATES], "live and recorded would be mixed"),
+        ({"/left/goal_pose": Endpoints(nodes(), nodes("left/planner"))}, ["/left/goal_pose"], "/left/planner"),
+    ],
+)
+def test_what_speaks_against_a_replay(graph, replayed, expected):
+    found = "; ".join(objections(replayed, graph))
+    assert expected in found
+    assert bool(found) == bool(expected)
+
+
+def test_quality_of_service_is_the_best_that_was_offered():
+    profile = publisher_qos((BEST_EFFORT, LATCHED))
+    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert profile.depth == BEST_EFFORT.depth
+    assert publisher_qos((BEST_EFFORT,)).reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--rate", "0"], "--rate 0: expected 0.01 to 100"),
+        (["--start", "9"], "--start 9: expected 0 to 0.400 s"),
+        (["--topics", "nothing"], "no such topic; it has /effort_controller/commands, /joint_states"),
+        (["--clock", "0"], "--clock 0: expected 1 to 1000 Hz"),
+    ],
+)
+def test_bad_options_are_one_line(tmp_path, capsys, arguments, message):
+    make_bag(tmp_path / "bag")
+    with pytest.raises(SystemExit) as ended:
+        main([str(tmp_path / "bag"), *arguments])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+def test_bag_of_unknown_types_says_which(tmp_path, capsys):
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("strangers_msgs/msg/Thing", "ros2msg", b"int32 a\n")
+        writer.add_message(writer.register_channel("/thing", "cdr", schema), 1, b"\0\1\0\0\1\0\0\0", 1)
+        writer.finish()
+    with pytest.raises(SystemExit) as ended:
+        main([str(path)])
+    assert ended.value.code == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert "/thing is left out: message type 'strangers_msgs/msg/Thing' is not installed" in first
+    assert "no topic that can be published" in second
