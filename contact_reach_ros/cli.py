@@ -77,6 +77,12 @@ def _parser() -> argparse.ArgumentParser:
     control.add_argument("--scene", default="ball", help="a name or a YAML file (default: ball)")
     control.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     control.set_defaults(run=_bench_control)
+    bags = benches.add_parser("bags", help="lost messages, and what recording, replaying and analysing bags costs")
+    bags.add_argument("--seconds", type=float, default=60.0, help="of recording five 1 kHz topics (default: 60)")
+    bags.add_argument("--minutes", type=float, default=10.0, help="length of the bag to be analysed (default: 10)")
+    bags.add_argument("--bag", type=Path, help="a recording to make it of (default: the sample of the package)")
+    bags.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    bags.set_defaults(run=_bench_bags)
     foam = benches.add_parser(
         "foam", help="stiffness of the walls in plant and planner, and what simulating them costs"
     )
@@ -262,6 +268,13 @@ def _bench_control(options: argparse.Namespace) -> int:
     from contact_reach_ros.experiments.bench_control import bench_control
 
     bench_control(options.ticks, options.json)
+    return 0
+
+
+def _bench_bags(options: argparse.Namespace) -> int:
+    from contact_reach_ros.experiments.bench_bags import BagsBench, bench_bags
+
+    bench_bags(BagsBench(options.seconds, options.minutes, options.bag), options.json)
     return 0
 
 

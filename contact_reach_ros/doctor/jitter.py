@@ -21,6 +21,13 @@ _GOOD_MISSED, _BAD_MISSED = 0.001, 0.05
 class TimerTest(threading.Thread):
     """Sleeps at 1 kHz for a while, with SCHED_FIFO priority where that is permitted.
 
+    Parameters
+    ----------
+    seconds
+        How long.
+    priority
+        Its priority.
+
     Attributes
     ----------
     late_ns
@@ -31,8 +38,9 @@ class TimerTest(threading.Thread):
         Whether it had SCHED_FIFO priority.
     """
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, priority: int = PRIORITY) -> None:
         super().__init__(name="timer test")
+        self._priority = priority
         self._ticks = int(seconds * NANOSECONDS / _TICK_NS)
         self.late_ns = np.zeros(self._ticks, dtype=np.int64)
         self.missed = 0
@@ -41,7 +49,7 @@ class TimerTest(threading.Thread):
     def run(self) -> None:
         """Take all ticks; the thread does nothing but sleep and write down the time."""
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self._priority))
             self.realtime = True
         except OSError:
             pass

@@ -27,6 +27,7 @@ from contact_reach_ros.nodes.realtime import (
     Inbox,
     Role,
     choose_cpus,
+    prioritise_background,
     prioritise_middleware,
     request_realtime,
     use_cpus,
@@ -241,6 +242,8 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
         warning = request_realtime(priority)
     elif role is Role.COMPUTING:
         warning = prioritise_middleware()
+    elif role is Role.BACKGROUND:
+        warning = prioritise_background()
     if warning:
         node.get_logger().warning(warning)
     _on_signals(lambda *_: ended.put(None))

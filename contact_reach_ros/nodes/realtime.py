@@ -27,6 +27,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
 _MIDDLEWARE_PRIORITY = 30
+_BACKGROUND_PRIORITY = 20
 _FEW_CPUS = 3
 
 
@@ -40,7 +41,7 @@ class Role(Enum):
     COMPUTING = "computing"
     """Computes for long; its middleware's threads have priority below all loops, to pass messages on meanwhile."""
     BACKGROUND = "background"
-    """Catches up when there is time."""
+    """Nobody waits for it, but it must not miss what comes: SCHED_FIFO priority below everything else."""
 
 
 def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]:
@@ -116,6 +117,19 @@ def prioritise_middleware() -> str:
     tasks = Path("/proc/self/task")
     threads = [task.name for task in tasks.iterdir() if (task / "comm").read_text().startswith("dds.")]
     return _prioritise(threads, _MIDDLEWARE_PRIORITY)
+
+
+def prioritise_background() -> str:
+    """Give all threads of this process, and those started later, SCHED_FIFO priority below all others of the stack.
+
+    What is not part of the stack cannot keep it from its work then. It has to sleep most of the time.
+
+    Returns
+    -------
+    str
+        Empty when granted, else a warning for the log.
+    """
+    return _prioritise(os.listdir("/proc/self/task"), _BACKGROUND_PRIORITY)
 
 
 def _prioritise(threads: Sequence[str], priority: int) -> str:

@@ -44,8 +44,8 @@ from contact_reach_ros.recording.topics import INFINITE_NS, OfferedQos
 from contact_reach_ros.units import NANOSECONDS
 
 BAD_INPUT = 2
-PRIORITY = 25
-"""Below everything that an arm depends on."""
+PRIORITY = 26
+"""Of the thread that publishes: below everything that an arm depends on. The others have one less."""
 
 _CLOCK_HZ = 100.0
 _RATES = (0.01, 100.0)
@@ -214,7 +214,7 @@ class Replay:
         serving.start()
         # Where messages are to come faster than they did, this thread may never sleep.
         if self._options.rate <= 1.0:
-            warning = request_realtime(PRIORITY)
+            warning = request_realtime(PRIORITY - 1)
             self._real_time = not warning
             if warning:
                 self._node.get_logger().warning(warning)
@@ -237,9 +237,7 @@ class Replay:
 
     def _play(self, start_ns: int, ended: queue.SimpleQueue[BaseException | None]) -> None:
         try:
-            if self._real_time:
-                # Above the thread that reads ahead, and those of the middleware.
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY + 1))
+            self._prioritise(PRIORITY)
             for message in self._latched_before(start_ns):
                 self._publishers[message.topic].publish(message.data)
             while self._play_once(start_ns) and self._options.loop:
@@ -253,8 +251,15 @@ class Replay:
 
     def _play_once(self, start_ns: int) -> bool:
         publish = {name: publisher.publish for name, publisher in self._publishers.items()}
-        with closing(read_ahead(self._reader.raw_messages(list(self._chosen), start_ns))) as messages:
+        stored = self._reader.raw_messages(list(self._chosen), start_ns)
+        # With the same priority as this one, the thread that reads ahead would keep it from running.
+        with closing(read_ahead(stored, lambda: self._prioritise(PRIORITY - 1))) as messages:
             return self._playback.run(messages, start_ns, lambda message: publish[message.topic](message.data))
+
+    def _prioritise(self, priority: int) -> None:
+        """For the calling thread, where the system permits it."""
+        if self._real_time:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
     def _latched_before(self, start_ns: int) -> list[RawMessage]:
         """What latched topics would still show of the part that is skipped."""

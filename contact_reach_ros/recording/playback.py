@@ -161,8 +161,18 @@ class Playback:
         return self._position_ns + int((time.monotonic_ns() - self._anchor_ns) * self._rate)
 
 
-def read_ahead(messages: Iterable[RawMessage]) -> Generator[RawMessage, None, None]:
-    """The same messages, read by another thread some time before they are asked for."""
+def read_ahead(
+    messages: Iterable[RawMessage], prepare: Callable[[], None] = lambda: None
+) -> Generator[RawMessage, None, None]:
+    """The same messages, read by another thread some time before they are asked for.
+
+    Parameters
+    ----------
+    messages :
+        To be read.
+    prepare :
+        Called in that thread when it starts.
+    """
     blocks: queue.Queue[list[RawMessage] | BaseException | None] = queue.Queue(_BLOCKS)
     abandoned = threading.Event()
 
@@ -178,6 +188,7 @@ def read_ahead(messages: Iterable[RawMessage]) -> Generator[RawMessage, None, No
     def read() -> None:
         block: list[RawMessage] = []
         try:
+            prepare()
             for message in messages:
                 block.append(message)
                 if len(block) == _BLOCK:
