@@ -33,24 +33,26 @@ _BODIES = 9
 _PATIENCE_S = 30.0
 
 
-class _Stream(NamedTuple):
+class Stream(NamedTuple):
+    """One topic, and what makes a message of its number and 21 random values."""
+
     topic: Topic
     write: Callable[[int, np.ndarray], bytes]
-    """Message from its number and random values."""
 
 
-def _streams() -> list[_Stream]:
+def streams() -> list[Stream]:
+    """The topics that the stack publishes at 1 kHz, or nearly."""
     joints, n = iiwa14.JOINT_NAMES, iiwa14.N_JOINTS
     states = JointStateWriter(joints, "", ("position", "velocity", "effort"))
     torques = JointStateWriter(joints, "", ("effort",))
     contacts = JointStateWriter([f"body_{body}" for body in range(_BODIES)], "", ("effort",))
     wrenches, commands = WrenchWriter(iiwa14.FLANGE_NAME), CommandWriter(n)
     return [
-        _Stream(topics.JOINT_STATES, lambda k, v: states.write(k, v[:n], v[n : 2 * n], v[2 * n : 3 * n])),
-        _Stream(topics.COMMANDS, lambda k, v: commands.write(np.append(float(k), v[1:n]))),
-        _Stream(topics.EXTERNAL_TORQUE, lambda k, v: torques.write(k, v[:n])),
-        _Stream(topics.EXTERNAL_WRENCH, lambda k, v: wrenches.write(k, v[:6])),
-        _Stream(topics.SIM_CONTACTS, lambda k, v: contacts.write(k, v[:_BODIES])),
+        Stream(topics.JOINT_STATES, lambda k, v: states.write(k, v[:n], v[n : 2 * n], v[2 * n : 3 * n])),
+        Stream(topics.COMMANDS, lambda k, v: commands.write(np.append(float(k), v[1:n]))),
+        Stream(topics.EXTERNAL_TORQUE, lambda k, v: torques.write(k, v[:n])),
+        Stream(topics.EXTERNAL_WRENCH, lambda k, v: wrenches.write(k, v[:6])),
+        Stream(topics.SIM_CONTACTS, lambda k, v: contacts.write(k, v[:_BODIES])),
     ]
 
 
@@ -73,10 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _publish(node: Node, seconds: float, rate: float) -> dict[str, float]:
-    streams = _streams()
+    load = streams()
     publishers = [
         node.create_publisher(stream.topic.type, f"{NAMESPACE}/{stream.topic.name}", stream.topic.qos)
-        for stream in streams
+        for stream in load
     ]
     deadline = time.monotonic() + _PATIENCE_S
     while not all(publisher.get_subscription_count() for publisher in publishers):
@@ -97,7 +99,7 @@ def _publish(node: Node, seconds: float, rate: float) -> dict[str, float]:
         elif remaining < -NANOSECONDS / rate:
             late += 1
         row = values[tick % len(values)]
-        for stream, publisher in zip(streams, publishers, strict=True):
+        for stream, publisher in zip(load, publishers, strict=True):
             publisher.publish(stream.write(tick, row))
     took = (time.monotonic_ns() - began) / NANOSECONDS
     for publisher in publishers:
