@@ -167,7 +167,7 @@ def _recomputing(bag: Path, folder: Path) -> dict[str, Any]:
     if not result.is_file():
         print(f"  recompute: {run.error}")
         return {"recompute_realtime_factor": None}
-    return {"recompute_realtime_factor": json.loads(result.read_text())["realtime_factor"]}
+    return {"recompute_realtime_factor": json.loads(result.read_text())["recompute_realtime_factor"]}
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,11 @@ def _run(command: Sequence[str]) -> _Run:
     with tempfile.TemporaryFile("w+") as errors:
         began = time.monotonic()
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors)
-        _, status, usage = os.wait4(process.pid, 0)
+        try:
+            _, status, usage = os.wait4(process.pid, 0)
+        except BaseException:
+            _end(process)
+            raise
         seconds = time.monotonic() - began
         process.returncode = os.waitstatus_to_exitcode(status)
         errors.seek(0)
