@@ -202,7 +202,7 @@ class Replay:
         if self._watching is not None:
             self._watching.check_all()
         self._publishers = {
-            name: self._node.create_publisher(kind, name, publisher_qos(self._reader.topics()[name].offered_qos))
+            name: self._node.create_publisher(kind, name, publisher_qos(name, self._reader.topics()[name].offered_qos))
             for name, kind in self._chosen.items()
         }
         self._serve()
@@ -266,7 +266,7 @@ class Replay:
         known = self._reader.topics()
         kept: dict[str, deque[RawMessage]] = {}
         for name in self._chosen:
-            profile = publisher_qos(known[name].offered_qos)
+            profile = publisher_qos(name, known[name].offered_qos)
             if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
                 kept[name] = deque(maxlen=profile.depth)
         if start_ns > self._reader.summary.start_ns:
@@ -361,17 +361,21 @@ class Replay:
 _PERCENTILES = {"p50": 50.0, "p99": 99.0}
 
 
-def publisher_qos(offered: Sequence[OfferedQos]) -> QoSProfile:
-    """Terms that reach everybody whom the recorded publishers reached: the best that any of them offered."""
+def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:
+    """Terms that reach everybody whom the recorded publishers reached: the best that any of them offered.
+
+    Discovery, from which a recorder has them, does not tell the depth of a queue. Then it is that of the stack's topic,
+    or one message for a latched topic and a deep queue for any other.
+    """
     if not offered:
-        return QoSProfile(depth=OfferedQos().depth)
+        return QoSProfile(depth=topics.STREAM.depth)
     reliable = any(profile.reliability != "best_effort" for profile in offered)
     latched = any(profile.durability == "transient_local" for profile in offered)
     first = offered[0]
     by_hand = first.liveliness == "manual_by_topic"
     return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if any(p.history == "keep_all" for p in offered) else HistoryPolicy.KEEP_LAST,
-        depth=max(1, *(profile.depth for profile in offered)),
+        depth=max(profile.depth for profile in offered) or _usual_depth(name, latched),
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         deadline=_duration(first.deadline_ns),
@@ -380,6 +384,11 @@ def publisher_qos(offered: Sequence[OfferedQos]) -> QoSProfile:
         liveliness_lease_duration=_duration(first.liveliness_lease_ns),
         avoid_ros_namespace_conventions=first.avoid_ros_namespace_conventions,
     )
+
+
+def _usual_depth(name: str, latched: bool) -> int:
+    depths = [topic.qos.depth for topic in topics.ALL if name.endswith(f"/{topic.name}")]
+    return depths[0] if depths else topics.LATCHED.depth if latched else topics.STREAM.depth
 
 
 def _duration(nanoseconds: int) -> Duration:

@@ -18,6 +18,7 @@ from stack_helpers import environment, module, wait_for
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.replay import main, publisher_qos
 from contact_reach_ros.nodes.replay_guard import Endpoints, objections
 from contact_reach_ros.recording.bag_writer import BagWriter
@@ -212,11 +213,20 @@ def test_what_speaks_against_a_replay(graph, replayed, expected):
 
 
 def test_quality_of_service_is_the_best_that_was_offered():
-    profile = publisher_qos((BEST_EFFORT, LATCHED))
+    profile = publisher_qos("/a", (BEST_EFFORT, LATCHED))
     assert profile.reliability == ReliabilityPolicy.RELIABLE
     assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert profile.depth == BEST_EFFORT.depth
-    assert publisher_qos((BEST_EFFORT,)).reliability == ReliabilityPolicy.BEST_EFFORT
+    assert publisher_qos("/a", (BEST_EFFORT,)).reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+def test_depth_that_discovery_does_not_tell_is_that_of_the_stack():
+    unknown = OfferedQos(history="unknown", depth=0)
+    latched = OfferedQos(history="unknown", depth=0, durability="transient_local")
+    assert publisher_qos("/left/joint_states", (unknown,)).depth == topics.JOINT_STATES.qos.depth
+    assert publisher_qos("/safety_state", (latched,)).depth == topics.SAFETY_STATE.qos.depth
+    assert publisher_qos("/map", (latched,)).depth == 1
+    assert publisher_qos("/scan", (unknown,)).depth > 1
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_it_can_be_replayed(reader: BagReader) -> None:
     chosen = choose_topics(reader, None)
     assert set(chosen) == set(reader.topics())
     for topic in reader.topics().values():
-        assert publisher_qos(topic.offered_qos).depth >= 1
+        assert publisher_qos(topic.name, topic.offered_qos).depth >= 1
     published: list[str] = []
     start_ns = reader.summary.start_ns + int((reader.summary.duration - 5.0) * NANOSECONDS)
     messages = read_ahead(reader.raw_messages(list(chosen), start_ns))
