@@ -225,7 +225,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("shutil.disk_usage", lambda _: free)
     rclpy.init(
         args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]", "-p", "storage.min_free_mb:=1.0"],
-        domain_id=1 + next(_domains) % 100,
+        domain_id=fresh_domain(),
     )
     try:
         node = RecorderNode()
