@@ -16,6 +16,7 @@ from contact_reach_ros.baselines.method import Method, ReferenceMethod
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
 from contact_reach_ros.planning.problem import Goal, Plan
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
@@ -35,6 +36,7 @@ from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import obstacle_spheres
+from contact_reach_ros.timing import StampOrder
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
@@ -64,6 +66,8 @@ class EpisodeOptions:
         Time to go on after the goal was reached or the arm was stopped, s.
     faults
         What goes wrong, counted from the moment the goal is given.
+    watchdog
+        Of the drive; by default without a limit on speeds, which would end episodes of a method without a controller.
     """
 
     period: float = 0.04
@@ -78,6 +82,7 @@ class EpisodeOptions:
     budget: ContactBudget = field(default_factory=ContactBudget)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     joints: JointSettings = field(default_factory=JointSettings)
+    watchdog: WatchdogSettings = field(default_factory=lambda: WatchdogSettings(speed_share=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +188,10 @@ class _Episode:
         self.faults = Faults(options.faults, seed, self.plant) if options.faults else None
         if any(isinstance(fault, LatePlans) for fault in options.faults) and not isinstance(method, ReferenceMethod):
             raise SettingsError(f"faults: {LatePlans.KIND} needs a method that plans references")
-        self.drive = Drive(self.plant, WatchdogSettings())
+        self.drive = Drive(self.plant, options.watchdog)
         self.observer = MomentumObserver(MomentumSettings(), RobotModel())
         self.monitor = SafetyMonitor(SafetySettings(), options.budget)
+        self.check = PlausibilityCheck(PlausibilitySettings(), options.budget.contact_thresholds)
         reading = self.plant.read()
         self.known = State(0, reading)
         """The last state that can be used, as the planner knows it."""
@@ -194,7 +200,7 @@ class _Episode:
         _, rotation = RobotModel().flange_pose(reading.position)
         self.goal = Goal(scene.target, rotation if options.hold_orientation else None)
         self.plan_due_ns = 0
-        self.observed_ns = 0
+        self.controlled, self.observed = StampOrder(), StampOrder()
         self.late: deque[tuple[int, Plan]] = deque()
         self.plans: list[Plan] = []
         self.failure = ""
@@ -300,11 +306,17 @@ class _Episode:
         if faults is not None and faults.silent(ControllerSilent, now_ns):
             return
         for stamp_ns, reading in self.arrived:
+            if faults is not None and not self.controlled.is_new(stamp_ns):
+                self._refuse("old joint states")
+                continue
             try:
-                self.torque = self.method.torque(reading.position, reading.velocity, stamp_ns, now_ns)
+                torque = self.method.torque(reading.position, reading.velocity, stamp_ns, now_ns)
             except InputError:
                 self._refuse("joint states")
                 continue
+            if torque is None:
+                continue
+            self.torque = torque
             if faults is None:
                 self.drive.command(self.torque, now_ns)
             else:
@@ -337,12 +349,14 @@ class _Episode:
             return
         for state in self.arrived:
             reading = state.reading
-            if self.faults is not None and (not state.is_finite or state.stamp_ns == self.observed_ns):
+            if self.faults is not None and not (state.is_finite and self.observed.is_new(state.stamp_ns)):
                 continue
-            self.observed_ns = state.stamp_ns
             self.observer.update(reading.position, reading.velocity, _known(reading), state.stamp_ns)
             self.monitor.update(self.observer.residual, reading.velocity, self.observer.known_for)
-            self.method.observer_report(self.monitor.stop_reason, now_ns)
+            wrong = self.check.update(reading.position, reading.velocity, self.monitor.sudden, state.stamp_ns)
+            if wrong:
+                self.monitor.stop_distrusting(wrong)
+            self.method.observer_report(self.monitor.stop_reason, now_ns, self.monitor.distrust)
 
     def _refuse(self, what: str) -> None:
         """Count the input that is being refused; without faults nothing is."""
