@@ -44,7 +44,7 @@ def run_case(case: Case) -> tuple:
         planner = ScriptedPlanner(scene(case.scene)) if case.planner == "scripted" else small_planner(case.scene)
         options = EpisodeOptions(
             settle=0.6,
-            timeout=TIMEOUTS[case.scene],
+            timeout=case.timeout or TIMEOUTS[case.scene],
             linger=1.0,
             faults=parse_faults(case.fault),
             watchdog=WatchdogSettings(),
