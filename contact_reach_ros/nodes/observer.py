@@ -64,6 +64,33 @@ class ObserverSettings(Settings):
     )
 
 
+_LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
+
+
+def read_contact(message: DiagnosticStatus) -> Contact | None:
+    """The contact that the observer's safety state tells of; None when it tells of none.
+
+    Raises
+    ------
+    InputError
+        If link, point or force are none.
+    """
+    values = {item.key: item.value for item in message.values}
+    if _LINK not in values:
+        return None
+    try:
+        position, force = (np.array(values[key].split(), float).reshape(3) for key in (_POSITION, _FORCE))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"safety_state: {_POSITION} and {_FORCE} must be three numbers each ({error})") from error
+    links = [iiwa14.LINK_NAMES[capsule.link - 1] for capsule in iiwa14.CAPSULES]
+    if values[_LINK] not in links or not np.isfinite([position, force]).all():
+        raise InputError(
+            f"safety_state: {_LINK} = {values[_LINK]} at {position} with {force}: expected finite numbers and one of "
+            f"{', '.join(links)}"
+        )
+    return Contact(values[_LINK], position, force, float("nan"))
+
+
 class ObserverNode(ManagedNode):
     """Runs the momentum observer and the safety monitor for each joint state."""
 
@@ -207,9 +234,10 @@ class ObserverNode(ManagedNode):
             findings[DISTRUST] = self._monitor.distrust
         contact = self._contact
         if contact is not None:
-            findings["contact link"] = contact.link
+            findings[_LINK] = contact.link
             findings["contact force N"] = f"{contact.strength:.1f}"
-            findings["contact force xyz N"] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
+            findings[_FORCE] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
+            findings[_POSITION] = " ".join(f"{value:.3f}" for value in contact.position.tolist())
         return findings
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
