@@ -1,4 +1,4 @@
-"""Counting how long things take, cheaply enough for a 1 kHz loop."""
+"""Counting how long things take, and telling new messages from old ones, cheaply enough for a 1 kHz loop."""
 
 from __future__ import annotations
 
@@ -10,6 +10,49 @@ _FINE, _COARSE = 200, 200
 
 PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
 """Names of percentiles in diagnostics and reports."""
+
+
+_PATIENCE = 5
+"""Older messages, one after the other, that show a clock that was set back."""
+
+
+class StampOrder:
+    """Tells new messages from old ones that come again, by their stamps.
+
+    A message is new when its stamp is newer than all before. Older ones that follow each other without a new one among
+    them are new as well, after a few: the clock was set back.
+
+    Attributes
+    ----------
+    repeated, older
+        Messages that were not new: with the newest stamp, and with an older one.
+    """
+
+    def __init__(self) -> None:
+        self.repeated = 0
+        self.older = 0
+        self._newest_ns: int | None = None
+        self._older_ns = 0
+        self._in_a_row = 0
+
+    def is_new(self, stamp_ns: int) -> bool:
+        """Take the stamp of a message, ns."""
+        newest_ns = self._newest_ns
+        if newest_ns is None or stamp_ns > newest_ns:
+            self._newest_ns, self._in_a_row = stamp_ns, 0
+            return True
+        if stamp_ns == newest_ns:
+            self.repeated += 1
+            return False
+        # One that is repeated again and again shows no clock that goes on.
+        if self._in_a_row == 0 or stamp_ns > self._older_ns:
+            self._older_ns = stamp_ns
+            self._in_a_row += 1
+        if self._in_a_row > _PATIENCE:
+            self._newest_ns, self._in_a_row = stamp_ns, 0
+            return True
+        self.older += 1
+        return False
 
 
 class Histogram:

@@ -1,4 +1,4 @@
-"""Percentiles from buckets."""
+"""Percentiles from buckets, and the order of stamps."""
 
 import math
 
@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from contact_reach_ros.timing import (
     PERCENTILES,
     Histogram,
+    StampOrder,
     counts_between,
     percentiles_us,
     read_counts,
@@ -94,3 +95,26 @@ def test_percentiles_of_counts_are_those_of_the_histogram():
     histogram = filled(list(np.linspace(1, 990, 2000)))
     assert percentiles_us(histogram.counts()) == pytest.approx(histogram.summary(), abs=BUCKET_US)
     assert all(math.isnan(value) for value in percentiles_us({}).values())
+
+
+class TestStampOrder:
+    def test_old_messages_that_come_again_are_not_new(self):
+        order = StampOrder()
+        accepted = []
+        for newest in range(100, 200):
+            for stamp in (newest, newest - 20, newest):
+                if order.is_new(stamp):
+                    accepted.append(stamp)
+        assert accepted == list(range(100, 200))
+        assert (order.repeated, order.older) == (100, 100)
+
+    def test_a_clock_that_was_set_back_is_followed_after_a_few_messages(self):
+        order = StampOrder()
+        order.is_new(1000)
+        assert [order.is_new(stamp) for stamp in range(10, 20)] == [False] * 5 + [True] * 5
+
+    def test_one_old_message_again_and_again_is_no_clock(self):
+        order = StampOrder()
+        order.is_new(1000)
+        assert not any(order.is_new(stamp) for stamp in [990] * 100 + [1000] * 100)
+        assert order.is_new(1001)

@@ -242,7 +242,7 @@ class JointTorqueMethod(ControlledMethod):
         self._plans = [other for other in self._plans if other.effect_ns >= newest] + [plan]
         return plan
 
-    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
         """The torque of the plan in force, or what holds or stops the arm."""
         if self.stop_reason or not any(plan.effect_ns <= now_ns for plan in self._plans):
             return self._controller.tick(q, v, now_ns, clock_ns)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
-from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.units import NANOSECONDS
@@ -59,11 +58,14 @@ class Method(Protocol):
             If there is no way to the goal.
         """
 
-    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
-        """Joint torques (7,) for a state stamped `now_ns`, N m; `clock_ns` is the clock of `observer_report`."""
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
+        """Joint torques (7,) for a state stamped `now_ns`, N m; `clock_ns` is the clock of `observer_report`.
 
-    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
-        """Hear that the observer lives; a non-empty reason stops the arm."""
+        None when nothing may be commanded any more.
+        """
+
+    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
+        """Hear that the observer lives; a non-empty reason stops the arm, and `distrust` ends all commands."""
 
 
 class ControlledMethod:
@@ -85,7 +87,7 @@ class ControlledMethod:
     @property
     def stop_reason(self) -> str:
         """Why the controller stopped the arm; empty if it did not."""
-        return self._controller.stop_reason if self._controller.mode is Mode.STOPPED else ""
+        return self._controller.stop_reason
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Warm the planner up."""
@@ -101,9 +103,9 @@ class ControlledMethod:
         self._controller = Controller(self._settings, self._controller.model)
         self._controller.start(q, v, now_ns)
 
-    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
+    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
         """Pass the report on to the controller."""
-        self._controller.observer_report(stopped_because, clock_ns)
+        self._controller.observer_report(stopped_because, clock_ns, distrust)
 
 
 class ReferenceMethod(ControlledMethod):
@@ -129,6 +131,6 @@ class ReferenceMethod(ControlledMethod):
         references.offer_poses(PoseKnots(plan.effect_ns, ends, plan.positions, plan.rotations), now_ns)
         references.offer_postures(PostureKnots(plan.effect_ns, ends, plan.postures), now_ns)
 
-    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
         """One tick of the controller."""
         return self._controller.tick(q, v, now_ns, clock_ns)

@@ -78,8 +78,8 @@ class Controller:
         self.supervisor.happens(Event.START)
         self._started = True
 
-    def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
-        """The torque to send for one joint state, (7,), N m.
+    def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
+        """The torque to send for one joint state, (7,), N m; None when nothing may be sent any more.
 
         Parameters
         ----------
@@ -102,6 +102,10 @@ class Controller:
         self.model.update(q, v)
         self.supervisor.watch_observer(clock_ns)
         self.supervisor.watch_joints(q, v)
+        self.supervisor.watch_stop(v, clock_ns)
+        if self.mode is Mode.SILENT:
+            self._last_ns = now_ns
+            return None
         if now_ns < self._last_ns:
             # The clock was set back: what has been going on for a while still has.
             self._started_ns -= self._last_ns - now_ns
@@ -141,9 +145,9 @@ class Controller:
         """Why the arm is stopped; empty while it is not."""
         return self.supervisor.stop_reason
 
-    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
-        """Take the observer's sign of life; a non-empty reason stops the arm."""
-        self.supervisor.observer_report(stopped_because, clock_ns)
+    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
+        """Take the observer's sign of life, as `Supervisor.observer_report`."""
+        self.supervisor.observer_report(stopped_because, clock_ns, distrust)
 
     def stop(self, reason: str) -> None:
         """Latch the compliant stop; the first reason is kept."""
@@ -160,9 +164,12 @@ class Controller:
         """
         self.supervisor.check_reset(q, v, clock_ns)
         self.references.clear(now_ns)
+        was_silent = self.mode is Mode.SILENT
         self.supervisor.happens(Event.RESET)
         self.model.update(q, v)
-        # Not `start`: the limiter goes on from the last torque, so that the release brings no step.
+        # Unless nothing was sent the limiter goes on from the last torque, so that the release brings no step.
+        if was_silent:
+            self.limiter.start(self._hold_torque())
         self._restart(q, now_ns)
 
     def _restart(self, q: Array, now_ns: int) -> None:

@@ -75,8 +75,27 @@ class SupervisionSettings(Settings):
         minimum=0.0,
         maximum=50.0,
     )
+    rest_within: float = setting(
+        0.5,
+        "time after a stop in which the arm has to come to rest; otherwise nothing is commanded any more, so that the "
+        "drive's watchdog takes over",
+        unit="s",
+        minimum=0.05,
+        maximum=10.0,
+    )
+    stop_speed_gain: float = setting(
+        0.5,
+        "the same happens when the fastest joint gets faster by this than it has been since the stop",
+        unit="rad/s",
+        minimum=0.05,
+        maximum=3.0,
+    )
     reset_velocity: float = setting(
-        0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
+        0.05,
+        "joint speed below which the arm is at rest, and a stop may be reset",
+        unit="rad/s",
+        minimum=0.0,
+        maximum=1.0,
     )
     velocity_share: float = setting(
         1.0, "joint speed that stops the arm, as a share of the data sheet's limit", minimum=0.05, maximum=1.0

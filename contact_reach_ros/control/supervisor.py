@@ -30,6 +30,8 @@ class Mode(Enum):
     """A plan is in force."""
     STOPPED = "stopped"
     """Latched compliant stop: no stiffness, damping and gravity only."""
+    SILENT = "silent"
+    """Latched, and nothing is commanded: the drive's watchdog holds the arm and closes the brakes."""
 
 
 class Event(Enum):
@@ -39,6 +41,7 @@ class Event(Enum):
     PLAN = "plan takes effect"
     PLAN_ENDED = "plan runs out"
     STOP = "stop"
+    NO_REST = "stop brings no rest"
     RESET = "reset"
 
 
@@ -53,12 +56,17 @@ TRANSITIONS = {
     (Mode.TRACKING, Event.PLAN_ENDED): Mode.HOLDING,
     (Mode.TRACKING, Event.STOP): Mode.STOPPED,
     (Mode.TRACKING, Event.RESET): Mode.HOLDING,
+    (Mode.STOPPED, Event.NO_REST): Mode.SILENT,
     (Mode.STOPPED, Event.RESET): Mode.HOLDING,
+    (Mode.SILENT, Event.RESET): Mode.HOLDING,
 }
 """The state that an event leads to; an event that is not listed for a state changes nothing there."""
 
 _PAUSE_NS = 5_000_000
 """Ticks further apart than this show that the controller itself was held up."""
+
+
+_GIVEN_UP = "nothing is commanded any more, the drive takes over"
 
 
 class Supervisor:
@@ -70,14 +78,17 @@ class Supervisor:
     ----------
     mode
         The state.
-    stop_reason
-        Why the arm is stopped; empty while it is not. The first reason is kept.
     """
 
     def __init__(self, settings: SupervisionSettings) -> None:
         self.mode = Mode.WAITING
-        self.stop_reason = ""
         self._settings = settings
+        self._first_reason = ""
+        self._escalation = ""
+        self._stopped_ns: int | None = None
+        self._slowest = math.inf
+        self._speeding_up = 0
+        self._rest_is_due = False
         self._speed_limits = settings.velocity_share * np.array(iiwa14.VELOCITY_LIMITS)
         self._speed_list = self._speed_limits.tolist()
         self._speeding = 0
@@ -89,16 +100,54 @@ class Supervisor:
         """Take an event other than a stop; returns whether it changed the state."""
         before = self.mode
         self.mode = TRANSITIONS.get((before, event), before)
-        if before is Mode.STOPPED and self.mode is not Mode.STOPPED:
-            self.stop_reason = ""
+        if event is Event.RESET:
+            self._first_reason = self._escalation = ""
             self._speeding = 0
         return self.mode is not before
 
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is latched, compliant or not."""
+        return self.mode in (Mode.STOPPED, Mode.SILENT)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm is stopped: the first reason, and why the stop was not enough; empty while it is not."""
+        return f"{self._first_reason}; {self._escalation}" if self._escalation else self._first_reason
+
     def stop(self, reason: str) -> None:
-        """Latch the compliant stop."""
-        if self.mode is not Mode.STOPPED:
+        """Latch the compliant stop; the first reason is kept."""
+        if not self.stopped:
             self.mode = TRANSITIONS[self.mode, Event.STOP]
-            self.stop_reason = reason
+            self._first_reason = reason
+            self._stopped_ns, self._slowest, self._speeding_up, self._rest_is_due = None, math.inf, 0, True
+
+    def watch_stop(self, v: Array, clock_ns: int) -> None:
+        """Give up the compliant stop when it does not bring the arm to rest in time, or the arm gets faster in it.
+
+        The arm may be moved slowly by hand once it has rested.
+        """
+        if self.mode is not Mode.STOPPED:
+            return
+        if self._stopped_ns is None:
+            self._stopped_ns = clock_ns
+        settings = self._settings
+        speeds = np.abs(v)
+        speed = float(speeds.max())
+        self._slowest = min(self._slowest, speed)
+        self._speeding_up = self._speeding_up + 1 if speed > self._slowest + settings.stop_speed_gain else 0
+        name = iiwa14.JOINT_NAMES[int(speeds.argmax())]
+        since = (clock_ns - self._stopped_ns) / NANOSECONDS
+        if self._speeding_up >= settings.velocity_debounce:
+            self._escalate(f"in the stop {name} got faster, {speed:.2f} rad/s after {1000 * since:.0f} ms")
+        elif since >= settings.rest_within and self._rest_is_due:
+            self._rest_is_due = False
+            if speed > settings.reset_velocity:
+                self._escalate(f"{name} still moves with {speed:.2f} rad/s {1000 * since:.0f} ms after the stop")
+
+    def _escalate(self, why: str) -> None:
+        if self.happens(Event.NO_REST):
+            self._escalation = f"{why}; {_GIVEN_UP}" if why else _GIVEN_UP
 
     def check_reset(self, q: Array, v: Array, clock_ns: int) -> None:
         """Refuse a reset unless the arm rests within its limits and the observer lives and is content.
@@ -118,12 +167,18 @@ class Supervisor:
         if self._observer_silence(clock_ns) is not None:
             raise InputError("the observer is silent: start it, then reset")
 
-    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
-        """Take the observer's sign of life; a non-empty reason stops the arm."""
+    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
+        """Take the observer's sign of life; a non-empty reason stops the arm.
+
+        `distrust`: what is wrong with the joint states themselves, on which a compliant stop would act, too.
+        """
         self._observer_ns = clock_ns
         self._observer_stopped = stopped_because
         if stopped_because:
             self.stop(stopped_because)
+        if distrust:
+            self.stop(distrust)
+            self._escalate("" if distrust == self._first_reason else distrust)
 
     def watch_observer(self, clock_ns: int) -> None:
         """Stop when the observer has been silent for too long; one that was never heard of is not waited for."""

@@ -28,6 +28,7 @@ from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.plant.drive import WatchdogSettings
 from contact_reach_ros.plant.faults import Schedule, parse_faults
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
@@ -196,6 +197,7 @@ class RandomFaults:
             timeout=_TIMEOUT,
             linger=_LINGER,
             faults=schedule,
+            watchdog=WatchdogSettings(),
             budget=load_budget(),
             noise_seed=seed,
         )

@@ -15,9 +15,13 @@ from numpy.typing import NDArray
 from contact_reach_ros.baselines.method import Method, ReferenceMethod
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.location import ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings
 from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
-from contact_reach_ros.planning.problem import Goal, Plan
+from contact_reach_ros.planning.problem import Goal, Plan, Spheres
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.faults import (
     ControllerSilent,
@@ -35,11 +39,14 @@ from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.scene import Scene
 from contact_reach_ros.scenes.spheres import obstacle_spheres
+from contact_reach_ros.timing import StampOrder
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
 
 _TICK_NS = int(TICK * NANOSECONDS)
+_CONTACTS_NS = 10 * _TICK_NS
+"""Between looks at where the arm is touched, as between the observer's heartbeats."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,10 @@ class EpisodeOptions:
         Time to go on after the goal was reached or the arm was stopped, s.
     faults
         What goes wrong, counted from the moment the goal is given.
+    watchdog
+        Of the drive; by default without a limit on speeds, which would end episodes of a method without a controller.
+    unexpected_contact
+        What the planner does about contact with what it does not know; None for nothing.
     """
 
     period: float = 0.04
@@ -78,6 +89,8 @@ class EpisodeOptions:
     budget: ContactBudget = field(default_factory=ContactBudget)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     joints: JointSettings = field(default_factory=JointSettings)
+    watchdog: WatchdogSettings = field(default_factory=lambda: WatchdogSettings(speed_share=0.0))
+    unexpected_contact: UnexpectedContactSettings | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +196,10 @@ class _Episode:
         self.faults = Faults(options.faults, seed, self.plant) if options.faults else None
         if any(isinstance(fault, LatePlans) for fault in options.faults) and not isinstance(method, ReferenceMethod):
             raise SettingsError(f"faults: {LatePlans.KIND} needs a method that plans references")
-        self.drive = Drive(self.plant, WatchdogSettings())
+        self.drive = Drive(self.plant, options.watchdog)
         self.observer = MomentumObserver(MomentumSettings(), RobotModel())
         self.monitor = SafetyMonitor(SafetySettings(), options.budget)
+        self.check = PlausibilityCheck(PlausibilitySettings(), options.budget.contact_thresholds)
         reading = self.plant.read()
         self.known = State(0, reading)
         """The last state that can be used, as the planner knows it."""
@@ -193,8 +207,13 @@ class _Episode:
         method.start(reading.position, reading.velocity, 0)
         _, rotation = RobotModel().flange_pose(reading.position)
         self.goal = Goal(scene.target, rotation if options.hold_orientation else None)
+        self.reaction: ContactReaction | None = None
+        if options.unexpected_contact is not None:
+            self.reaction = ContactReaction(options.unexpected_contact, PlanningSettings().contact_stiffness, True)
+        self.locator = ContactLocator(RobotModel(), options.budget.contact_thresholds)
+        self.flange_model = RobotModel()
         self.plan_due_ns = 0
-        self.observed_ns = 0
+        self.controlled, self.observed = StampOrder(), StampOrder()
         self.late: deque[tuple[int, Plan]] = deque()
         self.plans: list[Plan] = []
         self.failure = ""
@@ -277,8 +296,12 @@ class _Episode:
             return
         self.plan_due_ns = stamp_ns + round(self.options.period / TICK) * _TICK_NS
         effect_ns = stamp_ns + round(self.options.latency * NANOSECONDS)
-        spheres = obstacle_spheres(self.scene, self.plant.obstacle_positions())
-        asked = (reading.position, reading.velocity, stamp_ns, effect_ns, self.goal, spheres)
+        goal, spheres = self.goal, self._known_spheres()
+        if self.reaction is not None:
+            flange, _ = self.flange_model.flange_pose(reading.position)
+            self.reaction.moved(flange)
+            goal, spheres = self.reaction.goal(goal), self.reaction.spheres(spheres)
+        asked = (reading.position, reading.velocity, stamp_ns, effect_ns, goal, spheres)
         delay = 0.0 if faults is None else faults.plan_delay(now_ns)
         try:
             if delay > 0.0 and isinstance(method, ReferenceMethod):
@@ -300,11 +323,17 @@ class _Episode:
         if faults is not None and faults.silent(ControllerSilent, now_ns):
             return
         for stamp_ns, reading in self.arrived:
+            if faults is not None and not self.controlled.is_new(stamp_ns):
+                self._refuse("old joint states")
+                continue
             try:
-                self.torque = self.method.torque(reading.position, reading.velocity, stamp_ns, now_ns)
+                torque = self.method.torque(reading.position, reading.velocity, stamp_ns, now_ns)
             except InputError:
                 self._refuse("joint states")
                 continue
+            if torque is None:
+                continue
+            self.torque = torque
             if faults is None:
                 self.drive.command(self.torque, now_ns)
             else:
@@ -337,12 +366,22 @@ class _Episode:
             return
         for state in self.arrived:
             reading = state.reading
-            if self.faults is not None and (not state.is_finite or state.stamp_ns == self.observed_ns):
+            if self.faults is not None and not (state.is_finite and self.observed.is_new(state.stamp_ns)):
                 continue
-            self.observed_ns = state.stamp_ns
             self.observer.update(reading.position, reading.velocity, _known(reading), state.stamp_ns)
             self.monitor.update(self.observer.residual, reading.velocity, self.observer.known_for)
-            self.method.observer_report(self.monitor.stop_reason, now_ns)
+            wrong = self.check.update(reading.position, reading.velocity, self.monitor.sudden, state.stamp_ns)
+            if wrong:
+                self.monitor.stop_distrusting(wrong)
+            self.method.observer_report(self.monitor.stop_reason, now_ns, self.monitor.distrust)
+            if self.reaction is not None and state.stamp_ns % _CONTACTS_NS == 0:
+                touching = self.monitor.in_contact
+                contact = self.locator.locate(reading.position, self.monitor.sudden) if touching else None
+                if self.reaction.report(contact, reading.position, self._known_spheres(), state.stamp_ns):
+                    self.plan_due_ns = state.stamp_ns
+
+    def _known_spheres(self) -> Spheres:
+        return obstacle_spheres(self.scene, self.plant.obstacle_positions())
 
     def _refuse(self, what: str) -> None:
         """Count the input that is being refused; without faults nothing is."""

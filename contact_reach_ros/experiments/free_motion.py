@@ -76,12 +76,14 @@ class FreeMotion:
         now_ns = steps * _TICK_NS
         if steps % _PLAN_TICKS == 0:
             self._plan(steps * TICK, now_ns)
-        self._drive.command(self._controller.tick(self.position, self.velocity, now_ns, now_ns), now_ns)
+        torque = self._controller.tick(self.position, self.velocity, now_ns, now_ns)
+        if torque is not None:
+            self._drive.command(torque, now_ns)
         self._drive.tick(now_ns)
         reading = self.plant.read()
         self.position, self.velocity = reading.position, reading.velocity
-        torque = reading.torque if np.isfinite(reading.torque.sum()) else None
-        residual = self.observer.update(self.position, self.velocity, torque, now_ns + _TICK_NS)
+        acting = reading.torque if np.isfinite(reading.torque.sum()) else None
+        residual = self.observer.update(self.position, self.velocity, acting, now_ns + _TICK_NS)
         self.monitor.update(residual, self.velocity, self.observer.known_for)
 
     def _plan(self, now: float, now_ns: int) -> None:

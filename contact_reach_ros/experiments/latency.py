@@ -82,11 +82,11 @@ class _Stopwatch:
             raise _Enough
         return plan
 
-    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array:
+    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
         return self._method.torque(q, v, now_ns, clock_ns)
 
-    def observer_report(self, stopped_because: str, clock_ns: int) -> None:
-        self._method.observer_report(stopped_because, clock_ns)
+    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
+        self._method.observer_report(stopped_because, clock_ns, distrust)
 
 
 def measure_latency(task: LatencyTask) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
@@ -23,28 +24,21 @@ from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, vector
+from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, set_time, vector
+from contact_reach_ros.nodes.observer import DISTRUST
 from contact_reach_ros.nodes.observer import NAME as OBSERVER
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.realtime import Role
+from contact_reach_ros.nodes.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.nodes.serialized import CommandWriter, JointStateReader
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.timing import Histogram, write_counts
+from contact_reach_ros.timing import Histogram, StampOrder, write_counts
 
 PRIORITY = 70
 
 NAME = "controller"
-
-_LOOK_AROUND_S = 0.25
-
-_EXCLUSIVE = (
-    (topics.COMMANDS, "the controller"),
-    (topics.REFERENCE_POSE, "the planner"),
-    (topics.REFERENCE_POSTURE, "the planner"),
-)
-"""Topics that may have one publisher only, and which."""
 
 
 class ControllerNode(ManagedNode):
@@ -70,6 +64,7 @@ class ControllerNode(ManagedNode):
         qos = topics.EVERY if lockstep else topics.NEWEST
         self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         self._lockstep = lockstep
+        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if lockstep else None
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name)
@@ -77,12 +72,13 @@ class ControllerNode(ManagedNode):
         settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
         self._controller = Controller(settings, RobotModel())
         self._started = False
+        self._order = StampOrder()
         self._state_ns = 0
         self._state = (np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
         self._compute = Histogram()
         self._published_mode: tuple[Mode, str] | None = None
         self._rivalry = "not looked for other publishers yet"
-        self.create_timer(_LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Warm everything up."""
@@ -105,6 +101,8 @@ class ControllerNode(ManagedNode):
             "plan halves unpaired": controller.references.unpaired,
             "plan age s": controller.references.age(self._state_ns),
             "position error m": float(np.linalg.norm(controller.error[:3])),
+            "joint states repeated": self._order.repeated,
+            "joint states older": self._order.older,
             **{f"compute {key} us": value for key, value in self._compute.summary().items()},
             "compute counts": write_counts(self._compute.counts()),
         }
@@ -112,14 +110,8 @@ class ControllerNode(ManagedNode):
 
     def _look_around(self) -> None:
         """Nobody else may command the arm or publish references; runs beside the loop, a few times a second."""
-        reasons = []
-        for topic, own in _EXCLUSIVE:
-            # In the shadow of another controller there is one that commands.
-            if self.count_publishers(topic.name) > 1:
-                publishers = self.get_publishers_info_by_topic(topic.name)
-                names = sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
-                reasons.append(f"{len(names)} publishers on {topic.name} ({', '.join(names)}), expected {own} alone")
-        self._rivalry = "; ".join(reasons)
+        # In the shadow of another controller there is one that commands.
+        self._rivalry = rivalry(self, (topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE))
         if self._rivalry and self._started:
             self._controller.stop(self._rivalry)
 
@@ -131,18 +123,28 @@ class ControllerNode(ManagedNode):
         began_ns = time.monotonic_ns()
         controller = self._controller
         try:
-            self._state_ns, q, v, _ = self._reader.read(data)
+            stamp_ns, q, v, _ = self._reader.read(data)
+            if self._started and not self._order.is_new(stamp_ns):
+                return
+            self._state_ns = stamp_ns
             if not self._started:
                 if self._rivalry:
                     raise InputError(f"{self._rivalry}: nothing is commanded; end the others")
                 controller.start(q, v, self._state_ns)
                 self._started = True
+                self._order.is_new(stamp_ns)
             torque = controller.tick(q, v, self._state_ns, self._clock_ns())
         except InputError as error:
             self.refuse("joint states", error)
             return
         self._state = (q, v)
-        self._commands.publish(self._writer.write(torque))
+        if torque is not None:
+            self._commands.publish(self._writer.write(torque))
+        elif self._horizon is not None:
+            # In lockstep the driver waits for an answer; this one is no command.
+            header = Header(frame_id=NAME)
+            set_time(header.stamp, stamp_ns)
+            self._horizon.publish(header)
         self._compute.add(time.monotonic_ns() - began_ns)
         if (controller.mode, controller.stop_reason) != self._published_mode:
             self._publish_safety()
@@ -182,12 +184,13 @@ class ControllerNode(ManagedNode):
         # Before the first state there is no time to compare with.
         if message.name == OBSERVER and self._started:
             reason = message.message if message.level >= DiagnosticStatus.ERROR else ""
-            self._controller.observer_report(reason, self._clock_ns())
+            distrust = next((item.value for item in message.values if item.key == DISTRUST), "")
+            self._controller.observer_report(reason, self._clock_ns(), distrust)
 
     def _publish_safety(self) -> None:
         controller = self._controller
         self._published_mode = (controller.mode, controller.stop_reason)
-        stopped = controller.mode is Mode.STOPPED
+        stopped = controller.supervisor.stopped
         message = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if stopped else DiagnosticStatus.OK,
             name=NAME,
@@ -197,7 +200,8 @@ class ControllerNode(ManagedNode):
         )
         self._safety.publish(message)
         if stopped:
-            self.say(LoggingSeverity.ERROR, f"compliant stop: {controller.stop_reason}; call ~/reset to go on")
+            what = "compliant stop" if controller.mode is Mode.STOPPED else "stop"
+            self.say(LoggingSeverity.ERROR, f"{what}: {controller.stop_reason}; call ~/reset to go on")
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._controller.stop("stop service called")

@@ -14,6 +14,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
@@ -27,6 +29,7 @@ from contact_reach_ros.nodes.messages import nanoseconds, set_time
 from contact_reach_ros.nodes.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.realtime import Role
+from contact_reach_ros.nodes.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.nodes.serialized import JointStateWriter, read_command
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
 from contact_reach_ros.plant.faults import Faults, Schedule, Seam, State, parse_faults
@@ -38,7 +41,7 @@ from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.scene import parse_target
 from contact_reach_ros.settings import Settings, setting
-from contact_reach_ros.timing import Histogram, write_counts
+from contact_reach_ros.timing import Histogram, StampOrder, write_counts
 from contact_reach_ros.units import NANOSECONDS
 
 PRIORITY = 80
@@ -50,6 +53,7 @@ _OBSTACLES_EVERY = 20
 _WALLS_EVERY = 40
 """Ticks between obstacle messages; those of walls are large."""
 _CLOCK_EVERY = 10
+_CONTROLLER = "controller"
 _LOCKSTEP_START_NS = 1000 * NANOSECONDS
 """Simulated time begins well after zero, which ROS takes for 'not set'."""
 _LOCKSTEP_REPEAT_NS = 20_000_000
@@ -110,6 +114,9 @@ class DriverNode(ManagedNode):
         self._published_ns = 0
         self._unanswered = 1
         """Joint states that the controller has not answered yet."""
+        self._order = StampOrder()
+        self._rivalry = ""
+        self.create_timer(LOOK_AROUND_S, self._look_around, clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._horizon_due_ns = 0
         self._round_trip = Histogram()
         self._wake_up_late = Histogram()
@@ -156,7 +163,7 @@ class DriverNode(ManagedNode):
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
             values[f"{name} counts"] = write_counts(histogram.counts())
-        return self._drive.stop_reason, values
+        return self._drive.stop_reason or self._rivalry, values
 
     def _realtime_tick(self) -> None:
         now_ns = time.monotonic_ns()
@@ -188,8 +195,10 @@ class DriverNode(ManagedNode):
             now_ns = time.monotonic_ns()
             if self._plant.steps == 0 and now_ns - repeat_ns > _LOCKSTEP_REPEAT_NS:
                 # Nodes that come up late see the first state too.
-                repeat_ns = now_ns
+                repeat_ns, unanswered = now_ns, self._unanswered
                 self._publish()
+                # Who has answered it does not answer it again.
+                self._unanswered = unanswered
             elif self._plant.steps > 0 and now_ns - start_ns > _LOCKSTEP_PATIENCE_NS:
                 silent = [name for name, horizon in self._horizons.items() if horizon < due_ns]
                 silent += ["controller"] if self._unanswered > 0 else []
@@ -238,7 +247,8 @@ class DriverNode(ManagedNode):
             stamp_ns, reading = state
             data = self._state_writer.write(stamp_ns, reading.position, reading.velocity, reading.torque)
             if self._faults is None or state.is_finite:
-                self._unanswered += 1
+                # The controller answers new ones only, by the same rule.
+                self._unanswered += self._order.is_new(stamp_ns)
                 self._horizon_due_ns = stamp_ns + _TICK_NS
             self._published_ns = time.time_ns()
             self._joint_states.publish(data)
@@ -270,6 +280,8 @@ class DriverNode(ManagedNode):
             self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
             self._unanswered -= 1
         try:
+            if self._rivalry:
+                raise InputError(f"{self._rivalry}: no command is taken; end the others")
             torque = read_command(data)
         except InputError as error:
             self.refuse("commands", error)
@@ -309,8 +321,16 @@ class DriverNode(ManagedNode):
         self._new_faults.append(faults)
 
     def _on_horizon(self, message: Header) -> None:
-        if message.frame_id in self._horizons:
+        if message.frame_id == _CONTROLLER:
+            self._unanswered -= 1
+        elif message.frame_id in self._horizons:
             self._horizons[message.frame_id] = nanoseconds(message.stamp)
+
+    def _look_around(self) -> None:
+        """Two who command the arm in turns are obeyed by no robot; runs beside the loop, a few times a second."""
+        self._rivalry = rivalry(self, [topics.COMMANDS])
+        if self._rivalry and self._drive.is_open:
+            self._drive.stop(self._rivalry)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._drive.stop("stop service called")

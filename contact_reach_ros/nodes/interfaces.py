@@ -93,7 +93,7 @@ MANAGED = {
         _STOP,
     ),
     "controller": _managed(
-        [topics.COMMANDS, topics.SHADOW_COMMANDS, topics.SAFETY_STATE],
+        [topics.COMMANDS, topics.SHADOW_COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
         [topics.JOINT_STATES, topics.SAFETY_STATE, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE],
         _STOP,
     ),

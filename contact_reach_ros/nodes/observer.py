@@ -24,17 +24,22 @@ from contact_reach_ros.nodes.serialized import JointStateReader, JointStateWrite
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings
 from contact_reach_ros.observer.safety import Level, SafetyMonitor, SafetySettings
 from contact_reach_ros.plant.drive import checked_command
 from contact_reach_ros.plant.plant import TICK
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.timing import StampOrder
 from contact_reach_ros.units import NANOSECONDS
 
 PRIORITY = 60
 
 NAME = "observer"
+
+DISTRUST = "distrust"
+"""Key of the value of `safety_state` that says what is wrong with the joint states, when something is."""
 
 _WRENCH_EVERY = 10
 _HEARTBEAT_EVERY = 10
@@ -59,11 +64,43 @@ class ObserverSettings(Settings):
     )
 
 
+_LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
+
+
+def read_contact(message: DiagnosticStatus) -> Contact | None:
+    """The contact that the observer's safety state tells of; None when it tells of none.
+
+    Raises
+    ------
+    InputError
+        If link, point or force are none.
+    """
+    values = {item.key: item.value for item in message.values}
+    if _LINK not in values:
+        return None
+    try:
+        position, force = (np.array(values[key].split(), float).reshape(3) for key in (_POSITION, _FORCE))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"safety_state: {_POSITION} and {_FORCE} must be three numbers each ({error})") from error
+    links = [iiwa14.LINK_NAMES[capsule.link - 1] for capsule in iiwa14.CAPSULES]
+    if values[_LINK] not in links or not np.isfinite([position, force]).all():
+        raise InputError(
+            f"safety_state: {_LINK} = {values[_LINK]} at {position} with {force}: expected finite numbers and one of "
+            f"{', '.join(links)}"
+        )
+    return Contact(values[_LINK], position, force, float("nan"))
+
+
 class ObserverNode(ManagedNode):
     """Runs the momentum observer and the safety monitor for each joint state."""
 
     NAME = NAME
-    SECTIONS: ClassVar[Sections] = {"": ObserverSettings, "momentum": MomentumSettings, "safety": SafetySettings}
+    SECTIONS: ClassVar[Sections] = {
+        "": ObserverSettings,
+        "momentum": MomentumSettings,
+        "safety": SafetySettings,
+        "plausibility": PlausibilitySettings,
+    }
 
     def __init__(self) -> None:
         super().__init__()
@@ -85,11 +122,12 @@ class ObserverNode(ManagedNode):
         self._observer = MomentumObserver(self.settings["momentum"], self._model)
         budget = load_budget(self.settings[""].contact_budget)
         self._monitor = SafetyMonitor(self.settings["safety"], budget)
+        self._check = PlausibilityCheck(self.settings["plausibility"], budget.contact_thresholds)
         self._locator = ContactLocator(self._model, budget.contact_thresholds)
         self._contact: Contact | None = None
         self._ticks = 0
-        self._last_ns = 0
-        self._published: tuple[Level, str] | None = None
+        self._order = StampOrder()
+        self._published: tuple[Level, str, str] | None = None
         self._torque_writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["effort"])
         self._wrench_writer = WrenchWriter(iiwa14.BASE_NAME)
 
@@ -104,6 +142,8 @@ class ObserverNode(ManagedNode):
             "ticks": self._ticks,
             "gaps": self._observer.gaps,
             "refused states": self._observer.refused,
+            "joint states repeated": self._order.repeated,
+            "joint states older": self._order.older,
             "contacts": self._monitor.contacts,
             "stops": self._monitor.stops,
             **self._findings(),
@@ -125,10 +165,12 @@ class ObserverNode(ManagedNode):
         except InputError as error:
             self.refuse("joint states", error)
             return
-        if stamp_ns != self._last_ns:
-            self._last_ns = stamp_ns
+        if self._order.is_new(stamp_ns):
             self._observer.update(q, v, torque, stamp_ns)
             self._monitor.update(self._observer.residual, v, self._observer.known_for)
+            wrong = self._check.update(q, v, self._monitor.sudden, stamp_ns)
+            if wrong:
+                self._monitor.stop_distrusting(wrong)
             self._publish(stamp_ns, q)
         if self._horizon is not None:
             header = Header(frame_id=NAME)
@@ -154,7 +196,7 @@ class ObserverNode(ManagedNode):
         heartbeat = self._ticks % _HEARTBEAT_EVERY == 0
         if heartbeat:
             self._contact = self._locator.locate(q, self._monitor.sudden) if self._monitor.in_contact else None
-        if heartbeat or (self._monitor.level, self._monitor.stop_reason) != self._published:
+        if heartbeat or self._safety_state() != self._published:
             self._publish_safety()
         if self._ticks % _WRENCH_EVERY == 0:
             self._publish_wrench(stamp_ns)
@@ -164,10 +206,11 @@ class ObserverNode(ManagedNode):
 
     def _publish_safety(self) -> None:
         """The safety state, also as the sign of life that the controller waits for."""
-        level, reason = self._monitor.level, self._monitor.stop_reason
-        if reason and (level, reason) != self._published:
-            self.say(LoggingSeverity.ERROR, f"stop: {reason}; call ~/reset to go on")
-        self._published = (level, reason)
+        state = level, reason, distrust = self._safety_state()
+        if reason and state != self._published:
+            why = reason if distrust in ("", reason) else f"{reason}; {distrust}"
+            self.say(LoggingSeverity.ERROR, f"stop: {why}; call ~/reset to go on")
+        self._published = state
         message = DiagnosticStatus(
             level=_LEVELS[level],
             name=NAME,
@@ -178,17 +221,23 @@ class ObserverNode(ManagedNode):
         )
         self._safety.publish(message)
 
+    def _safety_state(self) -> tuple[Level, str, str]:
+        return self._monitor.level, self._monitor.stop_reason, self._monitor.distrust
+
     def _findings(self) -> dict[str, str]:
         """What the external torque says; link and force are known from the first heartbeat in contact on."""
         findings = {
             "level": self._monitor.level.value,
             "external torque max Nm": f"{np.abs(self._observer.residual).max():.3f}",
         }
+        if self._monitor.distrust:
+            findings[DISTRUST] = self._monitor.distrust
         contact = self._contact
         if contact is not None:
-            findings["contact link"] = contact.link
+            findings[_LINK] = contact.link
             findings["contact force N"] = f"{contact.strength:.1f}"
-            findings["contact force xyz N"] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
+            findings[_FORCE] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
+            findings[_POSITION] = " ".join(f"{value:.3f}" for value in contact.position.tolist())
         return findings
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -39,6 +39,8 @@ from contact_reach_ros.nodes.messages import (
     to_transform,
     vector,
 )
+from contact_reach_ros.nodes.observer import NAME as OBSERVER
+from contact_reach_ros.nodes.observer import read_contact
 from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleMarkerReader
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.plan_markers import PlanMarkers
@@ -49,6 +51,7 @@ from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.plant.plant import TICK
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
@@ -106,7 +109,12 @@ class PlannerNode(ManagedNode):
     """Plans from the newest state whenever there is a goal."""
 
     NAME = NAME
-    SECTIONS: ClassVar[Sections] = {"": PlannerSettings, "planning": PlanningSettings, "impedance": ImpedanceSettings}
+    SECTIONS: ClassVar[Sections] = {
+        "": PlannerSettings,
+        "unexpected_contact": UnexpectedContactSettings,
+        "planning": PlanningSettings,
+        "impedance": ImpedanceSettings,
+    }
 
     def __init__(self) -> None:
         super().__init__()
@@ -140,7 +148,11 @@ class PlannerNode(ManagedNode):
                 settings.edge_stiffness,
             )
         )
+        self._reaction = ContactReaction(
+            self.settings["unexpected_contact"], self.settings["planning"].contact_stiffness, settings.max_spheres > 0
+        )
         self._state: tuple[np.ndarray, np.ndarray] | None = None
+        self._state_ns = 0
         self._due_ns = 0
         self._promised_ns = 0
         self._plan: Plan | None = None
@@ -199,6 +211,8 @@ class PlannerNode(ManagedNode):
             }
         if self._state is None:
             return topics.WAITING_FOR_STATE, values
+        if self._reaction.reason:
+            return f"{self._reaction.reaction}: {self._reaction.reason}", values
         return "waiting for a goal" if self._goal is None else "planning", values
 
     def turn(self) -> None:
@@ -216,11 +230,13 @@ class PlannerNode(ManagedNode):
         except InputError as error:
             self.refuse("joint states", error)
             return
-        self._state = (q, v)
+        self._state, self._state_ns = (q, v), now_ns
         if self._early_goal is not None:
             early, self._early_goal = self._early_goal, None
             self._on_goal(early)
         if self._goal is not None and now_ns >= self._due_ns:
+            flange, _ = self._model.flange_pose(q)
+            self._reaction.moved(flange)
             effect_ns = now_ns + self._latency_ns()
             self._promise(effect_ns - _TICK_NS)
             try:
@@ -241,7 +257,8 @@ class PlannerNode(ManagedNode):
         if self._planner is None:
             return
         began_ns = time.monotonic_ns()
-        plan = self._planner.plan(q, v, now_ns, effect_ns, goal, self._spheres)
+        goal, spheres = self._reaction.goal(goal), self._reaction.spheres(self._spheres)
+        plan = self._planner.plan(q, v, now_ns, effect_ns, goal, spheres)
         self._publish(plan)
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
@@ -306,6 +323,7 @@ class PlannerNode(ManagedNode):
             self.refuse("goals", error)
             return
         self._goal = goal
+        self._reaction.reset()
         self._goals += 1
         self.get_logger().info(f"goal {self._goals}: {np.round(goal.position, 3).tolist()} m")
 
@@ -319,6 +337,21 @@ class PlannerNode(ManagedNode):
         if message.level >= DiagnosticStatus.ERROR and self._goal is not None:
             self.get_logger().warning(f"goal withdrawn: {message.name} stopped the arm ({message.message})")
             self._withdraw()
+        elif message.name == OBSERVER and self._goal is not None and self._state is not None:
+            self._on_contact(message, self._state[0])
+
+    def _on_contact(self, message: DiagnosticStatus, q: np.ndarray) -> None:
+        """What the observer tells of contact within the budget, or that there is none."""
+        try:
+            contact = read_contact(message)
+        except InputError as error:
+            self.refuse("contacts", error)
+            return
+        known = self._reaction.reason
+        if self._reaction.report(contact, q, self._spheres, self._state_ns):
+            self._due_ns = self._state_ns
+            if not known:
+                self.get_logger().warning(f"{self._reaction.reaction}: {self._reaction.reason}")
 
     def _withdraw(self) -> None:
         """Forget the goal: after a stop the arm moves again only when somebody sends a new one."""
@@ -326,6 +359,7 @@ class PlannerNode(ManagedNode):
             self._marker_publisher.publish(self._markers.clear())
         self._goal = None
         self._plan = None
+        self._reaction.reset()
         if self._planner is not None:
             self._planner.reset()
 

@@ -69,6 +69,8 @@ class SafetyMonitor:
     ----------
     stop_reason
         Why the arm is stopped; empty while it is not.
+    distrust
+        What is wrong with the joint states themselves; empty until something is, and after a reset.
     stops
         How often it has been stopped.
     in_contact
@@ -81,6 +83,7 @@ class SafetyMonitor:
         self.settings = settings
         self.budget = budget
         self.stop_reason = ""
+        self.distrust = ""
         self.stops = 0
         self.in_contact = False
         self.contacts = 0
@@ -168,6 +171,11 @@ class SafetyMonitor:
             self.stop_reason = reason
             self.stops += 1
 
+    def stop_distrusting(self, reason: str) -> None:
+        """Latch a stop because the joint states are wrong; the first such reason is kept."""
+        self.stop(reason)
+        self.distrust = self.distrust or reason
+
     def reset(self) -> None:
         """Release the stop.
 
@@ -191,7 +199,7 @@ class SafetyMonitor:
                 f"external torque on {iiwa14.JOINT_NAMES[joint]} is {self._last_residual[joint]:.1f} Nm; "
                 f"reset needs at most {limits[joint]:g} Nm: free the arm"
             )
-        self.stop_reason = ""
+        self.stop_reason = self.distrust = ""
         self._above = self._touched = self._handed_over_above = 0
         # What the slow mean took up of the push that stopped the arm would be a sudden torque now.
         self._mean = self._last_residual.tolist()

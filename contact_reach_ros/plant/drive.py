@@ -1,4 +1,4 @@
-"""The robot's own watchdog: what the arm does when commands stop coming."""
+"""The robot's own watchdog: what the arm does when commands stop coming, or let it get too fast."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class WatchdogSettings(Settings):
-    """When the brakes open, and when a silent controller stops the arm."""
+    """When the brakes open, and when the drive closes them by itself."""
 
     open_after: float = setting(
         0.5, "time of steady commands after which the brakes open", unit="s", minimum=0.0, maximum=5.0
@@ -29,6 +29,13 @@ class WatchdogSettings(Settings):
     )
     stop_after: float = setting(
         0.1, "silence after which the brakes close and stay closed", unit="s", minimum=0.005, maximum=5.0
+    )
+    speed_share: float = setting(
+        1.1,
+        "joint speed at which the brakes close and stay closed, as a share of the data sheet's limit, 0 for none; "
+        "above that of the controller, which stops the arm more softly",
+        minimum=0.0,
+        maximum=2.0,
     )
 
     def __post_init__(self) -> None:
@@ -45,7 +52,8 @@ class Drive:
 
     The brakes are closed until commands have come for `open_after` seconds without a gap of `hold_after`, so that a
     controller which is still starting up is not handed the arm. From then on commands that stop for `hold_after`
-    seconds bring the damped hold, for `stop_after` seconds a stop that is latched until `reset`.
+    seconds bring the damped hold, for `stop_after` seconds a stop that is latched until `reset`. So does a joint that
+    is too fast by the drive's own sensors, whatever becomes of the joint states that it sends.
 
     Attributes
     ----------
@@ -62,10 +70,17 @@ class Drive:
         self._open_ns = int(settings.open_after * NANOSECONDS)
         self._hold_ns = int(settings.hold_after * NANOSECONDS)
         self._stop_ns = int(settings.stop_after * NANOSECONDS)
+        share = settings.speed_share or math.inf
+        self._speed_limits = [share * limit for limit in iiwa14.VELOCITY_LIMITS]
         self._command: Array | None = None
         self._command_ns = 0
         self._steady_since_ns = 0
         self._opened = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the arm has been handed over: the brakes are open, or were before a stop."""
+        return self._opened
 
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (7,) in N m that arrived at `clock_ns`.
@@ -90,6 +105,8 @@ class Drive:
         silence = clock_ns - self._command_ns
         if self._command is not None and silence <= self._hold_ns:
             self._opened = self._opened or clock_ns - self._steady_since_ns >= self._open_ns
+        if self._opened and not self.stop_reason:
+            self._watch_speed()
         if self.stop_reason or not self._opened:
             actuation = Actuation.BRAKED
         elif silence > self._stop_ns:
@@ -101,6 +118,11 @@ class Drive:
             actuation = Actuation.COMMANDED
         self.plant.set_actuation(actuation)
         self.plant.step(self._command)
+
+    def _watch_speed(self) -> None:
+        for joint, (speed, limit) in enumerate(zip(self.plant.joint_velocities, self._speed_limits, strict=True)):
+            if not -limit <= speed <= limit:
+                self.stop(f"{iiwa14.JOINT_NAMES[joint]} moves with {abs(speed):.2f} rad/s, permitted {limit:.2f} rad/s")
 
     def stop(self, reason: str) -> None:
         """Close the brakes until `reset`; the first reason is kept."""

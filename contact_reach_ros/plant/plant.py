@@ -157,6 +157,12 @@ class Plant:
         """True position of the flange, (3,), m, base frame."""
         return self.data.site_xpos[self._flange].copy()
 
+    @property
+    def joint_velocities(self) -> list[float]:
+        """True joint velocities (7,), rad/s."""
+        velocities: list[float] = self.data.qvel[self._arm].tolist()
+        return velocities
+
     def set_actuation(self, actuation: Actuation) -> None:
         """Change what moves the joints."""
         if actuation is not self.actuation:

@@ -316,8 +316,8 @@ class TestReset:
 
 class TestTorques:
     def test_rate_holds_across_every_transition(self):
-        settings = ControllerSettings(supervision=SupervisionSettings(hold_limit=0.2))
-        bench = Bench(settings).start()
+        patient = SupervisionSettings(hold_limit=0.2, rest_within=10.0, stop_speed_gain=3.0)
+        bench = Bench(ControllerSettings(supervision=patient)).start()
         random = np.random.default_rng(0)
         torques = [bench.tick()]
 

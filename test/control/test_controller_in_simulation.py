@@ -87,12 +87,16 @@ def test_compliant_stop_after_the_hold_limit_leaves_the_arm_still():
     assert np.abs(loop.q - stopped_at).max() < 0.01
 
 
+PATIENT = ControllerSettings(supervision=SupervisionSettings(rest_within=10.0))
+"""To see the compliant stop alone, however long it takes."""
+
+
 @pytest.mark.parametrize("late", [0, 1, 2], ids="{} ticks late".format)
 @pytest.mark.parametrize("arm", [{}, {**REAL, "mismatch": MismatchSettings()}], ids=["ideal", "mismatch"])
 def test_compliant_stop_brakes_a_fast_arm_even_when_commands_come_late(arm, late):
     plant = ideal_plant(**arm)
     plant.data.qvel[:] = 0.7 * VELOCITY_LIMITS * np.array([1, -1, 1, -1, 1, -1, 1])
-    loop = ClosedLoop(plant, late=late)
+    loop = ClosedLoop(plant, PATIENT, late=late)
     loop.controller.stop("test")
     energy = [loop.v @ loop.v]
     for _ in loop.run(1.0):
@@ -110,7 +114,7 @@ def test_hold_stays_stable_when_commands_come_late(late):
 
 
 def test_stopped_arm_gives_way_when_pushed():
-    loop = ClosedLoop(ideal_plant())
+    loop = ClosedLoop(ideal_plant(), PATIENT)
     loop.controller.stop("test")
     start = loop.reference().position
     loop.plant.data.xfrc_applied[loop.plant.model.body("lbr_link_7").id, :3] = (0.0, 10.0, 0.0)

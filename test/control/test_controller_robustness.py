@@ -38,15 +38,18 @@ class RoughHandling(RuleBasedStateMachine):
         self.torque = self.controller.tick(HOME, np.zeros(7), 0, 0)
 
     def show(self, q: np.ndarray, v: np.ndarray) -> None:
-        stopped = self.controller.mode is Mode.STOPPED
+        stopped = self.controller.supervisor.stopped
         try:
             torque = self.controller.tick(q, v, self.now_ns, self.clock_ns)
         except InputError:
             return
+        assert (torque is None) == (self.controller.mode is Mode.SILENT)
+        assert not stopped or self.controller.supervisor.stopped
+        if torque is None:
+            return
         assert np.isfinite(torque).all()
         assert (np.abs(torque) <= CAP).all()
         assert (np.abs(torque - self.torque) <= STEP * (1 + 1e-9)).all()
-        assert not stopped or self.controller.mode is Mode.STOPPED
         self.torque = torque
 
     @rule(change=small_changes, v=small_changes, duration=durations)
@@ -70,30 +73,32 @@ class RoughHandling(RuleBasedStateMachine):
         except InputError as error:
             assert str(error).startswith("reference/")
 
-    @rule(reason=st.sampled_from(["", "", "pushed"]))
-    def observer(self, reason: str) -> None:
-        self.controller.observer_report(reason, self.clock_ns)
+    @rule(reason=st.sampled_from(["", "", "pushed"]), distrust=st.sampled_from(["", "", "", "stuck"]))
+    def observer(self, reason: str, distrust: str) -> None:
+        self.controller.observer_report(reason or distrust, self.clock_ns, distrust)
 
     @rule()
     def stop(self) -> None:
         self.controller.stop("test")
 
-    @precondition(lambda self: self.controller.mode is Mode.STOPPED)
+    @precondition(lambda self: self.controller.supervisor.stopped)
     @rule(change=small_changes, speed=st.floats(-0.1, 0.1))
     def reset(self, change: np.ndarray, speed: float) -> None:
-        reason = self.controller.stop_reason
+        reason, mode = self.controller.stop_reason, self.controller.mode
         try:
             self.controller.reset(HOME + change, np.full(7, speed), self.now_ns, self.clock_ns)
         except InputError:
-            assert self.controller.mode is Mode.STOPPED
-            assert self.controller.stop_reason == reason
+            assert (self.controller.mode, self.controller.stop_reason) == (mode, reason)
         else:
             assert abs(speed) <= SETTINGS.supervision.reset_velocity
             assert self.controller.mode is Mode.HOLDING
+            if mode is Mode.SILENT:
+                # Nothing was commanded: what holds the arm comes first, whatever was commanded before.
+                self.torque = np.clip(self.controller.model.gravity, -CAP, CAP)
 
     @invariant()
     def stop_has_a_reason(self) -> None:
-        assert (self.controller.mode is Mode.STOPPED) == bool(self.controller.stop_reason)
+        assert self.controller.supervisor.stopped == bool(self.controller.stop_reason)
 
 
 TestRoughHandling = RoughHandling.TestCase

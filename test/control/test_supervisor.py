@@ -31,11 +31,12 @@ def test_the_picture_in_the_docs_is_the_table():
     assert drawn == table
 
 
-@pytest.mark.parametrize("mode", Mode)
-def test_every_state_but_stopped_itself_can_be_stopped_and_only_reset_leads_out(mode):
-    if mode is not Mode.STOPPED:
-        assert TRANSITIONS[mode, Event.STOP] is Mode.STOPPED
-    assert [event for (start, event) in TRANSITIONS if start is Mode.STOPPED] == [Event.RESET]
+def test_every_state_can_be_stopped_and_only_reset_leads_out():
+    stops = {Mode.STOPPED, Mode.SILENT}
+    assert all(TRANSITIONS[mode, Event.STOP] is Mode.STOPPED for mode in set(Mode) - stops)
+    outs = {(start, event) for (start, event), end in TRANSITIONS.items() if start in stops and end not in stops}
+    assert outs == {(Mode.STOPPED, Event.RESET), (Mode.SILENT, Event.RESET)}
+    assert TRANSITIONS[Mode.STOPPED, Event.NO_REST] is Mode.SILENT
 
 
 def test_events_that_do_not_belong_to_a_state_change_nothing():
@@ -50,6 +51,69 @@ def test_events_that_do_not_belong_to_a_state_change_nothing():
     assert (supervisor.mode, supervisor.stop_reason) == (Mode.STOPPED, "first")
     assert supervisor.happens(Event.RESET)
     assert (supervisor.mode, supervisor.stop_reason) == (Mode.HOLDING, "")
+
+
+class TestStopThatBringsNoRest:
+    """Nothing is commanded any more, and the reason tells both stories."""
+
+    MS = 1_000_000
+    SLOW = np.eye(7)[4] * 2.0 * SETTINGS.reset_velocity
+
+    @pytest.fixture
+    def stopped(self, supervisor) -> Supervisor:
+        supervisor.stop("pushed")
+        return supervisor
+
+    def watch(self, supervisor, v, first_ms, last_ms):
+        for ms in range(first_ms, last_ms + 1):
+            supervisor.watch_stop(v, ms * self.MS)
+
+    def test_an_arm_that_is_not_at_rest_in_time(self, stopped):
+        due = round(1000 * SETTINGS.rest_within)
+        self.watch(stopped, self.SLOW, 0, due - 1)
+        assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
+        self.watch(stopped, self.SLOW, due, due)
+        assert stopped.mode is Mode.SILENT
+        expected = "pushed; lbr_A5 still moves with 0.10 rad/s 500 ms after the stop; nothing is commanded any more"
+        assert stopped.stop_reason.startswith(expected)
+        self.watch(stopped, REST, due + 1, due + 100)
+        stopped.stop("again")
+        assert stopped.stop_reason.startswith("pushed; ") and stopped.mode is Mode.SILENT
+        assert stopped.happens(Event.RESET)
+        assert (stopped.mode, stopped.stop_reason) == (Mode.HOLDING, "")
+
+    def test_an_arm_that_rested_may_be_moved_by_hand_but_not_fast(self, stopped):
+        self.watch(stopped, REST, 0, 600)
+        self.watch(stopped, SETTINGS.stop_speed_gain * np.eye(7)[1], 601, 2000)
+        assert stopped.mode is Mode.STOPPED
+        self.watch(stopped, -1.01 * SETTINGS.stop_speed_gain * np.eye(7)[1], 2001, 2000 + SETTINGS.velocity_debounce)
+        assert stopped.mode is Mode.SILENT
+        assert "in the stop lbr_A2 got faster" in stopped.stop_reason
+
+    def test_an_arm_that_slows_down_is_left_to_the_compliant_stop(self, stopped):
+        for ms in range(400):
+            stopped.watch_stop(np.full(7, 1.0 - ms / 400), ms * self.MS)
+        self.watch(stopped, REST, 400, 3000)
+        assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
+
+    def test_each_stop_has_its_own_time(self, stopped):
+        self.watch(stopped, REST, 0, 5000)
+        stopped.happens(Event.RESET)
+        stopped.stop("pushed again")
+        self.watch(stopped, self.SLOW, 9000, 9000 + round(1000 * SETTINGS.rest_within) - 1)
+        assert stopped.mode is Mode.STOPPED
+
+    def test_joint_states_that_the_observer_distrusts(self, supervisor):
+        supervisor.observer_report("too much torque", 0)
+        assert supervisor.mode is Mode.STOPPED
+        supervisor.observer_report("too much torque", 1, "encoder stuck")
+        assert supervisor.mode is Mode.SILENT
+        assert supervisor.stop_reason.startswith("too much torque; encoder stuck; nothing is commanded")
+        moving = Supervisor(SETTINGS)
+        moving.happens(Event.START)
+        moving.observer_report("encoder stuck", 0, "encoder stuck")
+        assert moving.mode is Mode.SILENT
+        assert moving.stop_reason.startswith("encoder stuck; nothing is commanded")
 
 
 @pytest.mark.parametrize("joint", range(7))

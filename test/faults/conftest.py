@@ -14,6 +14,7 @@ from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.plant.drive import WatchdogSettings
 from contact_reach_ros.plant.faults import parse_faults
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
@@ -41,7 +42,13 @@ def run_case(case: Case) -> tuple:
     """Outcome of a case and what it lacks."""
     if case.name not in _outcomes:
         planner = ScriptedPlanner(scene(case.scene)) if case.planner == "scripted" else small_planner(case.scene)
-        options = EpisodeOptions(settle=0.6, timeout=TIMEOUTS[case.scene], linger=1.0, faults=parse_faults(case.fault))
+        options = EpisodeOptions(
+            settle=0.6,
+            timeout=case.timeout or TIMEOUTS[case.scene],
+            linger=1.0,
+            faults=parse_faults(case.fault),
+            watchdog=WatchdogSettings(),
+        )
         result = run_episode(scene(case.scene), ReferenceMethod(planner, CONTROLLER), options)
         _outcomes[case.name] = (result, shortcomings(case, result, CONTROLLER.limits))
     return _outcomes[case.name]

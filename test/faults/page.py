@@ -28,7 +28,9 @@ def matrix_table(outcomes: dict[str, tuple]) -> str:
     for case in CASES:
         result, lacking = outcomes[case.name]
         end = end_of(result).value + (" (**not met**)" if lacking else "")
-        reasons = dict.fromkeys(result.reasons.values())
+        # The controller repeats the observer's reason, and may add its own.
+        said = list(dict.fromkeys(result.reasons.values()))
+        reasons = [reason for reason in said if not any(other.startswith(f"{reason};") for other in said)]
         force = result.contact_forces.max() if len(result.contact_forces) else 0.0
         lines.append(
             f"{row_head(case)}{end} | {_cell('; '.join(reasons)) or '-'} | {force:.0f} | {speed_share(result):.2f} |"

@@ -9,7 +9,8 @@ from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
 from stack_helpers import environment
 
-from contact_reach_ros.nodes.observer import ObserverNode
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.nodes.observer import DISTRUST, ObserverNode, read_contact
 from contact_reach_ros.nodes.serialized import JointStateWriter
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.robot import iiwa14
@@ -43,7 +44,9 @@ class Watched:
     def give(self, external: np.ndarray, count: int, velocity: np.ndarray = REST) -> None:
         for _ in range(count):
             self._tick += 1
-            self.node._on_state(self._writer.write(self._tick * TICK_NS, HOME, velocity, self._gravity - external))
+            # As encoders tell an arm at rest; without any tremor they would be stuck.
+            q = HOME + 1e-5 * (self._tick % 2)
+            self.node._on_state(self._writer.write(self._tick * TICK_NS, q, velocity, self._gravity - external))
 
     @property
     def last(self) -> tuple[bytes, str, dict[str, str]]:
@@ -74,7 +77,11 @@ def test_levels_are_told_when_they_change_and_as_a_sign_of_life(watched):
     assert values["level"] == "contact"
     assert values["contact link"] in iiwa14.LINK_NAMES[1:]
     assert float(values["contact force N"]) > 5.0
-    assert len(values["contact force xyz N"].split()) == 3
+    contact = read_contact(watched.safety.messages[-1])
+    assert contact.link == values["contact link"]
+    assert contact.strength == pytest.approx(float(values["contact force N"]), abs=0.2)
+    # On the axis of a link near home's flange, and not at the base.
+    assert 0.2 < np.linalg.norm(contact.position - [0.0, 0.0, 0.36]) < 0.9
     # The message has no numbers, so that a bag's reader sees one change.
     assert {entry.message for entry in watched.safety.messages} == {"monitoring", "contact"}
     watched.give(REST, 400)
@@ -116,3 +123,37 @@ def test_torque_of_which_a_part_is_not_finite_is_refused(watched):
     assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")
     assert np.isfinite(float(watched.last[2]["external torque max Nm"]))
     assert values["contacts"] == 0
+
+
+def test_contact_that_is_none_is_refused(watched):
+    watched.give(LIGHT, 60)
+    message = watched.safety.messages[-1]
+    assert read_contact(watched.safety.messages[0]) is None
+    for entry, spoilt in ((2, "lbr_link_9"), (4, "1 2"), (5, "1 2 x"), (5, "nan 0 0")):
+        kept, message.values[entry].value = message.values[entry].value, spoilt
+        with pytest.raises(InputError, match="safety_state: contact"):
+            read_contact(message)
+        message.values[entry].value = kept
+
+
+def test_joint_states_that_cannot_be_true_stop_the_arm_and_are_named(watched):
+    # The last joint, whose momentum is small.
+    watched.give(REST, 200, velocity=0.2 * np.eye(7)[6])
+    level, message, values = watched.last
+    assert level == DiagnosticStatus.ERROR
+    assert message.startswith("position and velocity of lbr_A7 differ by -0.02") and values[DISTRUST] == message
+
+
+def test_old_joint_states_are_left_out_and_counted(watched):
+    newest = watched._tick
+    for _ in range(5):
+        watched._tick = newest - 10
+        watched.give(10.0 * LIGHT, 1)
+        watched._tick = newest - 1
+        watched.give(10.0 * LIGHT, 1)
+        watched._tick = newest
+        newest += 1
+        watched.give(REST, 1)
+    values = watched.node.diagnosis()[1]
+    assert (values["joint states older"], values["joint states repeated"]) == (5, 5)
+    assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")

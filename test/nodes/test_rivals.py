@@ -8,6 +8,7 @@ import pytest
 import rclpy
 from arm_simulation import HOME
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from stack_helpers import environment
 from std_msgs.msg import Float64MultiArray
@@ -15,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.controller import ControllerNode
+from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.robot import iiwa14
 
 _ATTEMPTS = 200
@@ -111,3 +113,33 @@ def test_in_the_shadow_of_another_controller_nothing_is_commanded():
         assert it.node.count_publishers(topics.COMMANDS.name) == 1
         assert not it.supervisor.stop_reason
         del rival
+
+
+def test_the_driver_takes_no_command_from_two_and_says_who_they_are():
+    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        driver, other = DriverNode(), rclpy.create_node("intruder")
+        executor = SingleThreadedExecutor()
+        executor.add_node(driver)
+        executor.add_node(other)
+        publishers = [other.create_publisher(Float64MultiArray, topics.COMMANDS.name, 1) for _ in range(2)]
+        # As after the hand-over.
+        driver._drive._opened = True
+        _spin_until(executor, lambda: driver._drive.stop_reason)
+        assert driver._drive.stop_reason.startswith("2 publishers on effort_controller/commands (/intruder, /intruder)")
+        driver._on_command(serialize_message(Float64MultiArray(data=[1.0] * 7)))
+        assert driver.refused == {"commands": 1} and driver._drive.rejected == 0
+        other.destroy_publisher(publishers.pop())
+        _spin_until(executor, lambda: not driver._rivalry)
+        driver._on_command(serialize_message(Float64MultiArray(data=[1.0] * 7)))
+        assert driver.refused == {"commands": 1}
+    finally:
+        rclpy.shutdown()
+
+
+def _spin_until(executor, condition):
+    for _ in range(_ATTEMPTS):
+        if condition():
+            return
+        executor.spin_once(0.05)
+    pytest.fail(f"not within {_ATTEMPTS} turns")

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST, TICK_NS, ideal_plant
+from arm_simulation import HOME, REST, TICK_NS, VELOCITY_LIMITS, ideal_plant
 
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
@@ -173,3 +173,26 @@ def test_a_stop_that_comes_no_later_than_the_hold_is_refused(hold_after, stop_af
     with pytest.raises(SettingsError, match=message):
         WatchdogSettings(hold_after=hold_after, stop_after=stop_after)
     assert WatchdogSettings(hold_after=0.099, stop_after=stop_after).stop_after == stop_after
+
+
+@pytest.mark.parametrize(("speed", "stops"), [(1.09, False), (1.11, True)])
+def test_a_joint_that_is_too_fast_closes_the_brakes(bench, speed, stops):
+    bench.command()
+    bench.tick()
+    bench.drive.plant.data.qvel[4] = -speed * VELOCITY_LIMITS[4]
+    bench.command()
+    bench.tick()
+    assert bool(bench.drive.stop_reason) == stops
+    if stops:
+        assert bench.drive.stop_reason.startswith("lbr_A5 moves with 2.5")
+        bench.tick(200)
+        assert np.abs(bench.drive.plant.data.qvel).max() < 1e-3
+
+
+def test_without_a_speed_limit_the_drive_goes_on():
+    drive = Drive(ideal_plant(), WatchdogSettings(open_after=0.0, speed_share=0.0))
+    drive.command(GRAVITY, 0)
+    drive.tick(0)
+    drive.plant.data.qvel[4] = 3.0 * VELOCITY_LIMITS[4]
+    drive.tick(TICK_NS)
+    assert not drive.stop_reason

@@ -1,0 +1,35 @@
+"""An obstacle that the planner is not told of, with and without the observer's word about the contact."""
+
+import functools
+
+import pytest
+from conftest import CONTROLLER, scene, small_planner
+
+from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
+from contact_reach_ros.experiments.fault_checks import End, end_of
+from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+from contact_reach_ros.plant.drive import WatchdogSettings
+from contact_reach_ros.plant.faults import parse_faults
+
+
+@functools.cache
+def episode(reaction: str, stiffness: float) -> EpisodeResult:
+    options = EpisodeOptions(
+        settle=0.6,
+        timeout=3.0,
+        faults=parse_faults(f'obstacle position="0.512 -0.075 0.125" radius=0.05 at=0.2 stiffness={stiffness}'),
+        watchdog=WatchdogSettings(),
+        unexpected_contact=UnexpectedContactSettings(reaction=reaction),
+    )
+    return run_episode(scene("ball"), ReferenceMethod(small_planner("ball"), CONTROLLER), options)
+
+
+@pytest.mark.parametrize("stiffness", [500.0, 1000.0])
+def test_the_arm_that_retreats_touches_more_lightly_and_is_not_stopped(stiffness):
+    ignored, retreated = episode("ignore", stiffness), episode("retreat", stiffness)
+    assert "sudden external torque" in ignored.reasons["observer"]
+    assert not retreated.reasons
+    assert 5.0 < retreated.contact_forces.max() < 0.75 * ignored.contact_forces.max()
+    assert retreated.contact_forces[-1] == 0.0
+    assert end_of(retreated) is End.HELD

@@ -1,0 +1,71 @@
+"""A controller that commands nothing any more, and what controller and driver do about old joint states and answers."""
+
+import pytest
+import rclpy
+from arm_simulation import HOME, REST, TICK_NS
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from stack_helpers import environment
+from std_msgs.msg import Header
+
+from contact_reach_ros.nodes.controller import ControllerNode
+from contact_reach_ros.nodes.driver import DriverNode
+from contact_reach_ros.nodes.observer import DISTRUST
+from contact_reach_ros.nodes.serialized import JointStateWriter
+from contact_reach_ros.robot import iiwa14
+
+
+class Publisher:
+    """Keeps what is published."""
+
+    def __init__(self) -> None:
+        self.messages: list = []
+
+    def publish(self, message) -> None:
+        self.messages.append(message)
+
+
+@pytest.fixture
+def lockstep():
+    arguments = ["--ros-args", "-p", "use_sim_time:=true", "-p", "lockstep:=true"]
+    rclpy.init(args=arguments, domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        yield
+    finally:
+        rclpy.shutdown()
+
+
+def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
+    node = ControllerNode()
+    node._look_around()
+    node._commands, node._horizon, node._safety = Publisher(), Publisher(), Publisher()
+    writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity"])
+
+    def show(tick: int) -> None:
+        node._on_state(writer.write(tick * TICK_NS, HOME, REST))
+
+    for tick in (1, 2, 2, 1):
+        show(tick)
+    assert len(node._commands.messages) == 2 and not node._horizon.messages
+    values = node.diagnosis()[1]
+    assert (values["joint states repeated"], values["joint states older"]) == (1, 1)
+    message = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="observer", message="too much torque")
+    message.values = [KeyValue(key=DISTRUST, value="an encoder is stuck")]
+    node._on_safety(message)
+    show(3)
+    assert len(node._commands.messages) == 2
+    (answer,) = node._horizon.messages
+    assert (answer.frame_id, answer.stamp.nanosec) == ("controller", 3 * TICK_NS)
+    said = node._safety.messages[-1]
+    assert (said.level, said.values[0].value) == (DiagnosticStatus.ERROR, "silent")
+    assert said.message.startswith("too much torque; an encoder is stuck; nothing is commanded any more")
+
+
+def test_the_driver_takes_that_for_an_answer(lockstep):
+    driver = DriverNode()
+    driver._prepare_messages()
+    driver._publish()
+    assert driver._unanswered == 1
+    driver._on_horizon(Header(frame_id="observer"))
+    assert driver._unanswered == 1
+    driver._on_horizon(Header(frame_id="controller"))
+    assert driver._unanswered == 0

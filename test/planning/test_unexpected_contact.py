@@ -1,0 +1,79 @@
+"""What becomes of a contact that no known obstacle explains."""
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, TICK_NS
+
+from contact_reach_ros.observer.location import Contact
+from contact_reach_ros.planning.obstacles import clearances
+from contact_reach_ros.planning.problem import Goal, Spheres
+from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
+from contact_reach_ros.robot.model import RobotModel
+
+STIFFNESS = 1000.0
+GOAL = Goal(np.array([0.5, 0.1, 0.3]))
+
+
+def touch(force: float = 10.0) -> Contact:
+    """Near the end of the last link's axis, across it."""
+    flange, rotation = RobotModel().flange_pose(HOME)
+    return Contact("lbr_link_7", flange - 0.02 * rotation[:, 2], force * rotation[:, 0], 0.0)
+
+
+def reaction(kind: str, sees_spheres: bool = True, **settings: float) -> ContactReaction:
+    made = ContactReaction(UnexpectedContactSettings(reaction=kind, **settings), STIFFNESS, sees_spheres)
+    for step in range(100):
+        made.moved(np.array([0.4 + 0.001 * step, 0.0, 0.4]))
+    return made
+
+
+def ball(gap: float) -> Spheres:
+    """A known one, so far from the arm."""
+    center = np.array([[0.0, 0.5, 0.6]])
+    spheres = Spheres(center, center, np.array([0.01]), np.array([100.0]), np.array([30.0]))
+    radius = 0.01 + clearances(HOME, spheres) - gap
+    return Spheres(center, center, radius, spheres.stiffness, spheres.damping)
+
+
+def test_by_default_the_flange_goes_back_the_way_it_came_and_stays_there():
+    it = reaction(UnexpectedContactSettings().reaction)
+    assert it.report(touch(), HOME, Spheres.none(), 0) is False
+    assert it.report(touch(), HOME, Spheres.none(), 10 * TICK_NS)
+    target = it.goal(GOAL).position
+    assert 0.05 <= np.linalg.norm(target - [0.499, 0.0, 0.4]) < 0.06 and target[0] < 0.45
+    assert it.reason == "unexpected contact at lbr_link_7, 10 N"
+    assert len(it.spheres(Spheres.none())) == 0
+    # Only a new goal ends it.
+    assert not it.report(None, HOME, Spheres.none(), 50 * TICK_NS)
+    np.testing.assert_array_equal(it.goal(GOAL).position, target)
+    it.reset()
+    assert it.goal(GOAL) is GOAL and not it.reason
+
+
+def test_a_sphere_stands_where_the_model_gives_it_the_measured_force():
+    it = reaction("replan")
+    for tick in range(0, 30, 10):
+        it.report(touch(12.0), HOME, ball(0.1), tick * TICK_NS)
+    planned = it.spheres(ball(0.1))
+    assert it.goal(GOAL) is GOAL
+    assert len(planned) == 2, "one contact, one sphere"
+    assert clearances(HOME, planned)[1] * STIFFNESS == pytest.approx(-12.0, abs=0.5)
+
+
+def test_what_is_known_weak_or_short_is_no_reason():
+    it = reaction("retreat", patience=0.02)
+    for tick in range(0, 100, 10):
+        assert not it.report(touch(), HOME, ball(0.005), tick * TICK_NS)
+        assert not it.report(touch(4.0), HOME, Spheres.none(), tick * TICK_NS)
+    for tick in range(100, 200, 10):
+        contact = None if tick % 20 else touch()
+        assert not it.report(contact, HOME, Spheres.none(), tick * TICK_NS)
+    assert not it.report(touch(), HOME, ball(0.02), 300 * TICK_NS)
+    assert it.report(touch(), HOME, ball(0.02), 320 * TICK_NS)
+
+
+def test_a_planner_without_spheres_retreats_and_one_that_ignores_does_nothing():
+    assert reaction("replan", sees_spheres=False).reaction == "retreat"
+    it = reaction("ignore")
+    assert not any(it.report(touch(), HOME, Spheres.none(), tick * TICK_NS) for tick in range(100))
+    assert it.goal(GOAL) is GOAL and not it.reason
