@@ -58,6 +58,14 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     doctor.set_defaults(run=_doctor)
 
+    replay = commands.add_parser("replay", help="execute the nodes of a bag again, and say what differs")
+    replay.add_argument("bag", type=Path, metavar="BAG", help="a bag: directory or mcap file")
+    replay.add_argument("--recompute", action="store_true", help="run controller and observer on what they took in")
+    replay.add_argument("--plan", type=int, metavar="N", help="make plan number N again instead")
+    replay.add_argument("--with", dest="other", type=Path, metavar="FILE", help="parameter file with other settings")
+    replay.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    replay.set_defaults(run=_replay)
+
     fault = commands.add_parser("fault", help="make things go wrong in the running stack", add_help=False)
     # Its own parser is made where rclpy may be imported, and knows the rest.
     fault.add_argument("-h", "--help", dest="wants_help", action="store_true")
@@ -248,6 +256,18 @@ def _bag_repair(options: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"{repair.message_count} messages of {repair.topic_count} topics are in {repair.bag}")
     return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from contact_reach_ros.errors import SettingsError
+    from contact_reach_ros.recording.reexecution import RecomputeOptions, run_recompute
+
+    if not options.recompute and options.plan is None:
+        raise SettingsError(
+            "replay needs --recompute here; to publish the messages of a bag again: "
+            f"ros2 run contact_reach_ros replay {options.bag}"
+        )
+    return run_recompute(RecomputeOptions(options.bag, options.other, options.plan, options.json))
 
 
 def _fault(options: argparse.Namespace) -> int:

@@ -24,7 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from contact_reach_ros import __version__
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.discovery import choose_discovery
-from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare, full_name
+from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
 from contact_reach_ros.nodes.realtime import (
     Inbox,
     Role,
@@ -35,6 +35,7 @@ from contact_reach_ros.nodes.realtime import (
     use_cpus,
 )
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, SETTINGS, Topic
+from contact_reach_ros.parameter_files import full_name
 from contact_reach_ros.recording.intake import IntakeLog, Taken
 from contact_reach_ros.settings import Settings
 

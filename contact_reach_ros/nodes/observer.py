@@ -23,7 +23,7 @@ from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateReader, JointStateWriter, WrenchWriter, read_command
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.location import Contact, ContactLocator
-from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings, measured_torque
 from contact_reach_ros.observer.safety import Level, SafetyMonitor, SafetySettings
 from contact_reach_ros.plant.drive import checked_command
 from contact_reach_ros.plant.plant import TICK
@@ -146,13 +146,7 @@ class ObserverNode(ManagedNode):
         if self.settings[""].torque_source == "commanded":
             torque, self._commanded = self._commanded, None
             return torque
-        if effort is None:
-            raise InputError("joint_states: effort is empty; let the driver fill it, or set torque_source to commanded")
-        if np.isfinite(effort.sum()):
-            return effort
-        if np.isnan(effort).all():
-            return None
-        raise InputError(f"joint_states: effort = {effort.tolist()}; expected finite torques, or all NaN while unknown")
+        return measured_torque(effort)
 
     def _publish(self, stamp_ns: int, q: np.ndarray) -> None:
         self._ticks += 1

@@ -150,9 +150,26 @@ class RecedingHorizonPlanner:
         return self._memory
 
     @property
+    def size(self) -> int:
+        """Number of variables that the solver looks for."""
+        return len(self._bounds)
+
+    @property
     def since_reset(self) -> int:
         """Plans since the last reset."""
         return self._since_reset
+
+    def history(self) -> History:
+        """What the next plan depends on.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to depend on: nothing was planned since the last reset.
+        """
+        if self._memory is None or self._last_state is None:
+            raise InputError("no plan since the last reset: the next one starts afresh")
+        return History(tuple(self._plans), self._memory, self._last_state, self._since_reset)
 
     def go_on_from(self, history: History) -> None:
         """Plan next as a planner with this history would."""
