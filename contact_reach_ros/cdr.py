@@ -32,6 +32,12 @@ def after_string(data: bytes | bytearray, at: int) -> int:
     return at + 4 + -(-length // 4) * 4
 
 
+def text_at(data: bytes | bytearray, at: int) -> str:
+    """The string at `at`, where its length stands."""
+    (length,) = COUNT.unpack_from(data, at)
+    return bytes(data[at + 4 : at + 3 + length]).decode()
+
+
 def joint_state_names(data: bytes | bytearray) -> tuple[str, ...]:
     """The field name of a serialised JointState."""
     at = after_string(data, STAMP_END)
@@ -39,8 +45,7 @@ def joint_state_names(data: bytes | bytearray) -> tuple[str, ...]:
     at += 4
     names = []
     for _ in range(count):
-        (length,) = COUNT.unpack_from(data, at)
-        names.append(bytes(data[at + 4 : at + 3 + length]).decode())
+        names.append(text_at(data, at))
         at = after_string(data, at)
     return tuple(names)
 

@@ -58,6 +58,20 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     doctor.set_defaults(run=_doctor)
 
+    report = commands.add_parser("report", help="a page about one bag or several: one HTML file for any browser")
+    report.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags: directories or mcap files")
+    report.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the first bag)")
+    report.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    report.add_argument("--csv", type=Path, metavar="DIR", help="write tables of all samples")
+    report.add_argument(
+        "--with",
+        dest="other",
+        type=Path,
+        metavar="FILE",
+        help="parameter file: draw what it would have done, too",
+    )
+    report.set_defaults(run=_report)
+
     replay = commands.add_parser("replay", help="execute the nodes of a bag again, and say what differs")
     replay.add_argument("bag", type=Path, metavar="BAG", help="a bag: directory or mcap file")
     replay.add_argument("--recompute", action="store_true", help="run controller and observer on what they took in")
@@ -256,6 +270,12 @@ def _bag_repair(options: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"{repair.message_count} messages of {repair.topic_count} topics are in {repair.bag}")
     return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from contact_reach_ros.recording.report import ReportOptions, run_report
+
+    return run_report(ReportOptions(tuple(options.bags), options.output, options.json, options.csv, options.other))
 
 
 def _replay(options: argparse.Namespace) -> int:
