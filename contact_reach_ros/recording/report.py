@@ -206,7 +206,8 @@ _SECTIONS = (
     _Section(
         "plans",
         "Plans",
-        "Age of the plan in force; time that each plan took, by what ended the search; and the terms of its cost.",
+        "How old each plan became before the next took effect; the time that each took, by what ended the search; and "
+        "the terms of its cost.",
         [charts.plan_age_chart, charts.solve_chart, charts.cost_chart],
     ),
     _Section(
@@ -229,8 +230,8 @@ _SECTIONS = (
 
 def _section(section: _Section, bags: Sequence[ReportBag], figures: list[Chart]) -> str:
     parts = []
-    for bag in bags:
-        for make in section.make:
+    for make in section.make:
+        for bag in bags:
             parts.append(_place(make(bag), bag.label if len(bags) > 1 else "", figures))
     if section.compare is not None and len(bags) > 1:
         words = f"{bags[0].label} less {bags[1].label}"
@@ -262,8 +263,7 @@ def _summary(bags: Sequence[ReportBag], failures: Sequence[str]) -> str:
     numbers = [metrics(bag) for bag in bags]
     if len(bags) == 1:
         body = "".join(
-            f'<div class="tile"><b>{_number(value)} {escape(unit) if np.isfinite(value) else ""}</b>'
-            f"<span>{escape(name)}</span></div>"
+            f'<div class="tile"><b>{escape(_quantity(value, unit))}</b><span>{escape(name)}</span></div>'
             for name, (value, unit) in numbers[0].items()
         )
         body = f'<div class="tiles">{body}</div>'
@@ -357,6 +357,12 @@ def _details(title: str, rows: Mapping[str, Sequence[Any]], mark: bool = True) -
         f'<details><summary>{escape(title)}{hint}</summary><div class="scroll"><table>{"".join(lines)}</table></div>'
         "</details>"
     )
+
+
+def _quantity(value: float, unit: str) -> str:
+    if unit == "µs" and abs(value) >= 10_000:
+        value, unit = value / 1000, "ms"
+    return f"{_number(value)} {unit}" if np.isfinite(value) else "–"
 
 
 def _number(value: float) -> str:

@@ -119,11 +119,13 @@ def read_report_bag(path: Path, label: str, other: Other) -> ReportBag:
     notes = list(reader.notes)
     if not reader.summary.message_count:
         notes.append("the bag has no messages")
-    names = {name.rpartition("/")[2] for name in reader.topics()}
+    lost = reader.summary.custom_data.get("messages_lost", "0")
+    if lost.isdigit() and int(lost):
+        notes.append(f"{lost} messages were lost while the bag was recorded")
     lacking = [
         f"topic {topic} is missing: no {what}"
         for topic, what in _EXPECTED.items()
-        if topic.rpartition("/")[2] not in names or f"/{topic}" not in reader.topics()
+        if f"/{topic}" not in reader.topics()
     ]
     notes += [*lacking, *signals.notes]
     budget = _section(signals, "observer", "budget", ContactBudget, load_budget(), notes)
@@ -163,7 +165,7 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     nan = float("nan")
     found: dict[str, tuple[float, str]] = {
         "time to the goal": (summary.duration_s if summary else nan, "s"),
-        "over the least possible": (summary.time_ratio if summary else nan, "×"),
+        "time, over the least possible": (summary.time_ratio if summary else nan, "×"),
         "distance at the end": (1000 * summary.final_error_m if summary else nan, "mm"),
         "way to the goal": (1000 * summary.distance_m if summary else nan, "mm"),
         "largest contact force": (_largest(_until(bag, signals.contact_force, "max")), "N"),

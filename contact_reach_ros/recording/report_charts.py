@@ -28,6 +28,8 @@ COLOURS = (BLACK, ORANGE, SKY_BLUE, GREEN, PURPLE, BLUE, VERMILION)
 TIME = "time since the goal [s]"
 _MAXIMUM_LINES = 60
 _BARS = 60
+_GAP = 0.05
+"""s."""
 _EVENT_COLOURS = {0: GREY, 1: ORANGE, 2: VERMILION, 3: VERMILION}
 _REASON_COLOURS = {"stagnated": BLUE, "max_steps": ORANGE, "deadline": VERMILION}
 
@@ -39,7 +41,7 @@ def packed(values: Any) -> dict[str, str]:
 
 def curve(time: Array, values: Array, name: str, colour: str, unit: str, **more: Any) -> dict[str, Any]:
     """A curve over time, thinned out if it is long; `more` goes to the line, or to the trace where it begins with _."""
-    thinned_time, thinned = envelope(time, values)
+    thinned_time, thinned = envelope(*_with_gaps(time, values))
     trace = {key[1:]: value for key, value in more.items() if key.startswith("_")}
     line = {key: value for key, value in more.items() if not key.startswith("_")}
     return {
@@ -52,6 +54,18 @@ def curve(time: Array, values: Array, name: str, colour: str, unit: str, **more:
         "hovertemplate": f"%{{y:.4~g}} {unit} at %{{x:.3f}} s<extra>{name}</extra>",
         **trace,
     }
+
+
+def _with_gaps(time: Array, values: Array) -> tuple[Array, Array]:
+    """The curve with a break where messages are missing."""
+    wide = np.flatnonzero(_gaps(time))
+    return np.insert(time, wide + 1, time[wide]), np.insert(values, wide + 1, np.nan)
+
+
+def _gaps(time: Array) -> NDArray[np.bool_]:
+    """(n - 1,) which steps are so long that nobody knows what happened meanwhile."""
+    steps = np.diff(time)
+    return steps > max(20 * float(np.median(steps)), _GAP) if len(steps) else np.zeros(0, bool)
 
 
 def level(value: float, name: str, colour: str, span: tuple[float, float], **more: Any) -> dict[str, Any]:
@@ -77,7 +91,7 @@ def distance_chart(bag: ReportBag) -> Chart:
         curve(time - bag.zero, distance, "distance", BLUE, "m", width=1.8),
         level(SUCCESS_DISTANCE, f"reached, {SUCCESS_DISTANCE:g} m", GREEN, _span(bag)),
     ]
-    return _chart(bag, data, "distance to the goal [m]", yaxis={"type": "log", "exponentformat": "none"})
+    return _chart(bag, data, "distance to the goal [m]", yaxis={"type": "log", "dtick": 1, "exponentformat": "none"})
 
 
 def contact_chart(bag: ReportBag) -> Chart:
@@ -154,9 +168,12 @@ def plan_age_chart(bag: ReportBag) -> Chart:
     time, effects = bag.signals.position.time, bag.signals.plan_times
     if not len(effects) or not len(time):
         return _chart(bag, [], "plan age [ms]")
-    ticks = time[time >= effects[0]]
-    age = 1000 * (ticks - effects[np.searchsorted(effects, ticks, side="right") - 1])
-    data = [curve(ticks - bag.zero, age, "age of the plan in force", BLUE, "ms")]
+    # Each plan at its oldest, when the next takes effect, or at the end of the recording.
+    ends = np.minimum(np.append(effects[1:], time[-1]), time[-1])
+    counts = ends > effects
+    data = [
+        curve(ends[counts] - bag.zero, 1000 * (ends - effects)[counts], "each plan at its oldest", BLUE, "ms"),
+    ]
     return _chart(bag, data, "plan age [ms]", yaxis={"rangemode": "tozero"})
 
 
@@ -187,14 +204,16 @@ def cost_chart(bag: ReportBag) -> Chart:
     plans = bag.signals.plans
     time = np.array([plan.time for plan in plans]) - bag.zero
     names = [name for name in (plans[0].numbers if plans else ()) if name == "cost" or name.startswith("cost ")]
+    values = {name: np.array([plan.numbers.get(name, np.nan) for plan in plans]) for name in sorted(names)}
     data = []
-    for index, name in enumerate(sorted(names)):
-        values = np.array([plan.numbers.get(name, np.nan) for plan in plans])
-        if name != "cost" and not np.nan_to_num(values).any():
-            continue
-        label = name.removeprefix("cost ").replace("_", " ") if name != "cost" else "sum"
-        width = 2.2 if name == "cost" else 1.2
-        data.append(curve(time, values, label, COLOURS[index % len(COLOURS)], "", width=width))
+    for name, cost in values.items():
+        if name == "cost":
+            data.append(curve(time, cost, "sum", GREY, "", width=3.5))
+        elif np.nan_to_num(cost).any():
+            index = len(data) - 1
+            label, colour = name.removeprefix("cost ").replace("_", " "), COLOURS[1 + index % (len(COLOURS) - 1)]
+            dash = "solid" if index < len(COLOURS) - 1 else "dash"
+            data.append(curve(time, cost, label, colour, "", dash=dash))
     return _chart(bag, data, "cost of a plan [1]")
 
 
@@ -218,7 +237,11 @@ def difference_chart(series: Sequence[tuple[str, Array, Array, Array, Array]], t
         known = np.isfinite(other_values)
         if not known.any():
             continue
-        change = np.interp(shared, time, values) - np.interp(shared, other_time[known], other_values[known])
+        others = np.interp(shared, other_time[known], other_values[known])
+        # Not across what the other bag has lost.
+        before = np.clip(np.searchsorted(other_time, shared) - 1, 0, len(other_time) - 2)
+        others[_gaps(other_time)[before]] = np.nan
+        change = np.interp(shared, time, values) - others
         data.append(curve(shared, change, name, COLOURS[(index + (len(series) == 1)) % len(COLOURS)], unit))
     return {"data": data, "layout": _layout(title), "linked": True}
 
@@ -339,7 +362,7 @@ def _histogram(values: Array, title: str, colour: str) -> Chart:
     values = values[np.isfinite(values)]
     layout: dict[str, Any] = {
         "xaxis": {"title": {"text": title}},
-        "yaxis": {"title": {"text": "number of ticks"}, "type": "log", "exponentformat": "none"},
+        "yaxis": {"title": {"text": "number of ticks"}, "type": "log", "dtick": 1, "exponentformat": "none"},
         "bargap": 0.03,
     }
     if not len(values):
@@ -361,6 +384,6 @@ def _histogram(values: Array, title: str, colour: str) -> Chart:
         }
     ]
     shares = {name: float(np.percentile(values, PERCENTILES[name])) for name in ("p50", "p99", "p999")}
-    words = ", ".join(f"p{PERCENTILES[name]:g} {value:.0f}" for name, value in shares.items())
+    words = ", ".join(f"p{PERCENTILES[name]:g} {round(value)}" for name, value in shares.items())
     note = f"{words}, least {values.min():.0f}, most {values.max():.0f} µs; what lies farther out is in the outer bars"
     return {"data": data, "layout": layout, "note": note}

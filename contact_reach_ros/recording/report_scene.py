@@ -51,7 +51,7 @@ def scene_chart(bag: ReportBag) -> Chart:
             "xaxis": {"title": {"text": "x [m]"}},
             "yaxis": {"title": {"text": "y [m]"}},
             "zaxis": {"title": {"text": "z [m]"}},
-            "camera": {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}},
+            "camera": {"eye": {"x": 1.4, "y": -1.4, "z": 0.8}},
         }
     }
     if not len(rows):
@@ -89,11 +89,12 @@ def _sweep(bag: ReportBag, rows: NDArray[np.intp]) -> dict[str, Any]:
         "z": packed(points[:, 2]),
         "line": {
             "width": 6,
-            "color": packed(times),
+            "color": times,
             "colorscale": [[0.0, "#cfe3f1"], [1.0, BLUE]],
             "showscale": False,
         },
         "connectgaps": False,
+        "showlegend": False,
         "hovertemplate": "arm at %{line.color:.2f} s<extra></extra>",
     }
 

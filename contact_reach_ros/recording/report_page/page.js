@@ -7,6 +7,8 @@
   // What is dark on white is light on black.
   const DARK = { "#000000": "#E9ECEF", "#0072B2": "#4DA9E2", "#009E73": "#2FC79B", "#D55E00": "#FF8540",
     "#CC79A7": "#DE95BC", "#555555": "#A3ACB5", "#cfe3f1": "#25506f" };
+  const BUTTONS = ["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"];
+  const BUTTONS_3D = ["toImage", "orbitRotation", "pan3d", "zoom3d", "resetCameraDefault3d"];
   let chosen = null;
   try { chosen = localStorage.getItem("contact-reach-theme"); } catch { /* a file may have no storage */ }
   const drawn = new Map();
@@ -26,6 +28,14 @@
     return value;
   }
 
+  // Rows that a horizontal legend takes: in one row, or in columns as wide as the longest name.
+  function legendRows(chart, width) {
+    const widths = chart.data.filter((trace) => trace.showlegend !== false).map((trace) => 52 + 6.6 * (trace.name || "").length);
+    if (!widths.length) return 0;
+    if (widths.reduce((sum, item) => sum + item, 0) < width - 72) return 1;
+    return Math.ceil(widths.length / Math.max(1, Math.floor((width - 72) / Math.max(...widths))));
+  }
+
   function layoutOf(chart, element) {
     const ink = style("--ink"), soft = style("--soft"), line = style("--line");
     const axis = { gridcolor: line, zerolinecolor: line, linecolor: line, tickcolor: line, automargin: true,
@@ -36,13 +46,15 @@
     const base = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", autosize: true,
       font: { color: ink, size: narrow ? 11 : 12, family: getComputedStyle(document.body).fontFamily },
       hoverlabel: { bgcolor: style("--card"), bordercolor: line, font: { color: ink } },
-      margin: { l: narrow ? 48 : 60, r: 12, t: 14, b: 40 }, hovermode: "closest", dragmode: chart.tall ? "orbit" : "zoom",
+      margin: { l: narrow ? 48 : 60, r: 12, t: 34, b: 52 + 19 * legendRows(chart, element.clientWidth) }, hovermode: "closest", dragmode: layout.scene ? "orbit" : "zoom",
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
       showlegend: true, uirevision: "kept",
-      legend: { orientation: "h", x: 0, y: -0.22, yanchor: "top", font: { size: narrow ? 10 : 11.5 } } };
+      legend: { orientation: "h", x: 0, yref: "container", y: 0.01, yanchor: "bottom", font: { size: narrow ? 10 : 11.5 } } };
     if (layout.scene) {
       const own = layout.scene, plain = { gridcolor: line, backgroundcolor: "rgba(0,0,0,0)", color: soft, zerolinecolor: line };
       base.scene = { ...own, xaxis: { ...own.xaxis, ...plain }, yaxis: { ...own.yaxis, ...plain }, zaxis: { ...own.zaxis, ...plain } };
-      base.margin = { l: 0, r: 0, t: 0, b: 0 };
+      base.scene.domain = { x: [0, 1], y: [narrow ? 0.16 : 0.08, 1] };
+      base.margin = { l: 0, r: 0, t: 30, b: 0 };
       base.legend = { orientation: "h", x: 0, y: 0, yanchor: "bottom", font: { size: narrow ? 10 : 11.5 } };
       return base;
     }
@@ -57,7 +69,7 @@
     const first = !drawn.has(element);
     drawn.set(element, chart);
     Plotly.react(element, chart.data.map(recoloured), layoutOf(chart, element), { responsive: true, displaylogo: false,
-      modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
+      modeBarButtons: [chart.layout.scene ? BUTTONS_3D : BUTTONS] });
     if (first && chart.linked) element.on("plotly_relayout", (change) => follow(element, change));
   }
 
