@@ -160,6 +160,11 @@ class BagReader:
                 received, sent, _, sequence, data = message
                 yield RawMessage(name, types[name], received, sent, data, sequence)
 
+    @property
+    def files(self) -> Sequence[McapFile]:
+        """The files of the bag, in their order."""
+        return self._files
+
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages of some topics, or of all, decoded by the definitions that the bag itself holds.
 

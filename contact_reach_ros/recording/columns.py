@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from contact_reach_ros.cdr import (
@@ -29,12 +30,17 @@ from contact_reach_ros.cdr import (
     joint_state_starts,
 )
 from contact_reach_ros.recording.bag_reader import BagReader, RawMessage
+from contact_reach_ros.recording.mcap_file import McapFile
 from contact_reach_ros.units import NANOSECONDS
 
 Times = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 _BATCH = 4096
+_RECORD = struct.Struct("<BQ")
+"""Opcode and length of a record of an mcap file."""
+_MESSAGE = struct.Struct("<HIQQ")
+"""Channel, sequence, times of reception and of sending."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,46 +104,81 @@ class Collector:
         """Take a message."""
         self._waiting.append(message)
         if len(self._waiting) == _BATCH:
-            self._read()
+            self._read_waiting()
+
+    def add_block(self, chunk: bytes, times: Times, starts: Times, sizes: Times) -> None:
+        """Take messages out of a chunk.
+
+        Parameters
+        ----------
+        chunk
+            The bytes that they are in.
+        times
+            (4, n): log_ns, publish_ns, sequence, and room for the stamps.
+        starts, sizes
+            (n,) of each in the chunk.
+        """
+        size = int(sizes[0])
+        if size >= HEADER and (sizes == size).all():
+            rows = np.frombuffer(chunk, np.uint8)[starts[:, None] + np.arange(size)]
+            if self._read_rows(rows, times):
+                return
+        ends = starts + sizes
+        self._read_each([chunk[start:end] for start, end in zip(starts.tolist(), ends.tolist(), strict=True)], times)
 
     def column(self) -> Column:
         """All that came."""
-        self._read()
-        width = len(self.names)
-        times = np.concatenate([np.zeros((4, 0), np.int64), *self._times], axis=1)
-        values = np.concatenate([np.zeros((0, width)), *(_widened(part, width) for part in self._values)])
-        self._times, self._values = [], []
+        self._read_waiting()
+        width, count = len(self.names), sum(part.shape[1] for part in self._times)
+        times, values = np.empty((4, count), np.int64), np.full((count, width), np.nan)
+        at = 0
+        # Part by part, each forgotten at once: together they may be most of the memory.
+        self._times.reverse()
+        self._values.reverse()
+        while self._times:
+            part, numbers = self._times.pop(), self._values.pop()
+            end = at + part.shape[1]
+            times[:, at:end] = part
+            values[at:end, : numbers.shape[1]] = numbers
+            at = end
         if (np.diff(times[0]) < 0).any():
             order = np.argsort(times[0], kind="stable")
             times, values = times[:, order], values[order]
         log_ns, publish_ns, sequence, stamp_ns = times
         return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused)
 
-    def _read(self) -> None:
+    def _read_waiting(self) -> None:
         messages, self._waiting = self._waiting, []
-        if not messages:
-            return
-        times = np.array([(m.log_time_ns, m.publish_time_ns, m.sequence, 0) for m in messages], dtype=np.int64).T
-        size = len(messages[0].data)
-        if all(len(message.data) == size for message in messages) and size >= STAMP_END:
-            rows = np.frombuffer(b"".join(message.data for message in messages), np.uint8).reshape(-1, size)
-            values = self.alike(rows)
-            if values is not None:
-                if self.stamped:
-                    words = np.ascontiguousarray(rows[:, HEADER:STAMP_END]).view("<u4").astype(np.int64)
-                    times[3] = words[:, 0] * NANOSECONDS + words[:, 1]
-                self._times.append(times)
-                self._values.append(values)
-                return
-        read = [self._read_single(message.data) for message in messages]
+        if messages:
+            times = np.array([(m.log_time_ns, m.publish_time_ns, m.sequence, 0) for m in messages], dtype=np.int64).T
+            data = [message.data for message in messages]
+            sizes = np.array([len(content) for content in data])
+            self.add_block(b"".join(data), times, np.cumsum(sizes) - sizes, sizes)
+
+    def _read_rows(self, rows: Bytes, times: Times) -> bool:
+        """Read messages of one size, if they look alike."""
+        if self.stamped and rows.shape[1] < STAMP_END:
+            return False
+        values = self.alike(rows)
+        if values is None:
+            return False
+        if self.stamped:
+            words = np.ascontiguousarray(rows[:, HEADER:STAMP_END]).view("<u4").astype(np.int64)
+            times[3] = words[:, 0] * NANOSECONDS + words[:, 1]
+        self._times.append(times)
+        self._values.append(values)
+        return True
+
+    def _read_each(self, messages: list[bytes], times: Times) -> None:
+        read = [self._read_single(data) for data in messages]
         good = np.array([values is not None for values in read])
         self._refused += len(messages) - int(good.sum())
         if self.stamped:
-            times[3] = [_stamp_ns(message.data) for message in messages]
+            times[3] = [_stamp_ns(data) for data in messages]
         width = len(self.names)
+        rows = [_widened(values[None], width) for values in read if values is not None]
         self._times.append(times[:, good])
-        rows_of_values = [_widened(values[None], width) for values in read if values is not None]
-        self._values.append(np.concatenate([np.zeros((0, width)), *rows_of_values]))
+        self._values.append(np.concatenate([np.zeros((0, width)), *rows]))
 
     def _read_single(self, data: bytes) -> NDArray[np.float64] | None:
         if not data.startswith(PLAIN_CDR) or (self.stamped and len(data) < STAMP_END):
@@ -266,10 +307,61 @@ def array_numbers(data: bytes, dtype: str) -> NDArray[Any]:
     return np.frombuffer(data, dtype, count, ARRAY_START)
 
 
-def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[RawMessage], None]]) -> None:
-    """Hand each message of some topics to its handler, in one pass; topics that the bag lacks are passed over."""
-    for message in bag.raw_messages([topic for topic in handlers if topic in bag.topics()]):
-        handlers[message.topic](message)
+def read_raw(bag: BagReader, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]) -> None:
+    """Hand the messages of some topics to their handlers, in one pass; topics that the bag lacks are passed over.
+
+    Those of one topic come in the order of the file, in that of their reception within each of its chunks.
+    """
+    wanted = {topic: handler for topic, handler in handlers.items() if topic in bag.topics()}
+    if all(file.contents.indexed for file in bag.files):
+        for file in bag.files:
+            _read_indexed(bag, file, wanted)
+        return
+    for message in bag.raw_messages(wanted):
+        handler = wanted[message.topic]
+        if isinstance(handler, Collector):
+            handler.add(message)
+        else:
+            handler(message)
+
+
+def _read_indexed(
+    bag: BagReader, file: McapFile, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]
+) -> None:
+    channels = {
+        number: (channel.topic, handlers[channel.topic])
+        for number, channel in file.contents.channels.items()
+        if channel.topic in handlers
+    }
+    for chunk in file.chunks(set(channels)):
+        for number, rows in _messages_of(chunk, channels).items():
+            topic, handler = channels[number]
+            if isinstance(handler, Collector):
+                log_ns, publish_ns, sequence, starts, sizes = np.array(rows, dtype=np.int64).T
+                times = np.stack([log_ns, publish_ns, sequence, np.zeros_like(log_ns)])
+                handler.add_block(chunk, times, starts, sizes)
+            else:
+                type_name = bag.topics()[topic].type
+                for log_ns, publish_ns, sequence, start, size in sorted(rows):
+                    data = chunk[start : start + size]
+                    handler(RawMessage(topic, type_name, log_ns, publish_ns, data, sequence))
+
+
+def _messages_of(chunk: bytes, channels: Container[int]) -> dict[int, list[tuple[int, int, int, int, int]]]:
+    """Times, number, start and size of the messages of some channels."""
+    found: dict[int, list[tuple[int, int, int, int, int]]] = {}
+    unpack_record, unpack_message = _RECORD.unpack_from, _MESSAGE.unpack_from
+    at, end = 0, len(chunk)
+    while at + _RECORD.size <= end:
+        code, length = unpack_record(chunk, at)
+        at += _RECORD.size
+        if code == Opcode.MESSAGE:
+            channel, sequence, log_ns, publish_ns = unpack_message(chunk, at)
+            if channel in channels:
+                row = (log_ns, publish_ns, sequence, at + _MESSAGE.size, length - _MESSAGE.size)
+                found.setdefault(channel, []).append(row)
+        at += length
+    return found
 
 
 def _stamp_ns(data: bytes) -> int:

@@ -106,8 +106,8 @@ class RecordedInputs:
         }
         self._plain: defaultdict[str, dict[int, RawMessage]] = defaultdict(dict)
         batches: defaultdict[str, list[NDArray[np.int64]]] = defaultdict(list)
-        handlers: dict[str, Callable[[RawMessage], None]] = {}
-        handlers |= {self._prefix + name: column.add for name, column in columns.items()}
+        handlers: dict[str, Collector | Callable[[RawMessage], None]] = {}
+        handlers |= {self._prefix + name: column for name, column in columns.items()}
         handlers |= {self._prefix + name: partial(_keep, self._plain[name]) for name in _PLAIN}
         handlers |= {f"{self._prefix}intake/{node}": partial(_keep_numbers, batches[node]) for node in NODES}
         read_raw(bag, handlers)

@@ -16,7 +16,7 @@ import numpy as np
 
 from contact_reach_ros.cdr import COUNT, HEADER, PLAIN_CDR, after_string, text_at
 from contact_reach_ros.recording.bag_reader import BagMessage, BagReader, RawMessage
-from contact_reach_ros.recording.columns import Arrays, Column, JointStates, Stamps, array_numbers, read_raw
+from contact_reach_ros.recording.columns import Arrays, Collector, Column, JointStates, Stamps, array_numbers, read_raw
 from contact_reach_ros.recording.intake import COLUMNS, Taken
 from contact_reach_ros.recording.recorded_inputs import read_settings
 from contact_reach_ros.robot.iiwa14 import JOINT_NAMES
@@ -160,12 +160,12 @@ def read_signals(bag: BagReader, joint_names: Sequence[str] = JOINT_NAMES, names
     kept: dict[str, list[RawMessage]] = {
         name: [] for name in ("goal_pose", "diagnostics", "plan/statistics", "settings", "intake/controller")
     }
-    handlers: dict[str, Callable[[RawMessage], None]] = {
-        "joint_states": states.add,
-        "effort_controller/commands": commands.add,
-        "external_torque": torques.add,
-        "sim/contacts": contacts.add,
-        "reference/pose": pose_stamps.add,
+    handlers: dict[str, Collector | Callable[[RawMessage], None]] = {
+        "joint_states": states,
+        "effort_controller/commands": commands,
+        "external_torque": torques,
+        "sim/contacts": contacts,
+        "reference/pose": pose_stamps,
         "safety_state": safety.add,
         **{name: messages.append for name, messages in kept.items()},
     }
