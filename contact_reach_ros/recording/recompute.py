@@ -281,7 +281,8 @@ class _Run:
 
     def _compare_reasons(self) -> Difference | None:
         recorded = self.recorded_reasons()
-        if not self.in_step or self.intake.starts_late or recorded == self.reasons:
+        whole = self.in_step and not self.intake.starts_late and not self.intake.lost
+        if not whole or recorded == self.reasons:
             return None
         at = self.stamps[-1] if self.stamps else 0
         return Difference(len(self.stamps), at, "stop reasons", str(recorded), str(self.reasons))

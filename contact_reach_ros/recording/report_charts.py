@@ -118,6 +118,8 @@ def external_torque_chart(bag: ReportBag) -> Chart:
     torque = bag.signals.external_torque
     thresholds = bag.budget.torque_thresholds
     data = _joint_curves(bag, torque, "Nm")
+    if not data:
+        return _chart(bag, [], "external torque [Nm]")
     data += _rerun_curves(bag, "observer")
     largest = float(np.nanmax(np.abs(torque.values), initial=0.0))
     # The nearest threshold stays in view; those far above must not flatten the curves.
@@ -140,6 +142,8 @@ def command_chart(bag: ReportBag) -> Chart:
     """Commanded torque of each joint against its cap."""
     command = bag.signals.command
     data = _joint_curves(bag, command, "Nm")
+    if not data:
+        return _chart(bag, [], "commanded torque [Nm]")
     data += _rerun_curves(bag, "controller")
     largest = 1.15 * float(np.nanmax(np.abs(command.values), initial=1.0))
     data += _limits(bag, bag.torque_limits.tolist(), "limit")
@@ -159,7 +163,7 @@ def command_share_chart(bag: ReportBag) -> Chart:
 def joint_chart(bag: ReportBag) -> Chart:
     """Joint angles against their limits."""
     data = _joint_curves(bag, bag.signals.position, "rad")
-    data += _limits(bag, iiwa14.POSITION_LIMITS, "limit")
+    data += _limits(bag, iiwa14.POSITION_LIMITS, "limit") if data else []
     return _chart(bag, data, "joint angle [rad]", yaxis={"range": [-3.2, 3.2]})
 
 
