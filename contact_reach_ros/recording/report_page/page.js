@@ -30,7 +30,8 @@
 
   // Rows that a horizontal legend takes: in one row, or in columns as wide as the longest name.
   function legendRows(chart, width) {
-    const widths = chart.data.filter((trace) => trace.showlegend !== false).map((trace) => 52 + 6.6 * (trace.name || "").length);
+    const letter = width < 480 ? 5.8 : 6.6;
+    const widths = chart.data.filter((trace) => trace.showlegend !== false).map((trace) => 50 + letter * (trace.name || "").length);
     if (!widths.length) return 0;
     if (widths.reduce((sum, item) => sum + item, 0) < width - 72) return 1;
     return Math.ceil(widths.length / Math.max(1, Math.floor((width - 72) / Math.max(...widths))));
@@ -68,6 +69,8 @@
     const chart = charts[element.dataset.chart];
     const first = !drawn.has(element);
     drawn.set(element, chart);
+    // Long legends do not take the room of the curves.
+    if (!chart.layout.scene) element.style.height = `${300 + 19 * Math.max(1, legendRows(chart, element.clientWidth))}px`;
     Plotly.react(element, chart.data.map(recoloured), layoutOf(chart, element), { responsive: true, displaylogo: false,
       modeBarButtons: [chart.layout.scene ? BUTTONS_3D : BUTTONS] });
     if (first && chart.linked) element.on("plotly_relayout", (change) => follow(element, change));
