@@ -58,6 +58,7 @@ setup(
         "numpy",
         "pillow",
         "pin",
+        "plotly",
         "pyyaml",
         "rich",
         "rosbags",

@@ -58,6 +58,28 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     doctor.set_defaults(run=_doctor)
 
+    report = commands.add_parser("report", help="a page about one bag or several: one HTML file for any browser")
+    report.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags: directories or mcap files")
+    report.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the first bag)")
+    report.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    report.add_argument("--csv", type=Path, metavar="DIR", help="write tables of all samples")
+    report.add_argument(
+        "--with",
+        dest="other",
+        type=Path,
+        metavar="FILE",
+        help="parameter file: draw what it would have done, too",
+    )
+    report.set_defaults(run=_report)
+
+    replay = commands.add_parser("replay", help="execute the nodes of a bag again, and say what differs")
+    replay.add_argument("bag", type=Path, metavar="BAG", help="a bag: directory or mcap file")
+    replay.add_argument("--recompute", action="store_true", help="run controller and observer on what they took in")
+    replay.add_argument("--plan", type=int, metavar="N", help="make plan number N again instead")
+    replay.add_argument("--with", dest="other", type=Path, metavar="FILE", help="parameter file with other settings")
+    replay.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    replay.set_defaults(run=_replay)
+
     fault = commands.add_parser("fault", help="make things go wrong in the running stack", add_help=False)
     # Its own parser is made where rclpy may be imported, and knows the rest.
     fault.add_argument("-h", "--help", dest="wants_help", action="store_true")
@@ -248,6 +270,24 @@ def _bag_repair(options: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"{repair.message_count} messages of {repair.topic_count} topics are in {repair.bag}")
     return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from contact_reach_ros.recording.report import ReportOptions, run_report
+
+    return run_report(ReportOptions(tuple(options.bags), options.output, options.json, options.csv, options.other))
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from contact_reach_ros.errors import SettingsError
+    from contact_reach_ros.recording.reexecution import RecomputeOptions, run_recompute
+
+    if not options.recompute and options.plan is None:
+        raise SettingsError(
+            "replay needs --recompute here; to publish the messages of a bag again: "
+            f"ros2 run contact_reach_ros replay {options.bag}"
+        )
+    return run_recompute(RecomputeOptions(options.bag, options.other, options.plan, options.json))
 
 
 def _fault(options: argparse.Namespace) -> int:

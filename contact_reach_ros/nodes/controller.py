@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Mapping
@@ -19,20 +18,21 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
+from contact_reach_ros.control.reference_messages import pose_knots, posture_knots
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, quaternion, set_time, vector
-from contact_reach_ros.nodes.observer import DISTRUST
+from contact_reach_ros.nodes.messages import set_time
 from contact_reach_ros.nodes.observer import NAME as OBSERVER
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.nodes.serialized import CommandWriter, JointStateReader
+from contact_reach_ros.observer.safety import DISTRUST
+from contact_reach_ros.recording.intake import Taken
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.timing import Histogram, StampOrder, write_counts
 
@@ -65,6 +65,7 @@ class ControllerNode(ManagedNode):
         self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         self._lockstep = lockstep
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if lockstep else None
+        self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name)
@@ -112,15 +113,15 @@ class ControllerNode(ManagedNode):
         """Nobody else may command the arm or publish references; runs beside the loop, a few times a second."""
         # In the shadow of another controller there is one that commands.
         self._rivalry = rivalry(self, (topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE))
-        if self._rivalry and self._started:
-            self._controller.stop(self._rivalry)
+        if self._rivalry and self._started and not self._controller.stop_reason:
+            reason = self._rivalry
+            self.inbox.post(lambda: self._stop_for(reason))
 
     def _clock_ns(self) -> int:
         """Clock of the watchdogs: the steady one, or simulated time in lockstep, where real time means nothing."""
-        return self._state_ns if self._lockstep else time.monotonic_ns()
+        return self._state_ns if self._lockstep else self.inbox.handled_ns
 
     def _on_state(self, data: bytes) -> None:
-        began_ns = time.monotonic_ns()
         controller = self._controller
         try:
             stamp_ns, q, v, _ = self._reader.read(data)
@@ -140,43 +141,25 @@ class ControllerNode(ManagedNode):
         self._state = (q, v)
         if torque is not None:
             self._commands.publish(self._writer.write(torque))
+            self._intake.outputs += 1
         elif self._horizon is not None:
             # In lockstep the driver waits for an answer; this one is no command.
             header = Header(frame_id=NAME)
             set_time(header.stamp, stamp_ns)
             self._horizon.publish(header)
-        self._compute.add(time.monotonic_ns() - began_ns)
+        self._compute.add(time.monotonic_ns() - self.inbox.handled_ns)
         if (controller.mode, controller.stop_reason) != self._published_mode:
             self._publish_safety()
 
     def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
         try:
-            if any(len(point.transforms) != 1 for point in message.points):
-                raise InputError("reference/pose: each point needs exactly one transform, the flange's x_d")
-            transforms = [point.transforms[0] for point in message.points]
-            knots = PoseKnots(
-                nanoseconds(message.header.stamp),
-                tuple(nanoseconds(point.time_from_start) for point in message.points),
-                np.array([vector(transform.translation) for transform in transforms]).reshape(-1, 3),
-                _rotations([quaternion(transform.rotation) for transform in transforms]),
-            )
-            self._controller.references.offer_poses(knots, self._state_ns)
+            self._controller.references.offer_poses(pose_knots(message), self._state_ns)
         except InputError as error:
             self.refuse("references", error)
 
     def _on_postures(self, message: JointTrajectory) -> None:
         try:
-            indices = JointOrder(iiwa14.JOINT_NAMES).indices(message.joint_names, topics.REFERENCE_POSTURE.name)
-            if any(len(point.positions) != len(message.joint_names) for point in message.points):
-                raise InputError("reference/posture: each point needs one position for each joint name")
-            postures = np.array([point.positions for point in message.points], dtype=float)
-            postures = postures.reshape(-1, len(message.joint_names))
-            knots = PostureKnots(
-                nanoseconds(message.header.stamp),
-                tuple(nanoseconds(point.time_from_start) for point in message.points),
-                postures if indices is None else postures[:, indices],
-            )
-            self._controller.references.offer_postures(knots, self._state_ns)
+            self._controller.references.offer_postures(posture_knots(message), self._state_ns)
         except InputError as error:
             self.refuse("references", error)
 
@@ -204,24 +187,33 @@ class ControllerNode(ManagedNode):
             self.say(LoggingSeverity.ERROR, f"{what}: {controller.stop_reason}; call ~/reset to go on")
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._controller.stop("stop service called")
+        # The loop may be slow to answer, but stops all the same.
+        self.inbox.post(lambda: self._stop_for("stop service called"))
         response.success, response.message = True, "compliant stop"
         return response
 
+    def _stop_for(self, reason: str) -> None:
+        self.inbox.note(Taken.STOP)
+        self._controller.stop(reason)
+
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if not self._started:
-            response.message = "the controller has not seen a joint state yet"
-            return response
-        if self._rivalry:
-            response.message = f"{self._rivalry}: end the others first"
-            return response
         try:
-            self._controller.reset(*self._state, self._state_ns, self._clock_ns())
-        except InputError as error:
+            # In the loop's thread, or it might be in the middle of a tick.
+            self.inbox.call(self._reset)
+        except (InputError, TimeoutError) as error:
             response.message = str(error)
             return response
         response.success, response.message = True, "holding; send a goal to go on"
         return response
+
+    def _reset(self) -> None:
+        """Release a stop; raises `InputError` if there is a reason against it."""
+        if not self._started:
+            raise InputError("the controller has not seen a joint state yet")
+        if self._rivalry:
+            raise InputError(f"{self._rivalry}: end the others first")
+        self.inbox.note(Taken.RESET)
+        self._controller.reset(*self._state, self._state_ns, self._clock_ns())
 
 
 def _rehearse(controller: Controller) -> None:
@@ -234,16 +226,6 @@ def _rehearse(controller: Controller) -> None:
     controller.references.offer_postures(PostureKnots(1, (10,), q[None]), 1)
     for now_ns in (2, 20):
         controller.tick(q, v, now_ns, now_ns)
-
-
-def _rotations(quaternions: list[np.ndarray]) -> np.ndarray:
-    """Rotation matrices (H, 3, 3) of quaternions (x, y, z, w)."""
-    rotations = np.empty((len(quaternions), 3, 3))
-    for index, (x, y, z, w) in enumerate(quaternions):
-        if not 1e-6 < math.hypot(w, x, y, z) < math.inf:
-            raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
-        rotations[index] = rotation_from_quaternion((w, x, y, z))
-    return rotations
 
 
 def main() -> None:

@@ -25,11 +25,12 @@ from contact_reach_ros.nodes.interfaces import DOCTOR
 from contact_reach_ros.nodes.listening import Look
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.observer import ObserverNode
-from contact_reach_ros.nodes.parameters import Sections, check_arguments, full_name, parameters_in
+from contact_reach_ros.nodes.parameters import Sections, check_arguments
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.processes import StackOptions
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.parameter_files import full_name, parameters_in
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.settings import read_yaml
 

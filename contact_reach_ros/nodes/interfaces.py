@@ -62,7 +62,7 @@ def _node(publishes: Iterable[Topic], subscribes: Iterable[Topic], calls: Iterab
 
 
 def _managed(publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = ()) -> Interface:
-    plain = _node([*publishes, topics.DIAGNOSTICS], [*subscribes, topics.CLOCK])
+    plain = _node([*publishes, topics.DIAGNOSTICS, topics.SETTINGS], [*subscribes, topics.CLOCK])
     return Interface(
         plain.publishes | {"~/transition_event"},
         plain.subscribes,
@@ -93,12 +93,24 @@ MANAGED = {
         _STOP,
     ),
     "controller": _managed(
-        [topics.COMMANDS, topics.SHADOW_COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
+        [
+            topics.COMMANDS,
+            topics.SHADOW_COMMANDS,
+            topics.SAFETY_STATE,
+            topics.LOCKSTEP_HORIZON,
+            topics.CONTROLLER_INTAKE,
+        ],
         [topics.JOINT_STATES, topics.SAFETY_STATE, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE],
         _STOP,
     ),
     "observer": _managed(
-        [topics.EXTERNAL_TORQUE, topics.EXTERNAL_WRENCH, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
+        [
+            topics.EXTERNAL_TORQUE,
+            topics.EXTERNAL_WRENCH,
+            topics.SAFETY_STATE,
+            topics.LOCKSTEP_HORIZON,
+            topics.OBSERVER_INTAKE,
+        ],
         [topics.JOINT_STATES, topics.COMMANDS],
         _STOP,
     ),
@@ -108,7 +120,10 @@ MANAGED = {
             topics.REFERENCE_POSTURE,
             topics.PLAN_PATH,
             topics.PLAN_MARKERS,
+            topics.PLAN_STATISTICS,
+            topics.PLAN_SOLUTION,
             topics.LOCKSTEP_HORIZON,
+            topics.PLANNER_INTAKE,
         ],
         [topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE],
     ),

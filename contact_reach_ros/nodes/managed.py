@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import signal
@@ -20,6 +21,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.logging import LoggingSeverity
 from rclpy.signals import SignalHandlerOptions
 
+from contact_reach_ros import __version__
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.discovery import choose_discovery
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
@@ -32,7 +34,10 @@ from contact_reach_ros.nodes.realtime import (
     request_realtime,
     use_cpus,
 )
-from contact_reach_ros.nodes.topics import DIAGNOSTICS, Topic
+from contact_reach_ros.nodes.topics import DIAGNOSTICS, SETTINGS, Topic
+from contact_reach_ros.parameter_files import full_name
+from contact_reach_ros.recording.intake import IntakeLog, Taken
+from contact_reach_ros.settings import Settings
 
 _IDLE_NS = 100_000_000
 
@@ -63,6 +68,7 @@ class ManagedNode(LifecycleNode):
         self.running = False
         self.refused: dict[str, int] = {}
         self._diagnostics = self.create_publisher(DIAGNOSTICS.type, DIAGNOSTICS.name, DIAGNOSTICS.qos)
+        self._told_settings = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
         self._refusals: dict[str, str] = {}
         self._lines: deque[tuple[LoggingSeverity, str]] = deque()
@@ -76,6 +82,10 @@ class ManagedNode(LifecycleNode):
     def close(self) -> None:
         """Bring to an end what `on_deactivate` would, when the process ends while the node is active."""
 
+    def files(self) -> Mapping[str, Settings]:
+        """Settings that come from files of their own, by prefix, to be told with those that are parameters."""
+        return {}
+
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """A summary (empty when all is well) and values for the diagnostics topic."""
         return "", {}
@@ -86,6 +96,7 @@ class ManagedNode(LifecycleNode):
             if self.running:
                 self.turn()
             else:
+                self.inbox.run_tasks()
                 self._stop.wait(0.02)
 
     def request_stop(self) -> None:
@@ -96,6 +107,11 @@ class ManagedNode(LifecycleNode):
     def make_publisher(self, topic: Topic) -> Any:
         """Publisher for a topic of the stack."""
         return self.create_publisher(topic.type, topic.name, topic.qos)
+
+    def log_intake(self, topic: Topic) -> IntakeLog:
+        """Note from now on what the inbox handles, for a bag."""
+        self.inbox.intake = IntakeLog(self.make_publisher(topic).publish)
+        return self.inbox.intake
 
     def refuse(self, what: str, error: Exception) -> None:
         """Count refused input; the last refusal of each kind goes to the log, at most once a second."""
@@ -110,6 +126,9 @@ class ManagedNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the loop's work."""
         result = super().on_activate(state)
+        self._tell_settings()
+        # The loop does not look at its inbox yet.
+        self.inbox.note(Taken.ACTIVATE)
         self.running = result == TransitionCallbackReturn.SUCCESS
         return result
 
@@ -133,6 +152,23 @@ class ManagedNode(LifecycleNode):
             logger.warning(line)
         else:
             logger.error(line)
+
+    def _tell_settings(self) -> None:
+        """For bags: what the node runs with, each value as JSON."""
+        settings = {**self.settings, **self.files()}
+        values = {
+            full_name(prefix, entry.name): getattr(values, entry.name)
+            for prefix, values in settings.items()
+            for entry in values.declared()
+        }
+        values["use_sim_time"] = self.get_parameter("use_sim_time").value
+        self._told_settings.publish(
+            DiagnosticStatus(
+                name=self.NAME,
+                message=f"contact_reach_ros {__version__}",
+                values=[KeyValue(key=key, value=json.dumps(value)) for key, value in values.items()],
+            )
+        )
 
     def _publish_diagnostics(self) -> None:
         while self._refusals:
@@ -258,6 +294,8 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
         executor.shutdown()
         for thread in threads:
             thread.join()
+        if node.inbox.intake is not None:
+            node.inbox.intake.flush()
         node.close()
         node.write_out()
     if failures:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +10,6 @@ from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Transform, Vector3
 from numpy.typing import NDArray
 
-from contact_reach_ros.errors import InputError
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
@@ -68,47 +66,3 @@ def vector(message: Point | Vector3) -> Array:
 def quaternion(message: Quaternion) -> Array:
     """Quaternion as (x, y, z, w)."""
     return np.array([message.x, message.y, message.z, message.w])
-
-
-class JointOrder:
-    """Picks the arm's joints out of messages whose order may be any, and may change."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        """`names`: the wanted joints in the wanted order."""
-        self._names = list(names)
-        self._seen: list[str] = []
-        self._indices: list[int] | None = None
-
-    def indices(self, names: list[str], topic: str) -> list[int] | None:
-        """Where the wanted joints stand among `names`; None if they stand there in order.
-
-        Raises
-        ------
-        InputError
-            If joints are missing; topic, field and the missing names are said.
-        """
-        if names != self._seen:
-            missing = [name for name in self._names if name not in names]
-            if missing:
-                raise InputError(
-                    f"{topic}: field name lacks {', '.join(missing)}; expected all of {', '.join(self._names)}"
-                )
-            self._indices = None if names == self._names else [names.index(name) for name in self._names]
-            self._seen = list(names)
-        return self._indices
-
-    def pick(self, message: Any, field: str, topic: str) -> Array:
-        """One field of a JointState, (7,), in the wanted order.
-
-        Raises
-        ------
-        InputError
-            If joints are missing or the field has not one value for each name.
-        """
-        indices = self.indices(message.name, topic)
-        values = np.array(getattr(message, field), dtype=float)
-        if len(values) != len(self._seen):
-            raise InputError(
-                f"{topic}: {field} has {len(values)} values; expected one for each of {len(self._seen)} names"
-            )
-        return values if indices is None else values[indices]

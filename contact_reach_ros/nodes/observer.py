@@ -23,11 +23,12 @@ from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateReader, JointStateWriter, WrenchWriter, read_command
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.location import Contact, ContactLocator
-from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings, measured_torque
 from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings
-from contact_reach_ros.observer.safety import Level, SafetyMonitor, SafetySettings
+from contact_reach_ros.observer.safety import DISTRUST, Level, SafetyMonitor, SafetySettings
 from contact_reach_ros.plant.drive import checked_command
 from contact_reach_ros.plant.plant import TICK
+from contact_reach_ros.recording.intake import Taken
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.settings import Settings, setting
@@ -38,7 +39,6 @@ PRIORITY = 60
 
 NAME = "observer"
 
-DISTRUST = "distrust"
 """Key of the value of `safety_state` that says what is wrong with the joint states, when something is."""
 
 _WRENCH_EVERY = 10
@@ -114,16 +114,17 @@ class ObserverNode(ManagedNode):
         if self.settings[""].torque_source == "commanded":
             self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)
         self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
+        self._intake = self.log_intake(topics.OBSERVER_INTAKE)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         measured = self.settings[""].torque_source == "measured"
         self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name, with_effort=measured)
         self._model = RobotModel()
         self._observer = MomentumObserver(self.settings["momentum"], self._model)
-        budget = load_budget(self.settings[""].contact_budget)
-        self._monitor = SafetyMonitor(self.settings["safety"], budget)
-        self._check = PlausibilityCheck(self.settings["plausibility"], budget.contact_thresholds)
-        self._locator = ContactLocator(self._model, budget.contact_thresholds)
+        self._budget = load_budget(self.settings[""].contact_budget)
+        self._monitor = SafetyMonitor(self.settings["safety"], self._budget)
+        self._check = PlausibilityCheck(self.settings["plausibility"], self._budget.contact_thresholds)
+        self._locator = ContactLocator(self._model, self._budget.contact_thresholds)
         self._contact: Contact | None = None
         self._ticks = 0
         self._order = StampOrder()
@@ -135,6 +136,10 @@ class ObserverNode(ManagedNode):
         """Warm everything up."""
         _rehearse(MomentumObserver(self.settings["momentum"], self._model), self._locator)
         return super().on_configure(state)
+
+    def files(self) -> Mapping[str, Settings]:
+        """The contact budget."""
+        return {"budget": self._budget}
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Ticks, what was counted, and what the safety state says."""
@@ -182,17 +187,12 @@ class ObserverNode(ManagedNode):
         if self.settings[""].torque_source == "commanded":
             torque, self._commanded = self._commanded, None
             return torque
-        if effort is None:
-            raise InputError("joint_states: effort is empty; let the driver fill it, or set torque_source to commanded")
-        if np.isfinite(effort.sum()):
-            return effort
-        if np.isnan(effort).all():
-            return None
-        raise InputError(f"joint_states: effort = {effort.tolist()}; expected finite torques, or all NaN while unknown")
+        return measured_torque(effort)
 
     def _publish(self, stamp_ns: int, q: np.ndarray) -> None:
         self._ticks += 1
         self._torque.publish(self._torque_writer.write(stamp_ns, self._observer.residual))
+        self._intake.outputs += 1
         heartbeat = self._ticks % _HEARTBEAT_EVERY == 0
         if heartbeat:
             self._contact = self._locator.locate(q, self._monitor.sudden) if self._monitor.in_contact else None
@@ -241,18 +241,28 @@ class ObserverNode(ManagedNode):
         return findings
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._monitor.stop("stop service called")
+        # The loop may be slow to answer, but stops all the same.
+        self.inbox.post(self._stop_for_service)
         response.success, response.message = True, "stopped"
         return response
 
+    def _stop_for_service(self) -> None:
+        self.inbox.note(Taken.STOP)
+        self._monitor.stop("stop service called")
+
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            self._monitor.reset()
-        except InputError as error:
+            # In the loop's thread, or it might be in the middle of a state.
+            self.inbox.call(self._reset)
+        except (InputError, TimeoutError) as error:
             response.message = str(error)
             return response
         response.success, response.message = True, _MONITORING
         return response
+
+    def _reset(self) -> None:
+        self.inbox.note(Taken.RESET)
+        self._monitor.reset()
 
 
 def _rehearse(observer: MomentumObserver, locator: ContactLocator) -> None:

@@ -5,6 +5,7 @@ The loop thread is the worker that solves; the executor in a thread of its own g
 
 from __future__ import annotations
 
+import array
 import dataclasses
 import sys
 import time
@@ -14,11 +15,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from std_msgs.msg import Header
+from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension
 from trajectory_msgs.msg import (
     JointTrajectory,
     JointTrajectoryPoint,
@@ -46,13 +47,14 @@ from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.plan_markers import PlanMarkers
 from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateReader
-from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.planning.goal import ORIENTATIONS, make_goal
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.plant.plant import TICK
+from contact_reach_ros.recording.plan_record import solution_parts
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.settings import Settings, setting
@@ -122,6 +124,9 @@ class PlannerNode(ManagedNode):
         self._postures = self.make_publisher(topics.REFERENCE_POSTURE)
         self._path = self.make_publisher(topics.PLAN_PATH)
         self._marker_publisher = self.make_publisher(topics.PLAN_MARKERS)
+        self._statistics = self.make_publisher(topics.PLAN_STATISTICS)
+        self._solutions = self.make_publisher(topics.PLAN_SOLUTION)
+        self._intake = self.log_intake(topics.PLANNER_INTAKE)
         self._lockstep: bool = self.get_parameter("use_sim_time").value
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
@@ -136,6 +141,7 @@ class PlannerNode(ManagedNode):
         self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name)
         self._model = RobotModel()
         self._planner: RecedingHorizonPlanner | None = None
+        self._budget = ContactBudget()
         self._goal: Goal | None = None
         self._early_goal: PoseStamped | None = None
         self._spheres = Spheres.none()
@@ -166,7 +172,7 @@ class PlannerNode(ManagedNode):
         """Compile the solver."""
         settings = self.settings[""]
         try:
-            budget = load_budget(settings.contact_budget)
+            self._budget = budget = load_budget(settings.contact_budget)
             planning = self.settings["planning"]
             if self._lockstep:
                 # A deadline on the wall clock would let the result depend on how busy the machine is.
@@ -187,6 +193,10 @@ class PlannerNode(ManagedNode):
         """Wait for a goal."""
         self._withdraw()
         return super().on_activate(state)
+
+    def files(self) -> Mapping[str, Settings]:
+        """The contact budget."""
+        return {"budget": self._budget}
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Plans, solve times and the parts of the last plan's cost."""
@@ -260,12 +270,44 @@ class PlannerNode(ManagedNode):
         goal, spheres = self._reaction.goal(goal), self._reaction.spheres(self._spheres)
         plan = self._planner.plan(q, v, now_ns, effect_ns, goal, spheres)
         self._publish(plan)
+        self._intake.outputs += 1
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
         self._recent_ns.append(took_ns)
         self._late += took_ns > effect_ns - now_ns
         self._plan = plan
         self._show(plan)
+        self._tell(plan, now_ns, took_ns)
+
+    def _tell(self, plan: Plan, state_ns: int, took_ns: int) -> None:
+        """For bags: how the plan was found, and what it takes to find it again."""
+        planner = self._planner
+        if planner is None or planner.memory is None:
+            return
+        values = {
+            "plan": plan.number,
+            "state ns": state_ns,
+            # The planner has counted this plan already.
+            "plans since reset": planner.since_reset - 1,
+            "steps": plan.steps,
+            "stop reason": plan.stop_reason,
+            "solve ms": 1000 * plan.solve_s,
+            "took ms": took_ns / 1e6,
+            "non-finite candidates": plan.rejected,
+            "spheres left out": plan.left_out,
+            "cost": plan.cost,
+            **{f"cost {name}": value for name, value in plan.cost_terms.items()},
+            **self._reaction.told(),
+        }
+        status = DiagnosticStatus(name=NAME, message=plan.stop_reason)
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        header = Header(stamp=to_time(plan.effect_ns), frame_id=iiwa14.BASE_NAME)
+        self._statistics.publish(DiagnosticArray(header=header, status=[status]))
+        parts = solution_parts(plan, planner.memory)
+        message = Float32MultiArray()
+        message.layout.dim = [MultiArrayDimension(label=name, size=part.size) for name, part in parts.items()]
+        message.data = array.array("f", np.concatenate([part.ravel() for part in parts.values()]).tobytes())
+        self._solutions.publish(message)
 
     def _show(self, plan: Plan) -> None:
         if self._markers is not None and plan.effect_ns >= self._markers_due_ns:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from contact_reach_ros.nodes.parameters import parameters_in
 from contact_reach_ros.observer.budget import budget_file
+from contact_reach_ros.parameter_files import parameters_in
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.scenes.files import read_scene, scene_file
 from contact_reach_ros.scenes.scene import SceneFile

@@ -9,10 +9,14 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import queue
+import threading
+import time
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from enum import Enum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -22,6 +26,11 @@ from rclpy.subscription import Subscription
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes.topics import Topic
+from contact_reach_ros.recording.intake import CODES, IntakeLog
+
+_T = TypeVar("_T")
+
+_PATIENCE_S = 2.0
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
@@ -166,6 +175,8 @@ class _Listened(NamedTuple):
     handle: Callable[[Any], None]
     single: bool
     """Whether there is never more than one message to take."""
+    code: int
+    """What the intake log calls it, 0 for what is not noted."""
 
 
 class Inbox:
@@ -181,8 +192,14 @@ class Inbox:
         self._subscriptions: list[_Listened] = []
         self._wake = node.create_guard_condition(lambda: None, callback_group=self._group)
         self._wait_set: Any = None
+        self._tasks: deque[Callable[[], None]] = deque()
+        self._thread = 0
         self.received_ns = 0
         """When the message being handled came in, on the system clock: before this thread woke up for it."""
+        self.handled_ns = 0
+        """When it began to be handled, on the steady clock."""
+        self.intake: IntakeLog | None = None
+        """Notes what is handled, where the node makes it so."""
 
     def add(
         self, topic: Topic, handle: Callable[[Any], None], qos: QoSProfile | None = None, serialized: bool = False
@@ -204,7 +221,8 @@ class Inbox:
         subscription = self._node.create_subscription(
             topic.type, topic.name, handle, qos, callback_group=self._group, raw=serialized
         )
-        self._subscriptions.append(_Listened(subscription, topic.type, serialized, handle, qos.depth == 1))
+        code = int(CODES.get(topic.name, 0))
+        self._subscriptions.append(_Listened(subscription, topic.type, serialized, handle, qos.depth == 1, code))
         self._wait_set = None
 
     def wait(self, timeout_ns: int) -> None:
@@ -219,6 +237,7 @@ class Inbox:
             wait_set.add_subscription(listened.subscription.handle)
         wait_set.add_guard_condition(self._wake.handle)
         wait_set.wait(max(timeout_ns, 0))
+        self.run_tasks()
         for index, listened in enumerate(self._subscriptions):
             if wait_set.is_ready("subscription", index):
                 self._handle_all(listened)
@@ -228,13 +247,47 @@ class Inbox:
         for listened in self._subscriptions:
             self._handle_all(listened)
 
+    def post(self, task: Callable[[], None]) -> None:
+        """Have the loop thread do something between two messages; may be called from any thread."""
+        self._tasks.append(task)
+        self.wake()
+
+    def call(self, task: Callable[[], _T]) -> _T:
+        """The same, and wait for the result.
+
+        Raises
+        ------
+        TimeoutError
+            If the loop thread is busy for long; it will do it all the same.
+        """
+        if self._thread in (0, threading.get_ident()):
+            return task()
+        results: queue.SimpleQueue[_T] = queue.SimpleQueue()
+        self.post(lambda: results.put(task()))
+        try:
+            return results.get(timeout=_PATIENCE_S)
+        except queue.Empty:
+            raise TimeoutError(f"the loop has not answered for {_PATIENCE_S:g} s") from None
+
+    def run_tasks(self) -> None:
+        """Do what was posted; for the loop thread while it does not wait."""
+        self._thread = threading.get_ident()
+        while self._tasks:
+            self._tasks.popleft()()
+
+    def note(self, what: int) -> None:
+        """Note a call in the intake log, if there is one."""
+        self.handled_ns = time.monotonic_ns()
+        if self.intake is not None:
+            self.intake.add(what, 0, self.handled_ns)
+
     def wake(self) -> None:
         """End a wait in the loop thread; may be called from any thread."""
         self._wake.trigger()
 
     def _handle_all(self, listened: _Listened) -> None:
         """Take all messages, then handle them: those that come meanwhile have to wait, or a slow handler never ends."""
-        take = listened.subscription.handle.take_message
+        take, intake = listened.subscription.handle.take_message, self.intake
         taken = []
         while (pair := take(listened.type, listened.serialized)) is not None:
             taken.append(pair)
@@ -242,4 +295,7 @@ class Inbox:
                 break
         for message, information in taken:
             self.received_ns = information["received_timestamp"]
+            self.handled_ns = time.monotonic_ns()
+            if intake is not None and listened.code:
+                intake.add(listened.code, information["source_timestamp"], self.handled_ns)
             listened.handle(message)

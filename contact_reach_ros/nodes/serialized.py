@@ -7,7 +7,6 @@ decoded in the usual way.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,27 +18,30 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from contact_reach_ros.cdr import (
+    ARRAY_COUNT,
+    ARRAY_START,
+    COUNT,
+    HEADER,
+    JOINT_STATE_FIELDS,
+    NO_LAYOUT,
+    PLAIN_CDR,
+    STAMP,
+    STAMP_END,
+    after_string,
+    aligned,
+    joint_state_counts,
+    joint_state_starts,
+)
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds
+from contact_reach_ros.nodes.messages import nanoseconds
+from contact_reach_ros.robot.joint_order import JointOrder
 from contact_reach_ros.units import NANOSECONDS
 
 Array = NDArray[np.float64]
 
-_PLAIN_CDR = b"\x00\x01\x00\x00"
-"""Encapsulation header of plain CDR, little-endian. Alignment counts from its end."""
-
-_HEADER = len(_PLAIN_CDR)
-_STAMP = struct.Struct("<iI")
-_STAMP_END = _HEADER + _STAMP.size
-_COUNT = struct.Struct("<I")
 _DOUBLE = np.dtype("<f8")
-
-_FIELDS = ("position", "velocity", "effort")
-_NO_LAYOUT = bytes(8)
-"""The layout of a Float64MultiArray that has neither dimensions nor an offset."""
-_DATA_COUNT = _HEADER + len(_NO_LAYOUT)
-_DATA_START = _DATA_COUNT + 8
 
 
 def decode(data: bytes, message_type: type, topic: str) -> Any:
@@ -114,12 +116,12 @@ class JointStateReader:
         at = self._velocity_count
         if (
             len(data) != self._size
-            or data[_STAMP_END : self._names_end] != self._names
+            or data[STAMP_END : self._names_end] != self._names
             or data[at : at + 4] != self._count
-            or not data.startswith(_PLAIN_CDR)
+            or not data.startswith(PLAIN_CDR)
         ):
             return self._decode(data)
-        seconds, nanosec = _STAMP.unpack_from(data, _HEADER)
+        seconds, nanosec = STAMP.unpack_from(data, HEADER)
         values = np.frombuffer(data, _DOUBLE, self._values, self._start).copy()
         position, velocity, effort = values[self._position], values[self._velocity], values[self._effort]
         if self._indices is not None:
@@ -140,14 +142,14 @@ class JointStateReader:
 
     def _remember(self, data: bytes, message: JointState) -> None:
         """Find the numbers in a message whose positions and velocities are complete."""
-        if not data.startswith(_PLAIN_CDR):
+        if not data.startswith(PLAIN_CDR):
             return
         count = len(message.name)
-        starts = _field_starts(data)
-        self._start, self._names_end = starts[0], _field_counts(data)[0] + 4
-        self._names = data[_STAMP_END : self._names_end]
+        starts = joint_state_starts(data)
+        self._start, self._names_end = starts[0], joint_state_counts(data)[0] + 4
+        self._names = data[STAMP_END : self._names_end]
         self._velocity_count = starts[0] + 8 * count
-        self._count = _COUNT.pack(count)
+        self._count = COUNT.pack(count)
         # Between two fields stands the number of values in the second, padded to the size of one value.
         self._position, self._velocity = slice(0, count), slice(count + 1, 2 * count + 1)
         self._values, self._effort = 2 * count + 1, slice(0)
@@ -175,13 +177,13 @@ class JointStateWriter:
         message.header.frame_id = frame_id
         data = serialize_message(message)
         # What rclpy makes may be longer than the message.
-        self._buffer = bytearray(data[: _field_counts(data)[-1]])
-        starts = dict(zip(_FIELDS, _field_starts(self._buffer), strict=True))
+        self._buffer = bytearray(data[: joint_state_counts(data)[-1]])
+        starts = dict(zip(JOINT_STATE_FIELDS, joint_state_starts(self._buffer), strict=True))
         self._values = [np.frombuffer(self._buffer, _DOUBLE, len(names), starts[field]) for field in fields]
 
     def write(self, stamp_ns: int, *values: Array | Sequence[float]) -> bytes:
         """The message with this stamp in ns and these values, one array for each of the fields, in their order."""
-        _STAMP.pack_into(self._buffer, _HEADER, *divmod(stamp_ns, NANOSECONDS))
+        STAMP.pack_into(self._buffer, HEADER, *divmod(stamp_ns, NANOSECONDS))
         for place, value in zip(self._values, values, strict=True):
             place[:] = value
         return bytes(self._buffer)
@@ -194,13 +196,13 @@ class WrenchWriter:
         message = WrenchStamped()
         message.header.frame_id = frame_id
         data = serialize_message(message)
-        start = _aligned(_after_string(data, _STAMP_END))
+        start = aligned(after_string(data, STAMP_END))
         self._buffer = bytearray(data[: start + 6 * _DOUBLE.itemsize])
         self._values = np.frombuffer(self._buffer, _DOUBLE, 6, start)
 
     def write(self, stamp_ns: int, wrench: Array) -> bytes:
         """The message with this stamp in ns and this force and moment, (6,), N and Nm."""
-        _STAMP.pack_into(self._buffer, _HEADER, *divmod(stamp_ns, NANOSECONDS))
+        STAMP.pack_into(self._buffer, HEADER, *divmod(stamp_ns, NANOSECONDS))
         self._values[:] = wrench
         return bytes(self._buffer)
 
@@ -210,8 +212,8 @@ class CommandWriter:
 
     def __init__(self, count: int) -> None:
         data = serialize_message(Float64MultiArray(data=[0.0] * count))
-        self._buffer = bytearray(data[: _DATA_START + count * _DOUBLE.itemsize])
-        self._values = np.frombuffer(self._buffer, _DOUBLE, count, _DATA_START)
+        self._buffer = bytearray(data[: ARRAY_START + count * _DOUBLE.itemsize])
+        self._values = np.frombuffer(self._buffer, _DOUBLE, count, ARRAY_START)
 
     def write(self, values: Array) -> bytes:
         """The message with these values."""
@@ -227,39 +229,8 @@ def read_command(data: bytes) -> Array:
     InputError
         If the bytes are no Float64MultiArray.
     """
-    if data.startswith(_PLAIN_CDR + _NO_LAYOUT) and len(data) > _DATA_START:
-        (count,) = _COUNT.unpack_from(data, _DATA_COUNT)
-        if len(data) == _DATA_START + 8 * count:
-            return np.frombuffer(data, _DOUBLE, count, _DATA_START).copy()
+    if data.startswith(PLAIN_CDR + NO_LAYOUT) and len(data) > ARRAY_START:
+        (count,) = COUNT.unpack_from(data, ARRAY_COUNT)
+        if len(data) == ARRAY_START + 8 * count:
+            return np.frombuffer(data, _DOUBLE, count, ARRAY_START).copy()
     return np.array(decode(data, Float64MultiArray, topics.COMMANDS.name).data, dtype=float)
-
-
-def _field_counts(data: bytes | bytearray) -> list[int]:
-    """Where in a serialised JointState the numbers of values of position, velocity and effort stand, and its end."""
-    at = _after_string(data, _STAMP_END)
-    (names,) = _COUNT.unpack_from(data, at)
-    at += 4
-    for _ in range(names):
-        at = _after_string(data, at)
-    counts = []
-    for _ in _FIELDS:
-        counts.append(at)
-        (count,) = _COUNT.unpack_from(data, at)
-        at = _aligned(at + 4) + 8 * count if count else at + 4
-    return [*counts, at]
-
-
-def _field_starts(data: bytes | bytearray) -> list[int]:
-    """Where in a serialised JointState the values of position, velocity and effort begin, if there are any."""
-    return [_aligned(at + 4) for at in _field_counts(data)[:-1]]
-
-
-def _aligned(at: int) -> int:
-    """Where the next value stands from `at` on: aligned to 8 bytes after the encapsulation header."""
-    return _HEADER + -(-(at - _HEADER) // 8) * 8
-
-
-def _after_string(data: bytes | bytearray, at: int) -> int:
-    """Where the next number stands after the string at `at`: aligned to 4 bytes."""
-    (length,) = _COUNT.unpack_from(data, at)
-    return at + 4 + -(-length // 4) * 4

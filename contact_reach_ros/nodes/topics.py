@@ -10,7 +10,7 @@ from nav_msgs.msg import Path
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header, String
+from std_msgs.msg import Float32MultiArray, Float64MultiArray, Header, Int64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -33,6 +33,12 @@ NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 EVERY = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """What lockstep subscribers ask for."""
+
+
+LATCHED_BATCHES = QoSProfile(
+    depth=64, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""For batches of notes, which a recorder that has just found the topic shall not miss."""
 
 
 class Topic(NamedTuple):
@@ -60,6 +66,12 @@ SIM_CONTACTS = Topic("sim/contacts", JointState)
 SIM_FAULTS = Topic("sim/faults", String, QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE))
 ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
 CLOCK = Topic("clock", Clock)
+SETTINGS = Topic("settings", DiagnosticStatus, LATCHED_EVENTS)
+CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_BATCHES)
+OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_BATCHES)
+PLANNER_INTAKE = Topic("intake/planner", Int64MultiArray, LATCHED_BATCHES)
+PLAN_STATISTICS = Topic("plan/statistics", DiagnosticArray)
+PLAN_SOLUTION = Topic("plan/solution", Float32MultiArray)
 LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header)
 
 ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))

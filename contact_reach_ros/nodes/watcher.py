@@ -12,9 +12,10 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, to_point
+from contact_reach_ros.nodes.messages import nanoseconds, to_point
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor
 from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.joint_order import JointOrder
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.units import NANOSECONDS
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.settings import Settings, setting
@@ -166,6 +167,23 @@ class MomentumObserver:
         damped = jacobian.dot(jacobian.T) + damping**2 * _IDENTITY
         _, wrench, _ = lapack.dposv(damped, jacobian.dot(self.residual))
         return wrench
+
+
+def measured_torque(effort: Array | None) -> Array | None:
+    """The acting torque that joint states report, (7,), N m; None while it is unknown, as with the brakes closed.
+
+    Raises
+    ------
+    InputError
+        If the message had no efforts, or some that are not finite.
+    """
+    if effort is None:
+        raise InputError("joint_states: effort is empty; let the driver fill it, or set torque_source to commanded")
+    if np.isfinite(effort.sum()):
+        return effort
+    if np.isnan(effort).all():
+        return None
+    raise InputError(f"joint_states: effort = {effort.tolist()}; expected finite torques, or all NaN while unknown")
 
 
 def _plausible(values: Array) -> bool:

@@ -44,6 +44,10 @@ class SafetySettings(Settings):
     )
 
 
+DISTRUST = "distrust"
+"""Name of a value in safety_state: what is wrong with the joint states themselves."""
+
+
 class Level(Enum):
     """What the external torque says."""
 

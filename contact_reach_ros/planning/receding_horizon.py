@@ -39,13 +39,27 @@ _PAPER_SIGMA = 0.01
 _T = TypeVar("_T")
 
 
-class _Memory(NamedTuple):
+class Memory(NamedTuple):
     """What the next plan starts from."""
 
     plan: Plan
     goal: Goal
     best: np.ndarray
+    """(n,) the plan as the solver has it, in units of the bounds."""
     distribution: Distribution
+    """Where the solver ended."""
+
+
+class History(NamedTuple):
+    """All that a plan depends on besides its arguments: what a planner must know to make it again."""
+
+    plans: tuple[Plan, ...]
+    """Those that may be in force before it takes effect, in order."""
+    memory: Memory
+    last_state: tuple[int, Array]
+    """Time in ns and joint angles (7,) in rad that the last plan was made for."""
+    since_reset: int
+    """Plans since the planner was reset: what selects the random numbers, together with the seed."""
 
 
 class RecedingHorizonPlanner:
@@ -83,7 +97,7 @@ class RecedingHorizonPlanner:
         self._solver = self._make_solver(scaled_cost(self._objective, self._bounds))
         self._evaluate = jax.jit(self._roll_out)
         self._plans: deque[Plan] = deque(maxlen=16)
-        self._memory: _Memory | None = None
+        self._memory: Memory | None = None
         self._last_state: tuple[int, Array] | None = None
         self._number = 0
         self._since_reset = 0
@@ -129,6 +143,44 @@ class RecedingHorizonPlanner:
         """Forget the plans made so far and draw other candidates from now on, as with that seed in the settings."""
         self.reset()
         self._solver.reseed(seed)
+
+    @property
+    def memory(self) -> Memory | None:
+        """What the next plan starts from; None after a reset."""
+        return self._memory
+
+    @property
+    def size(self) -> int:
+        """Number of variables that the solver looks for."""
+        return len(self._bounds)
+
+    @property
+    def since_reset(self) -> int:
+        """Plans since the last reset."""
+        return self._since_reset
+
+    def history(self) -> History:
+        """What the next plan depends on.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to depend on: nothing was planned since the last reset.
+        """
+        if self._memory is None or self._last_state is None:
+            raise InputError("no plan since the last reset: the next one starts afresh")
+        return History(tuple(self._plans), self._memory, self._last_state, self._since_reset)
+
+    def go_on_from(self, history: History) -> None:
+        """Plan next as a planner with this history would."""
+        self.reset()
+        self._plans.extend(history.plans)
+        self._memory, self._last_state = history.memory, history.last_state
+        self._number, self._since_reset = history.memory.plan.number, history.since_reset
+
+    def limit_steps(self, steps: int | None) -> None:
+        """Take so many solver steps at most in a plan from now on; None for what the settings say."""
+        self._solver.max_steps = self._settings.max_steps if steps is None else steps
 
     def plan(
         self,
@@ -185,7 +237,7 @@ class RecedingHorizonPlanner:
         rollout, terms = self._evaluate(problem, self._points(solution.best))
         plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin)
         self._plans.append(plan)
-        self._memory = _Memory(plan, goal, solution.best, solution.distribution)
+        self._memory = Memory(plan, goal, solution.best, solution.distribution)
         self._last_state = (state_ns, q)
         return plan
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +26,7 @@ _STEP = 0.005
 """Between remembered positions of the flange, m."""
 _STIFFNESS, _DAMPING = 1e5, 500.0
 """Of what stands for the contact: it does not give way."""
+_RETREAT_TO, _TOUCHED = "retreat to", "touched"
 _RADII = {iiwa14.LINK_NAMES[capsule.link - 1]: capsule.radius for capsule in iiwa14.CAPSULES}
 
 
@@ -97,6 +100,22 @@ class ContactReaction:
         else:
             self._target = self._way_back()
         return True
+
+    def told(self) -> dict[str, str]:
+        """What changes plans now, as JSON by name, for bags; empty if nothing does."""
+        told: dict[str, str] = {}
+        if self._target is not None:
+            told[_RETREAT_TO] = json.dumps(self._target.tolist())
+        if self._spheres:
+            told[_TOUCHED] = json.dumps([place.tolist() for place in self._spheres])
+        return told
+
+    def recall(self, told: Mapping[str, str]) -> None:
+        """Change plans as then, by what `told` has said, among other values."""
+        self.reset()
+        if _RETREAT_TO in told:
+            self._target = np.array(json.loads(told[_RETREAT_TO]))
+        self._spheres = [np.array(place) for place in json.loads(told.get(_TOUCHED, "[]"))]
 
     def goal(self, goal: Goal) -> Goal:
         """The goal to plan for."""

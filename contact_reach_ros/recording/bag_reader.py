@@ -160,6 +160,11 @@ class BagReader:
                 received, sent, _, sequence, data = message
                 yield RawMessage(name, types[name], received, sent, data, sequence)
 
+    @property
+    def files(self) -> Sequence[McapFile]:
+        """The files of the bag, in their order."""
+        return self._files
+
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Messages of some topics, or of all, decoded by the definitions that the bag itself holds.
 
@@ -171,15 +176,20 @@ class BagReader:
             If the bag has no such topic.
         """
         for raw in self.raw_messages(topics):
-            if raw.topic in self._unreadable or not self._readable(raw.topic, raw.type):
-                continue
-            try:
-                decoded = self._decode(raw.data, raw.type)
-            except (SerdeError, struct.error, IndexError, ValueError) as error:
-                self._undecoded[raw.topic] += 1
-                self._first_error.setdefault(raw.topic, f"the first was received at {raw.log_time_ns} ns: {error}")
-                continue
-            yield BagMessage(raw.topic, raw.log_time_ns, raw.publish_time_ns, decoded)
+            decoded = self.decode(raw)
+            if decoded is not None:
+                yield BagMessage(raw.topic, raw.log_time_ns, raw.publish_time_ns, decoded)
+
+    def decode(self, raw: RawMessage) -> Any:
+        """One message decoded; None if that cannot be done, which `notes` tells afterwards."""
+        if raw.topic in self._unreadable or not self._readable(raw.topic, raw.type):
+            return None
+        try:
+            return self._decode(raw.data, raw.type)
+        except (SerdeError, struct.error, IndexError, ValueError) as error:
+            self._undecoded[raw.topic] += 1
+            self._first_error.setdefault(raw.topic, f"the first was received at {raw.log_time_ns} ns: {error}")
+            return None
 
     def reception_times(self, topic: str) -> np.ndarray:
         """(n,) ns since the epoch, in the order of the file, without reading messages where there is an index.

@@ -25,6 +25,7 @@ from contact_reach_ros.recording.mcap_chunks import (
     chunk_content,
     chunk_definitions,
     chunk_messages,
+    read_chunk,
     reception_times,
 )
 
@@ -121,6 +122,17 @@ class McapFile:
                 channel = channels.get(message.channel_id)
                 if channel is not None:
                     yield channel, message
+
+    def chunks(self, channels: set[int]) -> Iterator[bytes]:
+        """The unpacked chunks of an indexed file that have messages of the channels, in the order of the file."""
+        with self.path.open("rb") as stream:
+            for index in sorted(self._chunks, key=lambda index: index.chunk_start_offset):
+                if index.message_index_offsets and channels.isdisjoint(index.message_index_offsets):
+                    continue
+                try:
+                    yield read_chunk(stream, index)
+                except DAMAGE:
+                    self._damaged.add(index.chunk_start_offset)
 
     def reception_times(self) -> dict[int, np.ndarray]:
         """Times of reception, (n,) in ns since the epoch, by channel number and in the order of the file."""

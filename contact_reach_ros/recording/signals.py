@@ -8,12 +8,17 @@ those of the joint states; so an episode in lockstep, whose clock is not that of
 from __future__ import annotations
 
 import dataclasses
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.recording.bag_reader import BagMessage, BagReader
+from contact_reach_ros.cdr import COUNT, HEADER, PLAIN_CDR, after_string, text_at
+from contact_reach_ros.recording.bag_reader import BagMessage, BagReader, RawMessage
+from contact_reach_ros.recording.columns import Arrays, Collector, Column, JointStates, Stamps, array_numbers, read_raw
+from contact_reach_ros.recording.intake import COLUMNS, Taken
+from contact_reach_ros.recording.recorded_inputs import read_settings
 from contact_reach_ros.robot.iiwa14 import JOINT_NAMES
 from contact_reach_ros.units import NANOSECONDS
 
@@ -68,6 +73,15 @@ class Goal:
 
 
 @dataclasses.dataclass(frozen=True)
+class PlanStatistics:
+    """How one plan was found: when it takes effect, s, and what plan/statistics says of it."""
+
+    time: float
+    stop_reason: str
+    numbers: Mapping[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
 class EpisodeSignals:
     """What a bag tells of an episode; a series is empty where its topic was not recorded.
 
@@ -89,6 +103,20 @@ class EpisodeSignals:
         Goals in the order of time.
     diagnostics :
         Numbers from the diagnostics, by "<status>/<key>".
+    plan_times :
+        (n,) when plans take effect, s, in order.
+    plans :
+        How they were found, in the order of their effect.
+    state_sent_ns, command_sent_ns :
+        (n,) when joint states and commands were sent, ns since the epoch; in the order of their series.
+    answers_ns :
+        (n,) from the sending of a joint state to the sending of its command, ns.
+    settings :
+        By node, what it ran with.
+    in_lockstep :
+        Whether simulated time waited for the nodes.
+    notes :
+        What is odd about the messages, one sentence each.
     """
 
     origin_ns: int
@@ -101,6 +129,14 @@ class EpisodeSignals:
     safety: tuple[Event, ...]
     goals: tuple[Goal, ...]
     diagnostics: Mapping[str, Series]
+    plan_times: np.ndarray
+    plans: tuple[PlanStatistics, ...]
+    state_sent_ns: np.ndarray
+    command_sent_ns: np.ndarray
+    answers_ns: np.ndarray
+    settings: Mapping[str, Mapping[str, Any]]
+    in_lockstep: bool
+    notes: tuple[str, ...]
 
 
 def read_signals(bag: BagReader, joint_names: Sequence[str] = JOINT_NAMES, namespace: str = "/") -> EpisodeSignals:
@@ -114,34 +150,63 @@ def read_signals(bag: BagReader, joint_names: Sequence[str] = JOINT_NAMES, names
         Order of the joints in the series; messages are mapped by name.
     namespace :
         Namespace of the robot's topics.
-
-    Raises
-    ------
-    BagError
-        If the bag is damaged.
     """
     prefix = namespace.rstrip("/") + "/"
-    handlers = ("joint_states", "effort_controller/commands", "external_torque", "sim/contacts", "safety_state")
-    names = {prefix + name: name for name in (*handlers, "goal_pose", "diagnostics")}
-    received: dict[str, list[BagMessage]] = {name: [] for name in names.values()}
-    for message in bag.messages([name for name in names if name in bag.topics()]):
-        received[names[message.topic]].append(message)
-
-    clock = _Clock(received["joint_states"])
     joints = tuple(joint_names)
-    states = received["joint_states"]
-    torques = received["external_torque"]
+    states = JointStates(("position", "velocity", "effort"), joints)
+    commands, torques, contacts = Arrays(len(joints)), JointStates(("effort",), joints), JointStates(("effort",))
+    pose_stamps = Stamps()
+    safety = _SafetyChanges(bag)
+    kept: dict[str, list[RawMessage]] = {
+        name: [] for name in ("goal_pose", "diagnostics", "plan/statistics", "settings", "intake/controller")
+    }
+    handlers: dict[str, Collector | Callable[[RawMessage], None]] = {
+        "joint_states": states,
+        "effort_controller/commands": commands,
+        "external_torque": torques,
+        "sim/contacts": contacts,
+        "reference/pose": pose_stamps,
+        "safety_state": safety.add,
+        **{name: messages.append for name, messages in kept.items()},
+    }
+    read_raw(bag, {prefix + name: handler for name, handler in handlers.items()})
+
+    def decoded(name: str) -> list[BagMessage]:
+        pairs = ((raw, bag.decode(raw)) for raw in kept[name])
+        return [
+            BagMessage(raw.topic, raw.log_time_ns, raw.publish_time_ns, message)
+            for raw, message in pairs
+            if message is not None
+        ]
+
+    state = states.column()
+    clock = _Clock(state)
+    command, contact = commands.column(), contacts.column()
+    state_times = clock.of_stamps(state)
+    count = len(joints)
+    settings = {message.message.name: read_settings(message.message) for message in decoded("settings")}
+    pose_ns = pose_stamps.column().stamp_ns
+    torque = torques.column()
+    plans = [plan for message in decoded("plan/statistics") for plan in _plans(clock, message)]
     return EpisodeSignals(
         clock.origin_ns,
-        _joint_series(clock, states, joints, "position"),
-        _joint_series(clock, states, joints, "velocity"),
-        _joint_series(clock, states, joints, "effort"),
-        _command_series(clock, received["effort_controller/commands"], joints),
-        _joint_series(clock, torques, joints, "effort"),
-        _joint_series(clock, received["sim/contacts"], _all_names(received["sim/contacts"]), "effort"),
-        _changes(clock, received["safety_state"]),
-        tuple(_goal(clock, message) for message in received["goal_pose"]),
-        _diagnostics(clock, received["diagnostics"]),
+        Series(state_times, joints, state.values[:, :count]),
+        Series(state_times, joints, state.values[:, count : 2 * count]),
+        Series(state_times, joints, state.values[:, 2 * count :]),
+        Series(clock.of_receptions(command.log_ns), joints, command.values),
+        Series(clock.of_stamps(torque), joints, torque.values),
+        Series(clock.of_stamps(contact), contact.names, contact.values),
+        safety.changes(clock),
+        tuple(_goal(clock, message) for message in decoded("goal_pose")),
+        _diagnostics(clock, decoded("diagnostics")),
+        (np.sort(pose_ns[pose_ns > 0]) - clock.origin_ns) / NANOSECONDS,
+        tuple(sorted(plans, key=lambda plan: plan.time)),
+        state.publish_ns,
+        command.publish_ns,
+        _answers(command, [array_numbers(raw.data, "<i8") for raw in kept["intake/controller"]]),
+        settings,
+        any(values.get("use_sim_time") is True for values in settings.values()) or prefix + "clock" in bag.topics(),
+        _oddities({"joint_states": state, "external_torque": torque, "sim/contacts": contact}, command),
     )
 
 
@@ -189,74 +254,135 @@ def first_below(time: np.ndarray, values: np.ndarray, limit: float, after: float
 class _Clock:
     """Places messages on the robot's clock, in s since its first joint state."""
 
-    def __init__(self, joint_states: Sequence[BagMessage]) -> None:
-        pairs = [(state.log_time_ns, _stamp_ns(state)) for state in joint_states]
-        stamped = [(received, stamp) for received, stamp in pairs if stamp]
-        self._received_0 = stamped[0][0] if stamped else (pairs[0][0] if pairs else 0)
-        self.origin_ns = stamped[0][1] if stamped else self._received_0
-        offsets = np.array(stamped, dtype=np.int64).reshape(-1, 2) - (self._received_0, self.origin_ns)
-        self._received, self._stamps = offsets.T / NANOSECONDS
+    def __init__(self, states: Column) -> None:
+        stamped = states.stamp_ns != 0
+        received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
+        if len(stamps):
+            self._received_0, self.origin_ns = int(received[0]), int(stamps[0])
+        else:
+            self._received_0 = self.origin_ns = int(states.log_ns[0]) if len(states) else 0
+        self._received = (received - self._received_0) / NANOSECONDS
+        self._stamps = (stamps - self.origin_ns) / NANOSECONDS
 
-    def of_stamp(self, message: BagMessage) -> float:
-        """By the stamp in its header, or by reception where that is zero."""
-        stamp = _stamp_ns(message)
-        return (stamp - self.origin_ns) / NANOSECONDS if stamp else self.of_reception(message)
+    def of_stamps(self, column: Column) -> np.ndarray:
+        """By the stamps in the headers, or by reception where they are zero."""
+        times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
+        unstamped = column.stamp_ns == 0
+        times[unstamped] = self.of_receptions(column.log_ns[unstamped])
+        return times
 
-    def of_reception(self, message: BagMessage) -> float:
-        """By its time of reception."""
-        received = (message.log_time_ns - self._received_0) / NANOSECONDS
+    def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
+        """By times of reception, ns."""
+        received = (log_ns - self._received_0) / NANOSECONDS
         if not len(self._received):
             return received
-        inside = float(np.interp(received, self._received, self._stamps))
+        inside = np.interp(received, self._received, self._stamps)
         # Outside of the joint states both clocks are taken to run alike.
-        return inside + received - float(np.clip(received, self._received[0], self._received[-1]))
+        return inside + received - np.clip(received, self._received[0], self._received[-1])
+
+    def of_reception(self, log_ns: int) -> float:
+        """By one time of reception."""
+        return float(self.of_receptions(np.array([log_ns]))[0])
 
 
-def _stamp_ns(message: BagMessage) -> int:
-    stamp = message.message.header.stamp
-    return stamp.sec * NANOSECONDS + stamp.nanosec
-
-
-def _all_names(messages: Sequence[BagMessage]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for message in messages for name in message.message.name))
-
-
-def _joint_series(clock: _Clock, messages: Sequence[BagMessage], names: tuple[str, ...], field: str) -> Series:
-    """One field of JointState messages, mapped by name."""
-    columns: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
-    values = np.full((len(messages), len(names)), np.nan)
-    for row, message in enumerate(messages):
-        given = tuple(message.message.name)
-        if given not in columns:
-            shared = [name for name in names if name in given]
-            columns[given] = [names.index(name) for name in shared], [given.index(name) for name in shared]
-        into, source = columns[given]
-        numbers = getattr(message.message, field)
-        if len(numbers) == len(given):
-            values[row, into] = numbers[source]
-    return Series(np.array([clock.of_stamp(message) for message in messages]), names, values)
-
-
-def _command_series(clock: _Clock, messages: Sequence[BagMessage], names: tuple[str, ...]) -> Series:
-    values = np.full((len(messages), len(names)), np.nan)
-    for row, message in enumerate(messages):
-        if len(message.message.data) == len(names):
-            values[row] = message.message.data
-    return Series(np.array([clock.of_reception(message) for message in messages]), names, values)
-
-
-def _changes(clock: _Clock, messages: Sequence[BagMessage]) -> tuple[Event, ...]:
+class _SafetyChanges:
     """The messages that tell something new: some senders repeat their state to show that they are alive."""
-    changes: list[Event] = []
-    last: dict[str, tuple[int, str]] = {}
-    for message in messages:
-        status = message.message
+
+    def __init__(self, bag: BagReader) -> None:
+        self._bag = bag
+        self._changes: list[tuple[RawMessage, Any]] = []
+        self._last: dict[str, tuple[int, str]] = {}
+
+    def add(self, raw: RawMessage) -> None:
+        """Take a message."""
+        said = _name_level_message(raw.data)
+        if said is not None and self._last.get(said[0]) == said[1:]:
+            return
+        status = self._bag.decode(raw)
+        if status is None:
+            return
         state = (_level(status.level), status.message)
-        if last.get(status.name) != state:
-            last[status.name] = state
-            values = {entry.key: entry.value for entry in status.values}
-            changes.append(Event(clock.of_reception(message), state[0], status.name, status.message, values))
-    return tuple(changes)
+        if self._last.get(status.name) != state:
+            self._last[status.name] = state
+            self._changes.append((raw, status))
+
+    def changes(self, clock: _Clock) -> tuple[Event, ...]:
+        """All of them."""
+        return tuple(
+            Event(
+                clock.of_reception(raw.log_time_ns),
+                _level(status.level),
+                status.name,
+                status.message,
+                {entry.key: entry.value for entry in status.values},
+            )
+            for raw, status in self._changes
+        )
+
+
+def _name_level_message(data: bytes) -> tuple[str, int, str] | None:
+    """What a serialised DiagnosticStatus begins with; None if it is not plain."""
+    try:
+        if not data.startswith(PLAIN_CDR):
+            return None
+        name_at = HEADER + COUNT.size
+        message_at = after_string(data, name_at)
+        return text_at(data, name_at), data[HEADER], text_at(data, message_at)
+    except (struct.error, UnicodeDecodeError):
+        return None
+
+
+def _plans(clock: _Clock, message: BagMessage) -> list[PlanStatistics]:
+    stamp = message.message.header.stamp
+    time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
+    plans = []
+    for status in message.message.status:
+        values = {entry.key: entry.value for entry in status.values}
+        numbers = {key: number for key, value in values.items() if (number := _number(value)) is not None}
+        plans.append(PlanStatistics(time, values.get("stop reason", status.message), numbers))
+    return plans
+
+
+def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns, by what the controller says it took in."""
+    rows = [batch[1:].reshape(-1, len(COLUMNS)) for batch in batches if len(batch) % len(COLUMNS) == 1]
+    if not rows or not commands.sequence.any():
+        return np.zeros(0, np.int64)
+    taken = np.concatenate(rows)
+    taken = taken[taken[:, 0] == Taken.JOINT_STATES]
+    # The command that follows has the next number.
+    order = np.argsort(commands.sequence, kind="stable")
+    numbers = commands.sequence[order]
+    at = np.searchsorted(numbers, taken[:, 3] + 1)
+    known = at < len(numbers)
+    known[known] = numbers[at[known]] == taken[known, 3] + 1
+    answers = commands.publish_ns[order][at[known]] - taken[known, 1]
+    return answers[(answers >= 0) & (answers < NANOSECONDS)]
+
+
+def _oddities(columns: Mapping[str, Column], commands: Column) -> tuple[str, ...]:
+    notes = [
+        f"{name}: {column.refused} messages cannot be read and are left out"
+        for name, column in {**columns, "effort_controller/commands": commands}.items()
+        if column.refused
+    ]
+    for name, column in columns.items():
+        back = int((np.diff(column.stamp_ns) < 0).sum())
+        if back:
+            notes.append(f"{name}: {back} stamps are older than the one before; curves follow the stamps")
+    states = columns["joint_states"]
+    if len(states) and np.isnan(states.values[:, : len(states.names) // 3]).all():
+        notes.append(
+            f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
+        )
+    return tuple(notes)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _level(level: Any) -> int:
@@ -267,7 +393,7 @@ def _level(level: Any) -> int:
 def _goal(clock: _Clock, message: BagMessage) -> Goal:
     position, orientation = message.message.pose.position, message.message.pose.orientation
     return Goal(
-        clock.of_reception(message),
+        clock.of_reception(message.log_time_ns),
         message.message.header.frame_id,
         np.array([position.x, position.y, position.z]),
         np.array([orientation.x, orientation.y, orientation.z, orientation.w]),
@@ -277,12 +403,11 @@ def _goal(clock: _Clock, message: BagMessage) -> Goal:
 def _diagnostics(clock: _Clock, messages: Sequence[BagMessage]) -> dict[str, Series]:
     found: dict[str, list[tuple[float, float]]] = {}
     for message in messages:
-        time = clock.of_reception(message)
+        time = clock.of_reception(message.log_time_ns)
         for status in message.message.status:
             for entry in status.values:
-                try:
-                    number = float(entry.value)
-                except ValueError:
+                number = _number(entry.value)
+                if number is None:
                     continue
                 found.setdefault(f"{status.name}/{entry.key}", []).append((time, number))
     return {key: Series(np.array(pairs)[:, 0], (key,), np.array(pairs)[:, 1:]) for key, pairs in found.items()}

@@ -82,13 +82,15 @@ class Episode:
     Parameters
     ----------
     bag
-        Directory or file.
+        Directory, file, or a reader of one.
     flange_position
         Forward kinematics, (7,) rad to (3,) m.
     least_duration
         Shortest time, s, from the flange's position at the start to the target's, both (3,) m.
     end_ns
         Stamp at which the episode ends, for example before the stack was shut down; the last joint state when None.
+    signals
+        The signals of the bag where they have been read already.
 
     Raises
     ------
@@ -98,16 +100,17 @@ class Episode:
 
     def __init__(
         self,
-        bag: Path,
+        bag: Path | BagReader,
         flange_position: Callable[[np.ndarray], np.ndarray],
         least_duration: Callable[[np.ndarray, np.ndarray], float],
         end_ns: int | None = None,
+        signals: EpisodeSignals | None = None,
     ) -> None:
-        self._reader = BagReader(bag)
-        self._signals = read_signals(self._reader)
+        reader = bag if isinstance(bag, BagReader) else BagReader(bag)
+        self._signals = read_signals(reader) if signals is None else signals
         self._time, self._distance = goal_distance(self._signals, flange_position)
         if not len(self._time):
-            raise BagError(f"{bag}: holds no goal with joint states; record goal_pose and joint_states")
+            raise BagError(f"{reader.summary.path}: holds no goal with joint states; record goal_pose and joint_states")
         origin_ns = self._signals.origin_ns
         self._end = float(self._time[-1]) if end_ns is None else (end_ns - origin_ns) / NANOSECONDS
         self._start = self._signals.goals[0].time
@@ -118,6 +121,21 @@ class Episode:
         target = self._signals.goals[0].position
         self._straight = float(np.linalg.norm(target - start_position))
         self._least_duration = least_duration(start_position, target)
+
+    @property
+    def start(self) -> float:
+        """When the first goal was sent, s since the first joint state."""
+        return self._start
+
+    @property
+    def reached(self) -> float | None:
+        """When the goal was reached, s since the first joint state."""
+        return self._reached
+
+    @property
+    def distance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Time (n,) in s since the first joint state, and distance (n,) of the flange from the goal, m."""
+        return self._time, self._distance
 
     def summary(self) -> EpisodeSummary:
         """The numbers."""
@@ -185,12 +203,9 @@ class Episode:
 
     def _greatest_plan_age(self) -> float:
         """Seconds; NaN without plans."""
-        recorded = [name for name in ("/reference/pose",) if name in self._reader.topics()]
-        headers = [message.message.header for message in self._reader.messages(recorded)]
-        stamps = [header.stamp.sec * NANOSECONDS + header.stamp.nanosec for header in headers]
-        if not stamps:
+        effects = self._signals.plan_times
+        if not len(effects):
             return float("nan")
-        effects = (np.array(sorted(stamps)) - self._signals.origin_ns) / NANOSECONDS
         ticks = self._signals.position.time
         ticks = ticks[(ticks >= effects[0]) & (ticks <= self._end)]
         return _largest(ticks - effects[np.searchsorted(effects, ticks, side="right") - 1])

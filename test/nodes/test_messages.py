@@ -5,8 +5,9 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes.messages import JointOrder, nanoseconds, set_time, to_quaternion, to_time
+from contact_reach_ros.nodes.messages import nanoseconds, set_time, to_quaternion, to_time
 from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.joint_order import JointOrder
 from contact_reach_ros.robot.kinematics import rotation_about
 
 

@@ -7,9 +7,9 @@ from contact_reach_ros.nodes import bringup, topics
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
-from contact_reach_ros.nodes.parameters import full_name
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
+from contact_reach_ros.parameter_files import full_name
 from contact_reach_ros.resources import share_directory
 
 SECTIONS = {

@@ -1,5 +1,7 @@
 """A planner that plans again and again."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from arm_simulation import HOME, REST, ideal_plant
@@ -11,6 +13,7 @@ from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.prediction import reference_at
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.plant.plant import Actuation
+from contact_reach_ros.recording.plan_record import distribution_of, solution_parts
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.robot.model import RobotModel
 
@@ -201,3 +204,22 @@ def test_warm_up_tells_what_it_does(warm_planner):
     warm_planner.warm_up(lines.append)
     assert len(lines) >= 3
     assert "ready" in lines[-1]
+
+
+def test_a_plan_can_be_made_again_from_what_a_bag_keeps(planner):
+    for start in range(0, 30, 10):
+        plan_from(planner, state=start, effect=start + 40)
+    history = planner.history()
+    memory = history.memory
+    first = plan_from(planner, state=30, effect=70)
+    # Numbered so that it is kept with the distribution.
+    numbered = dataclasses.replace(memory.plan, number=1)
+    parts = solution_parts(numbered, memory)
+    kept = memory._replace(best=parts["best"], distribution=distribution_of(parts))
+    plan_from(planner, goal=Goal(FLANGE), state=80, effect=120)
+    planner.go_on_from(history._replace(memory=kept))
+    again = plan_from(planner, state=30, effect=70)
+    assert again.number == first.number
+    for name in ("positions", "rotations", "postures", "predicted_q"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+    assert again.cost_terms == first.cost_terms

@@ -77,3 +77,16 @@ def test_a_planner_without_spheres_retreats_and_one_that_ignores_does_nothing():
     it = reaction("ignore")
     assert not any(it.report(touch(), HOME, Spheres.none(), tick * TICK_NS) for tick in range(100))
     assert it.goal(GOAL) is GOAL and not it.reason
+
+
+@pytest.mark.parametrize("kind", ["retreat", "replan"])
+def test_what_is_told_for_bags_changes_plans_alike(kind):
+    it, other = reaction(kind), reaction(kind)
+    assert it.told() == {}
+    for tick in (0, 10):
+        it.report(touch(), HOME, Spheres.none(), tick * TICK_NS)
+    other.recall({"plan": "3", **it.told()})
+    np.testing.assert_array_equal(other.goal(GOAL).position, it.goal(GOAL).position)
+    np.testing.assert_array_equal(other.spheres(Spheres.none()).center, it.spheres(Spheres.none()).center)
+    other.recall({"plan": "4"})
+    assert other.goal(GOAL) is GOAL and len(other.spheres(Spheres.none())) == 0

@@ -98,6 +98,8 @@ class HybridSolver(Generic[ProblemT]):
         self._cost = cost
         self._settings = settings
         self._seed = settings.seed
+        self.max_steps = settings.max_steps
+        """In one call of `solve`."""
         self._rates = Rates.of(n, settings.elite)
         self._gradient_steps = {"hybrid": 1, "cma": 0, "gradient": settings.gradient_steps}[settings.solver]
         # Separate programs, so that candidates and line search share the one that costs them: half the compilation
@@ -140,7 +142,7 @@ class HybridSolver(Generic[ProblemT]):
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
-        while len(costs) <= settings.max_steps:
+        while len(costs) <= self.max_steps:
             # One step is always taken: on a machine too busy for the deadline, plans still have to get somewhere.
             if len(costs) > 1 and now + longest_step > until:
                 reason = "deadline"
