@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import sys
 import threading
@@ -26,29 +27,28 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.interfaces import STOPPABLE
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import JointOrder, quaternion, to_point, vector
 from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleMarkerReader
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.plan_markers import ARM, ELBOW, FLANGE
+from contact_reach_ros.nodes.processes import DEFAULT_PARAMETERS, TUNABLE, VIEWER
 from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.serialized import JointStateReader, decode
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.resources import config_file
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import rotation_from_quaternion
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.viewer.access import is_loopback, serve
+from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.frame import Level, PlanPicture, Status
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page, Parameter, Source
 from contact_reach_ros.viewer.recorded import Decoders, Recording
 from contact_reach_ros.viewer.settings import ViewerSettings
 
-NAME = "viewer"
 TITLE = "contact_reach_ros"
-STOPPABLE = ("controller", "observer", "driver")
-"""Nodes with the services ~/stop and ~/reset."""
-TUNABLE = ("planner", "controller", "observer", "driver")
 BRINGUP = "bringup"
 
 _ANSWER_S = 3.0
@@ -117,7 +117,7 @@ def read_numbers(data: bytes) -> dict[str, float]:
 class ViewerNode(ManagedNode):
     """Keeps the page up to date."""
 
-    NAME = NAME
+    NAME = VIEWER
     SECTIONS: ClassVar[Sections] = {"": ViewerSettings}
 
     def __init__(self) -> None:
@@ -151,12 +151,12 @@ class ViewerNode(ManagedNode):
             bag.resolve().parent if settings.bag else Path(settings.bags),
             lambda path: Recording(path, make_decoders()),
         )
-        self._page = Page(self._server, source, load_budget(settings.contact_budget))
-        if settings.bag:
-            self._page.open(source.open_bag(bag))
-        host = settings.address if is_loopback(settings.address) else "<this machine>"
-        more = "/?token=<token>" if settings.token else ""
-        self.get_logger().info(f"open http://{host}:{self._server.get_port()}{more}")
+        budget = load_budget(settings.contact_budget)
+        recording = source.open_bag(bag) if settings.bag else None
+        self._page = call(self._server, lambda: Page(self._server, source, budget, settings.shadows))
+        if recording is not None:
+            call(self._server, lambda: self._page.open(recording))
+        self.get_logger().info(f"open {settings.page_address(self._server.get_port())}")
 
     def loop(self) -> None:
         """Take turns; the page starts to wait for joint states now."""
@@ -171,7 +171,7 @@ class ViewerNode(ManagedNode):
         began_ns = time.monotonic_ns()
         self._due = max(self._due + self._period, time.monotonic())
         self.inbox.poll()
-        self._page.turn(time.monotonic())
+        call(self._server, lambda: self._page.turn(time.monotonic()))
         self._busy_ns += time.monotonic_ns() - began_ns
         self._turns += 1
 
@@ -408,6 +408,24 @@ def _numbers(message: DiagnosticArray) -> dict[str, float]:
             except ValueError:
                 continue
     return found
+
+
+def view(chosen: Mapping[str, Any], parameters: Path | None) -> int:
+    """Run the viewer with some of its parameters; returns the exit code.
+
+    Parameters
+    ----------
+    chosen
+        By the names of `ViewerSettings`.
+    parameters
+        Parameter file; the package's own when None.
+    """
+    file = parameters or config_file(DEFAULT_PARAMETERS)
+    arguments = [VIEWER, "--ros-args", "--params-file", str(file)]
+    for name, value in chosen.items():
+        # JSON is YAML: quoted, a text stays a text.
+        arguments += ["-p", f"{name}:={json.dumps(value if isinstance(value, int) else str(value))}"]
+    return run(ViewerNode, Role.BACKGROUND, arguments)
 
 
 def main() -> None:

@@ -7,17 +7,17 @@ any other page in the same browser could send one too. On another address it ask
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import hmac
 import http
 import io
-import ipaddress
 import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 import viser
@@ -27,6 +27,9 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.viewer.settings import is_loopback
+
+T = TypeVar("T")
 
 TOKEN_LENGTH = 16
 """Least number of characters of a token."""
@@ -36,16 +39,6 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]+")
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 _patching = threading.Lock()
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an address."""
-    if address == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 def check_access(address: str, token: str) -> None:
@@ -156,6 +149,15 @@ def serve(address: str, port: int, token: str, label: str) -> viser.ViserServer:
     # Any visitor could ask for a public address on the internet.
     server._websock_server.unregister_handler(viser_messages.ShareUrlRequest)
     return server
+
+
+def call(server: viser.ViserServer, function: Callable[[], T]) -> T:
+    """Call a function in the server's own thread, wait for it, and return what it does."""
+
+    async def run() -> T:
+        return function()
+
+    return asyncio.run_coroutine_threadsafe(run(), server.get_event_loop()).result()
 
 
 def _listen(address: str, port: int) -> socket.socket:

@@ -10,7 +10,10 @@ from contact_reach_ros.viewer.colours import BANNER, SILENT, share_gradient
 from contact_reach_ros.viewer.frame import Frame, Level
 from contact_reach_ros.viewer.live import SILENCE
 
-_PLACE = "position:fixed;left:10px;z-index:150;max-width:min(620px,calc(100vw - 20px));pointer-events:none"
+_OVER = (
+    "position:fixed;left:10px;top:10px;z-index:150;pointer-events:none;display:flex;flex-direction:column;gap:8px;"
+    "align-items:flex-start;max-width:min(620px,calc(100vw - 20px))"
+)
 _CONTROLLER = "controller"
 
 
@@ -39,16 +42,15 @@ def banner_text(frame: Frame | None, silence: float | None) -> tuple[Level | Non
 
 
 class Banner:
-    """Banner and legend."""
+    """Banner and legend, in the upper left corner of the window."""
 
     def __init__(self, server: viser.ViserServer, thresholds: tuple[float, ...]) -> None:
         self._shown = ""
         self._handle = server.gui.add_html("")
-        low, high = min(thresholds), max(thresholds)
-        server.gui.add_html(
-            f'<div style="{_PLACE};bottom:10px;width:230px;padding:6px 10px;border-radius:6px;font-size:12px;'
-            'line-height:1.4;background:rgba(255,255,255,0.85);color:#222222">Links: external torque as a share of '
-            f"what stops the arm ({low:g} to {high:g} Nm)"
+        self._legend = (
+            '<div style="width:230px;padding:6px 10px;border-radius:6px;font-size:12px;line-height:1.4;'
+            'background:rgba(255,255,255,0.85);color:#222222">Links: external torque as a share of what stops the arm '
+            f"({min(thresholds):g} to {max(thresholds):g} Nm)"
             f'<div style="height:10px;border-radius:3px;margin-top:3px;background:{share_gradient()}"></div>'
             '<div style="display:flex;justify-content:space-between"><span>0 %</span><span>50 %</span>'
             "<span>100 %</span></div></div>"
@@ -59,11 +61,10 @@ class Banner:
         level, headline, more = banner_text(frame, silence)
         ground, ink = SILENT if level is None else BANNER[level]
         content = (
-            f'<div class="contact-reach-banner" style="{_PLACE};top:10px;background:{ground};color:{ink};'
-            'border-radius:8px;padding:8px 16px;line-height:1.3">'
-            f'<div style="font-size:13px">{html.escape(source)}</div>'
+            f'<div style="{_OVER}"><div style="background:{ground};color:{ink};border-radius:8px;padding:8px 16px;'
+            f'line-height:1.3"><div style="font-size:13px">{html.escape(source)}</div>'
             f'<div style="font-size:26px;font-weight:700">{html.escape(headline)}</div>'
-            f'<div style="font-size:15px">{html.escape(more)}</div></div>'
+            f'<div style="font-size:15px">{html.escape(more)}</div></div>{self._legend}</div>'
         )
         if content != self._shown:
             self._shown = content

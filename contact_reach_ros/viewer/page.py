@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import threading
+import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import viser
@@ -26,6 +26,7 @@ from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.scene import ScenePart, Wish
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 _PLOT_PERIOD = 0.2
 _REACH_PERIOD = 0.15
@@ -105,21 +106,20 @@ class Source:
 class Page:
     """The page on a server.
 
-    `turn` has to be called again and again, at most as often as the page is to move.
+    `turn` has to be called again and again, at most as often as the page is to move. All is to be called in the
+    server's own thread (`access.call`): viser's buffers are not safe in others. What takes long is done elsewhere.
     """
 
-    def __init__(self, server: viser.ViserServer, source: Source, budget: ContactBudget) -> None:
+    def __init__(self, server: viser.ViserServer, source: Source, budget: ContactBudget, shadows: bool = True) -> None:
         self._server = server
         self._source = source
         self._player: Player | None = None
-        self._opened: list[Player | None] = []
-        """Players that took over in another thread; the last one counts."""
-        self._lock = threading.Lock()
         self._frame: Frame | None = None
         self._plots_due = self._reach_due = self._timeline_due = 0.0
         self._asked: Array | None = None
         self._last = 0.0
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        server.scene.configure_default_lights(cast_shadow=shadows)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(360)
         self._scene = ScenePart(server, budget.torque_thresholds, budget.permitted_force)
@@ -145,11 +145,6 @@ class Page:
     def turn(self, clock: float) -> None:
         """Bring the page up to date; `clock` is a steady clock, s."""
         passed, self._last = clock - self._last, clock
-        with self._lock:
-            if self._opened:
-                self._player = self._opened[-1]
-                self._opened.clear()
-                self._plots_due = 0.0
         live = self._source.live
         frame = live.frame() if live is not None else None
         if not self._server.get_clients():
@@ -179,25 +174,24 @@ class Page:
         self._show_reach(clock)
 
     def open(self, recording: Recording | None) -> None:
-        """Show a recording, or the running stack again. May be called in any thread."""
-        player = None if recording is None else Player(recording)
-        self._bag.take(player)
-        with self._lock:
-            self._opened.append(player)
+        """Show a recording, or the running stack again."""
+        self._player = None if recording is None else Player(recording)
+        self._plots_due = 0.0
+        self._bag.take(self._player)
 
     def bags(self) -> list[str]:
         """Names of the bags that can be opened."""
         folder = self._source.bags
         return sorted((file.parent.name for file in folder.glob("*/*.mcap")), reverse=True) if folder.is_dir() else []
 
-    def open_by_name(self, name: str) -> None:
+    async def open_by_name(self, name: str) -> None:
         """Open one of `bags`; what is wrong with it is said on the page."""
         if name not in self.bags():
             self.say(f"there is no bag '{name}' in {self._source.bags}")
             return
         self.say(f"opening {name} ...")
         try:
-            self.open(self._source.open_bag(self._source.bags / name))
+            self.open(await _elsewhere(self._source.open_bag, self._source.bags / name))
         except ContactReachError as error:
             self.say(str(error))
             return
@@ -219,12 +213,12 @@ class Page:
         reset = gui.add_button("Reset", color="gray", icon=viser.Icon.REFRESH, hint="release the stop of the live arm")
 
         @stop.on_click
-        def _(_: Any) -> None:
-            self.say(actions.stop())
+        async def _(_: Any) -> None:
+            self.say(await _elsewhere(actions.stop))
 
         @reset.on_click
-        def _(_: Any) -> None:
-            self.say(actions.reset())
+        async def _(_: Any) -> None:
+            self.say(await _elsewhere(actions.reset))
 
     def _add_goal(self, actions: Actions) -> None:
         gui = self._server.gui
@@ -245,16 +239,16 @@ class Page:
         wish.show(False)
 
         @field.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
+        async def _(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is not None:
                 wish.put(np.array(event.target.value))
 
         @send.on_click
-        def _(_: Any) -> None:
-            self.say(actions.send_goal(wish.position))
+        async def _(_: Any) -> None:
+            self.say(await _elsewhere(actions.send_goal, wish.position.copy()))
 
         @here.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             self._place_wish()
 
     def _place_wish(self) -> None:
@@ -310,15 +304,15 @@ class _BagPart:
         self._folder = gui.add_folder("Playback", visible=False)
 
         @open_it.on_click
-        def _(_: Any) -> None:
-            page.open_by_name(self._choice.value)
+        async def _(_: Any) -> None:
+            await page.open_by_name(self._choice.value)
 
         @again.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             self._choice.options = page.bags() or ["none"]
 
         @self._back.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             page.open(None)
 
     def take(self, player: Player | None) -> None:
@@ -367,26 +361,31 @@ class _BagPart:
         self._parts = [slider, self._play, speed, step, jump, self._event, table]
 
         @slider.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
+        async def _(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is not None:
                 player.seek(float(event.target.value))
 
         @self._play.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             player.toggle()
 
         @speed.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
+        async def _(event: viser.GuiEvent[Any]) -> None:
             player.speed = float(event.target.value)
 
         @step.on_click
-        def _(event: viser.GuiEvent[Any]) -> None:
+        async def _(event: viser.GuiEvent[Any]) -> None:
             player.step({"− 1 tick": -1, "+ 1 tick": 1, "+ 10 ticks": 10}[event.target.value])
 
         @jump.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             if not player.jump():
                 self._page.say("no contact after this")
+
+
+async def _elsewhere(function: Callable[..., T], *arguments: Any) -> T:
+    """Call what takes long in another thread."""
+    return await asyncio.get_running_loop().run_in_executor(None, function, *arguments)
 
 
 def _add_episode(server: viser.ViserServer, actions: Actions, say: Callable[[str], None]) -> None:
@@ -398,8 +397,8 @@ def _add_episode(server: viser.ViserServer, actions: Actions, say: Callable[[str
     restart = gui.add_button("Restart episode", icon=viser.Icon.RELOAD)
 
     @restart.on_click
-    def _(_: Any) -> None:
-        say(actions.restart(str(scene.value), int(seed.value)))
+    async def _(_: Any) -> None:
+        say(await _elsewhere(actions.restart, str(scene.value), int(seed.value)))
 
 
 class _TunePart:
@@ -418,18 +417,19 @@ class _TunePart:
         self._folder = gui.add_folder("Parameters", visible=False)
 
         @show.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             try:
-                self._fill(str(node.value), actions.parameters(str(node.value)))
+                chosen = str(node.value)
+                self._fill(chosen, await _elsewhere(actions.parameters, chosen))
             except ContactReachError as error:
                 say(str(error))
 
         @self._apply.on_click
-        def _(_: Any) -> None:
+        async def _(_: Any) -> None:
             changed = {
                 name: handle.value for name, (entry, handle) in self._inputs.items() if handle.value != entry.value
             }
-            say(actions.apply(self._node, changed) if changed else "nothing is changed")
+            say(await _elsewhere(actions.apply, self._node, changed) if changed else "nothing is changed")
 
     def _fill(self, node: str, entries: Sequence[Parameter]) -> None:
         for _, handle in self._inputs.values():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import threading
 
 from contact_reach_ros.viewer.recorded import Recording
 
@@ -11,7 +10,7 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
 class Player:
-    """Where in a recording the page is. To be used from several threads.
+    """Where in a recording the page is.
 
     Attributes
     ----------
@@ -28,7 +27,6 @@ class Player:
         self.playing = False
         self.speed = 1.0
         self._time = 0.0
-        self._lock = threading.Lock()
 
     @property
     def time(self) -> float:
@@ -37,39 +35,34 @@ class Player:
 
     def advance(self, seconds: float) -> None:
         """Let time pass; at the end of the recording it stops."""
-        with self._lock:
-            if self.playing:
-                self._go(self._time + seconds * self.speed)
-                self.playing = self._time < self.recording.duration
+        if self.playing:
+            self._go(self._time + seconds * self.speed)
+            self.playing = self._time < self.recording.duration
 
     def toggle(self) -> None:
         """Play or pause; from the end, play from the start."""
-        with self._lock:
-            if not self.playing and self._time >= self.recording.duration:
-                self._time = 0.0
-            self.playing = not self.playing
+        if not self.playing and self._time >= self.recording.duration:
+            self._time = 0.0
+        self.playing = not self.playing
 
     def seek(self, time: float) -> None:
         """Go to a time, s, and stay there unless it is playing."""
-        with self._lock:
-            self._go(time)
+        self._go(time)
 
     def step(self, ticks: int) -> None:
         """Pause, and go some joint states forth, or back."""
-        with self._lock:
-            self.playing = False
-            row = self.recording.tick(self._time) + ticks
-            self._go(float(self.recording.ticks[min(max(row, 0), len(self.recording.ticks) - 1)]))
+        self.playing = False
+        row = self.recording.tick(self._time) + ticks
+        self._go(float(self.recording.ticks[min(max(row, 0), len(self.recording.ticks) - 1)]))
 
     def jump(self) -> bool:
         """Pause at the start of the next contact; returns whether there is one."""
-        with self._lock:
-            time = self.recording.next_contact(self._time)
-            if time is None:
-                return False
-            self.playing = False
-            self._go(time)
-            return True
+        time = self.recording.next_contact(self._time)
+        if time is None:
+            return False
+        self.playing = False
+        self._go(time)
+        return True
 
     def last_event(self) -> str:
         """What happened last, in words; empty before the first event."""

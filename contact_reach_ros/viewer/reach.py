@@ -15,7 +15,7 @@ from contact_reach_ros.robot.workspace import unreachable
 
 Array = NDArray[np.float64]
 
-_SEEDS = 12
+_SEEDS = 6
 _MARGIN = 0.05
 """To the joint limits, rad."""
 
@@ -43,7 +43,7 @@ def reach(position: Array, q: Array) -> Reach:
     """
     refused = unreachable(position)
     if refused:
-        return Reach(False, f"will be refused: {refused}")
+        return Reach(False, f"will be refused: the position {refused}")
     generator = np.random.default_rng(0)
     limits = np.array(iiwa14.POSITION_LIMITS) - _MARGIN
     # The same seeds each time, so that the answer does not flicker while the goal stands still.

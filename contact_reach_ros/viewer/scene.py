@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import trimesh
 import viser
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.palette import BLUE, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILION, rgb
 from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.rendering.parts import DARK, FOAM, NODE, link_shapes
-from contact_reach_ros.rendering.shapes import Cylinder, Shape, Sphere, as_mesh
+from contact_reach_ros.rendering.shapes import Cylinder, Shape, as_mesh
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.scenes.spheres import FIXED_STIFFNESS
@@ -32,7 +33,7 @@ _NEWTON = 0.02
 """Length of an arrow for each newton, m."""
 _GHOST_OPACITY = 0.22
 _UNIT_CYLINDER = as_mesh(Cylinder(np.array([0.0, 0.0, -0.5]), np.array([0.0, 0.0, 0.5]), 1.0, (1.0, 1.0, 1.0, 1.0)))
-_UNIT_SPHERE = as_mesh(Sphere(np.zeros(3), 1.0, (1.0, 1.0, 1.0, 1.0)))
+_COARSE, _FINE = (trimesh.creation.icosphere(subdivisions=steps) for steps in (1, 3))
 
 
 class ScenePart:
@@ -60,8 +61,8 @@ class ScenePart:
             "/floor", width=3.0, height=3.0, cell_size=0.1, section_size=0.5, plane="xy", shadow_opacity=0.15
         )
         scene.world_axes.visible = False
-        server.initial_camera.position = (1.5, -1.5, 1.15)
-        server.initial_camera.look_at = (0.2, 0.0, 0.38)
+        server.initial_camera.position = (1.2, -1.25, 0.95)
+        server.initial_camera.look_at = (0.25, 0.0, 0.35)
         self._goal = _ball(server, "/goal", 0.025, rgb(SKY_BLUE))
         self._goal.visible = False
 
@@ -89,7 +90,7 @@ class Wish:
     """
 
     def __init__(self, server: viser.ViserServer, moved: Callable[[Array], None]) -> None:
-        """`moved` is called, in a thread of the server, with where a user has put it."""
+        """`moved` is called with where a user has put it."""
         self.position = np.zeros(3)
         reach = iiwa14.MAX_REACH + 0.15
         limits = ((-reach, reach), (-reach, reach), (0.0, reach + iiwa14.SHOULDER_POSITION[2]))
@@ -104,7 +105,7 @@ class Wish:
         self._ball = _ball(server, "/wish/ball", 0.02, rgb(GREEN))
 
         @self._handle.on_update
-        def _(event: viser.TransformControlsEvent) -> None:
+        async def _(event: viser.TransformControlsEvent) -> None:
             self.position = np.array(event.target.position, float)
             moved(self.position)
 
@@ -217,15 +218,18 @@ class _ObstaclePart:
         colours = np.where(fixed[:, None], as_bytes(DARK), np.where(members[:, None], as_bytes(NODE), as_bytes(FOAM)))
         # Half as large as they are, the nodes of a body let one see how it deforms.
         scales = np.where(members, 0.5, 1.0) * spheres.radius
+        # There are hundreds of nodes, and not every browser has a fast graphics card.
+        mesh = _COARSE if members.any() else _FINE
         self._spheres = scene.add_batched_meshes_simple(
             "/obstacles/spheres",
-            _UNIT_SPHERE.vertices,
-            _UNIT_SPHERE.faces,
+            mesh.vertices,
+            mesh.faces,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(spheres), 1)),
             batched_positions=spheres.center,
             batched_scales=scales.astype(np.float32),
             batched_colors=colours.astype(np.uint8),
             opacity=None if members.any() else 0.75,
+            cast_shadow=not members.any(),
             lod="off",
         )
 

@@ -153,8 +153,10 @@ def chromium(folder: Path) -> Iterator[Page]:
         "--no-first-run",
         "--disable-extensions",
         "--disable-background-networking",
-        "--disable-dev-shm-usage",
         "--mute-audio",
+        "--disable-renderer-backgrounding",
+        "--disable-backgrounding-occluded-windows",
+        "--disable-background-timer-throttling",
         *(["--no-sandbox"] if os.geteuid() == 0 else []),
         "about:blank",
     ]
