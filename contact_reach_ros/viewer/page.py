@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import html
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,6 +129,7 @@ class Page:
         actions = source.actions
         if actions is not None:
             self._add_stop(actions)
+        self._said = server.gui.add_html("")
         tabs = server.gui.add_tab_group()
         if actions is not None:
             with tabs.add_tab("Goal"):
@@ -204,8 +206,7 @@ class Page:
 
     def say(self, text: str) -> None:
         """Show a line to all who look."""
-        for client in self._server.get_clients().values():
-            client.add_notification("", text, auto_close_seconds=6.0)
+        self._said.content = f'<div style="padding:0 10px 6px;font-size:13px">{html.escape(text)}</div>'
 
     def _add_stop(self, actions: Actions) -> None:
         gui = self._server.gui

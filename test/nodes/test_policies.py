@@ -79,7 +79,7 @@ def test_the_table_says_what_a_node_does_in_all_its_modes(name):
 
 
 def test_every_process_and_every_topic_of_the_stack_is_in_the_table():
-    assert {process.name for process in processes(StackOptions(bag="bag"))} == set(MANAGED) == set(NODES)
+    assert {process.name for process in processes(StackOptions(bag="bag", view=True))} == set(MANAGED) == set(NODES)
     named = {name for interface in INTERFACES.values() for name in interface.publishes | interface.subscribes}
     assert {topic.name for topic in topics.ALL} <= named
 

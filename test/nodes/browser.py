@@ -110,17 +110,28 @@ class Page:
 
     def fill(self, label: str, value: str) -> None:
         """Put a text into the input next to a label, and leave it."""
-        focused = self.wait_for(
-            f"(() => {{ const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === "
-            f"{json.dumps(label)}); for (const l of labels) {{ let n = l; for (let i = 0; i < 4 && n; i++) {{ "
-            "const e = n.querySelector('input'); if (e) { e.scrollIntoView({block: 'center'}); e.focus(); "
-            "e.select(); return true; } n = n.parentElement; } } return false; })()",
-            f"input '{label}'",
-        )
-        assert focused
+        self.press(*self._input(label))
+        self.run("document.activeElement.select()")
         self.call("Input.insertText", text=value)
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of the list next to a label."""
+        self.press(*self._input(label))
+        self.click(option, "[role=option]")
+
+    def _input(self, label: str) -> tuple[float, float]:
+        """Where the first input next to a label is that takes text."""
+        place = self.wait_for(
+            "(() => { const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === "
+            f"{json.dumps(label)}); for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
+            "const e = n.querySelector('input:not([type=hidden])'); if (e) { e.scrollIntoView({block: 'center'}); "
+            "const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; } "
+            "n = n.parentElement; } } return null; })()",
+            f"input '{label}'",
+        )
+        return place[0], place[1]
 
     def screenshot(self, file: Path) -> Path:
         """Write what the window shows as PNG."""
