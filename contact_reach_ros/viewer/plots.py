@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ BAG_AXIS = "s since the first joint state"
 _MIDDLE_GREY = "#888888"
 """To be told from a light and from a dark ground."""
 _HEIGHT = 165
+_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 
 
 class _Curve(NamedTuple):
@@ -69,7 +71,11 @@ class Plots:
         for plot, handle in zip(_PLOTS, self._handles, strict=True):
             if axis != self._axis:
                 handle.axes = _axes(axis, plot.unit)
-            handle.data = self._data(plot, columns)
+            data = self._data(plot, columns)
+            scales = _scales(data[1:])
+            if scales != handle.scales:
+                handle.scales = scales
+            handle.data = data
         self._axis = axis
 
     def _add(self, server: viser.ViserServer, plot: _Plot) -> Any:
@@ -83,10 +89,10 @@ class Plots:
             tuple(series),
             title=f"{plot.title} ({plot.unit})",
             axes=_axes(self._axis, plot.unit),
-            scales={"x": {"time": False}},
+            scales=_scales(()),
             legend={"show": len(series) > 2, "live": False},
             height=_HEIGHT,
-            padding=(4, 14, 0, 0),
+            padding=(10, 14, 0, 0),
         )
 
     def _data(self, plot: _Plot, columns: dict[str, Array]) -> tuple[Array, ...]:
@@ -95,6 +101,24 @@ class Plots:
         if plot.unit == "N":
             data.append(np.full(len(data[0]), self._permitted))
         return tuple(data)
+
+
+def _scales(curves: Sequence[Array]) -> Any:
+    """Scales that hold all values: the browser's own choice fails where a curve begins with a gap, a NaN here."""
+    values = np.concatenate([*curves, [0.0]])
+    values = values[np.isfinite(values)]
+    low, high = float(values.min()), float(values.max())
+    if low == high:
+        high = 1.0
+    return {"x": {"time": False}, "y": {"range": (-_round_up(-low), _round_up(high))}}
+
+
+def _round_up(value: float) -> float:
+    """The next larger number that makes a good end of an axis; 0 for 0."""
+    if value <= 0.0:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * next(step for step in _STEPS if step * power >= 0.999 * value))
 
 
 def _axes(time: str, unit: str) -> Any:

@@ -35,6 +35,7 @@ _CONTACT_FORCE = 0.5
 """True force that counts as a contact, N."""
 _CONTACT_PAUSE = 0.3
 """Time without a contact after which the next is another one, s."""
+_ROUND_TRIP = b"round trip"
 _NUMBER = struct.Struct("<I")
 
 _LINKS = tuple(iiwa14.LINK_NAMES[capsule.link - 1] for capsule in iiwa14.CAPSULES)
@@ -250,18 +251,19 @@ class Recording:
         ]
         stopped: dict[str, bool] = {}
         in_contact = []
-        for received, entry in zip(self._messages[_SAFETY].times, self._said, strict=True):
+        received_at = self._time_of(self._messages[_SAFETY].times).tolist()
+        for time, entry in zip(received_at, self._said, strict=True):
             is_stop = entry.level is Level.STOP
             if is_stop != stopped.get(entry.name, False):
                 stopped[entry.name] = is_stop
                 text = f"{entry.name}: {entry.message}"
-                events.append(Event(float(self._time_of(received)), "stop" if is_stop else "released", text))
+                events.append(Event(time, "stop" if is_stop else "released", text))
             if entry.level is Level.CONTACT:
-                in_contact.append(received)
+                in_contact.append(time)
         if len(self._contact_times):
             touched = self._contact_times[self._largest >= _CONTACT_FORCE]
         else:
-            touched = self._time_of(np.array(in_contact, np.int64))
+            touched = np.array(in_contact)
         starts = touched[np.append(True, np.diff(touched) > _CONTACT_PAUSE)[: len(touched)]]
         events += [Event(float(time), "contact", "contact begins") for time in starts]
         return tuple(sorted(events))
@@ -289,12 +291,16 @@ class Recording:
         if len(self._plan_times):
             rows = np.searchsorted(self._plan_times, times + 1e-9, side="right") - 1
             columns["plan age"][:] = np.where(rows >= 0, 1000.0 * (times - self._plan_times[rows]), np.nan)
-        for row, received in enumerate(self._messages[_NUMBERS].times):
+        places = np.searchsorted(times, self._time_of(self._messages[_NUMBERS].times)).tolist()
+        for row, at in enumerate(places):
+            raw = self._raw(_NUMBERS, row)
+            # There are thousands, and only the driver's tell it.
+            if _ROUND_TRIP not in raw:
+                continue
             try:
-                numbers = self._decode.numbers(self._raw(_NUMBERS, row))
+                numbers = self._decode.numbers(raw)
             except InputError:
                 continue
-            at = int(np.searchsorted(times, self._time_of(received)))
             for name in ("p50", "p99"):
                 if at < len(times) and f"driver/round trip {name} us" in numbers:
                     columns[f"round trip {name}"][at] = numbers[f"driver/round trip {name} us"]

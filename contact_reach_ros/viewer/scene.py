@@ -31,6 +31,8 @@ _BASE_PARTS = 2
 """Shapes of the base that turn with the first link, as far as one sees: they show its torque."""
 _NEWTON = 0.02
 """Length of an arrow for each newton, m."""
+_LABEL_SPACE = 0.12
+"""Distance at which two texts do not cover each other, m."""
 _GHOST_OPACITY = 0.22
 _UNIT_CYLINDER = as_mesh(Cylinder(np.array([0.0, 0.0, -0.5]), np.array([0.0, 0.0, 0.5]), 1.0, (1.0, 1.0, 1.0, 1.0)))
 _COARSE, _FINE = (trimesh.creation.icosphere(subdivisions=steps) for steps in (1, 3))
@@ -325,12 +327,7 @@ class _ContactPart:
             self._handle.points = points
             self._handle.colors = colours
             _set(self._handle, "visible", True)
-        self._show_labels(
-            [
-                (tail, f"{np.linalg.norm(arrow.force):.1f} N{' (estimated)' if arrow.estimated else ''}")
-                for tail, arrow in zip(tails, found, strict=True)
-            ]
-        )
+        self._show_labels(_labels(tails, found))
 
     def _colour(self, arrow: Arrow) -> tuple[int, int, int]:
         if arrow.estimated:
@@ -345,6 +342,20 @@ class _ContactPart:
             if number < len(texts):
                 label.position = texts[number][0]
                 _set(label, "text", texts[number][1])
+
+
+def _labels(places: Array, found: list[Arrow]) -> list[tuple[Array, str]]:
+    """Places and texts of forces; what would stand on top of each other is one text."""
+    labels: list[tuple[Array, str]] = []
+    for place, arrow in zip(places, found, strict=True):
+        text = f"{np.linalg.norm(arrow.force):.1f} N{' (estimated)' if arrow.estimated else ''}"
+        near = (row for row, (other, _) in enumerate(labels) if np.linalg.norm(other - place) < _LABEL_SPACE)
+        row = next(near, None)
+        if row is None:
+            labels.append((place, text))
+        else:
+            labels[row] = (labels[row][0], f"{labels[row][1]}, {text}")
+    return labels
 
 
 def _alike(spheres: Spheres, other: Spheres) -> bool:
