@@ -13,7 +13,7 @@ STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
 # One test needs a browser. It comes through the system's package manager where that may be used without a password.
 define CHROMIUM
-command -v chromium chromium-browser google-chrome >/dev/null || { \
+{ command -v chromium || command -v chromium-browser || command -v google-chrome; } >/dev/null || { \
   if ! command -v apt-get >/dev/null; then echo "No Chromium: the test of the viewer's page is skipped; install Chromium to run it."; \
   elif [ "$$(id -u)" = 0 ]; then as_root=; elif sudo -n true 2>/dev/null; then as_root="sudo -n"; \
   else echo "No Chromium, and no permission to install it: the test of the viewer's page is skipped. Run: sudo apt-get install chromium"; \
