@@ -310,7 +310,9 @@ class _BagPart:
 
         @again.on_click
         async def _(_: Any) -> None:
-            self._choice.options = page.bags() or ["none"]
+            found = page.bags()
+            self._choice.options = found or ["none"]
+            page.say(f"bags found: {len(found)}")
 
         @self._back.on_click
         async def _(_: Any) -> None:
