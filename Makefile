@@ -11,6 +11,18 @@ SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
 EXTRAS := baselines$(comma)$(if $(SOURCED),test,ros$(comma)test)
 STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
+# One test needs a browser. It comes through the system's package manager where that may be used without a password.
+define CHROMIUM
+{ command -v chromium || command -v chromium-browser || command -v google-chrome; } >/dev/null || { \
+  if ! command -v apt-get >/dev/null; then echo "No Chromium: the test of the viewer's page is skipped; install Chromium to run it."; \
+  elif [ "$$(id -u)" = 0 ]; then as_root=; elif sudo -n true 2>/dev/null; then as_root="sudo -n"; \
+  else echo "No Chromium, and no permission to install it: the test of the viewer's page is skipped. Run: sudo apt-get install chromium"; \
+  fi; \
+  if [ -n "$${as_root+set}" ]; then echo "Installing chromium for the test of the viewer's page ..."; \
+    { $$as_root apt-get -qq update && $$as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends -o DPkg::Lock::Timeout=300 \
+    install chromium >/dev/null; } || echo "Chromium could not be installed: the test of the viewer's page is skipped."; fi; }
+endef
+
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test lint build clean
 
@@ -25,6 +37,7 @@ demo: $(STAMP) ## run the demonstration
 
 # The nodes' tests run stacks that take both cores of a small machine, some in real time: nothing runs beside them.
 test: $(STAMP) ## run the tests
+	@$(CHROMIUM)
 ifeq ($(strip $(ARGS)),)
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup --ignore=test/nodes
 	@$(BIN)/python -m pytest test/nodes

@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 MANIFEST = ElementTree.parse(Path(__file__).with_name("package.xml")).getroot()
 NAME = MANIFEST.findtext("name")
 SHARE = f"share/{NAME}"
-NODES = ("driver", "controller", "observer", "planner", "recorder", "replay", "bringup", "faults")
+NODES = ("driver", "controller", "observer", "planner", "recorder", "replay", "bringup", "faults", "viewer")
 
 
 def files_below(folder: str) -> list[Path]:
@@ -63,6 +63,9 @@ setup(
         "rich",
         "rosbags",
         "scipy",
+        "trimesh",
+        "viser",
+        "websockets",
     ],
     extras_require={
         "baselines": ["ompl"],

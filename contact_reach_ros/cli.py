@@ -46,7 +46,17 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--output", type=Path, default=Path("bags"), help="where bag, plot and log go (default: bags)")
     demo.add_argument("--parameters", default="", help="parameter file for the nodes (default: the package's)")
     demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    demo.add_argument("--view", action="store_true", help="serve a page for browsers, and stay up until Ctrl-C")
     demo.set_defaults(run=_demo)
+
+    view = commands.add_parser("view", help="serve a page for browsers that shows the running stack, or a bag")
+    view.add_argument("bag", nargs="?", type=Path, metavar="BAG", help="bag to show (default: the running stack)")
+    view.add_argument("--port", type=int, help="port of the page (default: 8080)")
+    view.add_argument("--address", help="address to listen on; others than 127.0.0.1 need a token (default: 127.0.0.1)")
+    view.add_argument("--token", help="what browsers must know, see msg_docs/viewer.md (default: none)")
+    view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
+    view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
+    view.set_defaults(run=_view)
 
     doctor = commands.add_parser("doctor", help="check machine, software and the running stack before a run")
     doctor.add_argument("--quick", action="store_true", help="a short timer test, and no planner")
@@ -235,10 +245,18 @@ def _demo(options: argparse.Namespace) -> int:
             lockstep=options.lockstep,
             timeout=options.timeout,
             parameters=options.parameters,
+            view=options.view,
             output=options.output,
             json=options.json,
         )
     )
+
+
+def _view(options: argparse.Namespace) -> int:
+    from contact_reach_ros.nodes.viewer import view
+
+    chosen = {name: getattr(options, name) for name in ("bag", "port", "address", "token", "bags")}
+    return view({name: value for name, value in chosen.items() if value is not None}, options.parameters)
 
 
 def _doctor(options: argparse.Namespace) -> int:

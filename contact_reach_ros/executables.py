@@ -53,3 +53,8 @@ def bringup() -> None:
 def faults() -> None:
     """Make things go wrong."""
     _run("faults")
+
+
+def viewer() -> None:
+    """Serve the page for browsers."""
+    _run("viewer")

@@ -17,12 +17,13 @@ ARGUMENTS = {
     "bag": ("", "directory to record a bag to"),
     "parameters": ("", "parameter file for the nodes"),
     "driver": ("true", "start the simulated driver"),
+    "view": ("false", "start the viewer, a page for browsers"),
     "discovery": ("host", "who hears the nodes: host, or subnet"),
 }
 
 
 def start_nodes(context):
-    """Turn the chosen arguments into nodes; the end of any node ends them all."""
+    """Turn the chosen arguments into nodes; the end of any node but the viewer ends them all."""
     chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     options = StackOptions(
         scene=chosen["scene"],
@@ -32,6 +33,7 @@ def start_nodes(context):
         bag=chosen["bag"],
         parameters=chosen["parameters"],
         driver=chosen["driver"] == "true",
+        view=chosen["view"] == "true",
         discovery=chosen["discovery"],
     )
     return [
@@ -42,7 +44,7 @@ def start_nodes(context):
             arguments=["--ros-args", "--enclave", process.enclave],
             additional_env=environment(options.discovery),
             parameters=[str(options.parameter_file), process.parameters],
-            on_exit=EmitEvent(event=Shutdown(reason=f"{process.name} ended")),
+            on_exit=EmitEvent(event=Shutdown(reason=f"{process.name} ended")) if process.essential else None,
         )
         for process in processes(options)
     ]

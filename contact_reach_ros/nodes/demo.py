@@ -20,7 +20,7 @@ from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.processes import StackOptions, processes
+from contact_reach_ros.nodes.processes import StackOptions, page_address, processes
 from contact_reach_ros.nodes.supervisor import Supervisor
 from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.observer.budget import load_budget
@@ -67,6 +67,8 @@ class DemoOptions:
     """Time of the robot's clock that is recorded after the goal was reached, s."""
     parameters: str = ""
     """Parameter file for the nodes; the package's own when empty."""
+    view: bool = False
+    """Whether to serve the viewer's page, and to stay up after the episode until Ctrl-C."""
     output: Path = Path("bags")
     json: Path | None = None
 
@@ -91,6 +93,7 @@ def run_demo(options: DemoOptions) -> int:
         lockstep=options.lockstep,
         bag=str(bag),
         parameters=options.parameters,
+        view=options.view,
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -102,8 +105,11 @@ def run_demo(options: DemoOptions) -> int:
     end_ns: int | None = None
     try:
         end_ns = _drive_to_goal(supervisor, Watcher(node, supervisor, model, scene.target), options)
+        if options.view:
+            _stay_up(supervisor)
     except KeyboardInterrupt:
-        interrupted = True
+        # With the page, it is the way to end what has been judged already.
+        interrupted = end_ns is None or not options.view
     except ContactReachError as error:
         failure = str(error)
     finally:
@@ -125,6 +131,8 @@ def run_demo(options: DemoOptions) -> int:
 def _drive_to_goal(supervisor: Supervisor, watcher: Watcher, options: DemoOptions) -> int:
     """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
     began = time.monotonic()
+    if options.view:
+        _say(f"the page will be at {page_address(supervisor.parameter_file)}", done=True)
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     supervisor.wait_heard("recorder", _RECORDED, DISCOVERY_S)
     # Planner and recorder have to hear goals before there is one.
@@ -158,6 +166,14 @@ def _drive_to_goal(supervisor: Supervisor, watcher: Watcher, options: DemoOption
             while watcher.stamp_ns < end_ns + _AFTERWARDS_NS and not watcher.stopped and time.monotonic() < give_up:
                 supervisor.spin(_LOOK_S)
             return end_ns
+
+
+def _stay_up(supervisor: Supervisor) -> None:
+    """Leave the stack to the users of the page until Ctrl-C."""
+    _say("the episode is over; the stack stays up for the page until Ctrl-C", done=True)
+    while True:
+        supervisor.check()
+        supervisor.spin(_LOOK_S)
 
 
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:

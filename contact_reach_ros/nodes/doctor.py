@@ -27,12 +27,13 @@ from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.parameters import Sections, check_arguments
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.nodes.processes import StackOptions
+from contact_reach_ros.nodes.processes import VIEWER, StackOptions
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import full_name, parameters_in
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.settings import read_yaml
+from contact_reach_ros.viewer.settings import ViewerSettings
 
 _DISTRIBUTION = "jazzy"
 _LISTEN_S = 1.0
@@ -42,6 +43,7 @@ _COMPRESSED = 0.5
 _MANAGED = (DriverNode, ControllerNode, ObserverNode, PlannerNode, RecorderNode)
 _SECTIONS: Mapping[str, Sections] = {
     **{node.NAME: node.SECTIONS for node in _MANAGED},
+    VIEWER: {"": ViewerSettings},
     bringup.NAME: bringup.SECTIONS,
 }
 

@@ -12,6 +12,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from contact_reach_ros.doctor.findings import Finding, failed, passed, warned
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.interfaces import ALONE, INTERFACES, MANAGED
+from contact_reach_ros.nodes.processes import VIEWER
 from contact_reach_ros.nodes.topics import Topic
 
 START = "ros2 run contact_reach_ros bringup"
@@ -58,7 +59,9 @@ class Graph:
     @property
     def running(self) -> bool:
         """Whether there is anything of a stack."""
-        return any(f"/{name}" in self.nodes for name in MANAGED) or bool(self.publishers.get(topics.JOINT_STATES.name))
+        return any(f"/{name}" in self.nodes for name in MANAGED if name != VIEWER) or bool(
+            self.publishers.get(topics.JOINT_STATES.name)
+        )
 
 
 def type_name(topic: Topic) -> str:
@@ -112,7 +115,8 @@ def time_source(graph: Graph) -> Finding:
     """Whether all nodes use the same time, and somebody publishes it if it is simulated."""
     name = "time source"
     simulated = [node for node, value in graph.simulated_time.items() if value]
-    real = [node for node, value in graph.simulated_time.items() if not value]
+    # The viewer goes by the stamps of what it shows.
+    real = [node for node, value in graph.simulated_time.items() if not value and node != VIEWER]
     clocks = [endpoint.node for endpoint in graph.publishers.get(topics.CLOCK.name, ())]
     fix = "start all nodes with the same use_sim_time; bring-up does (parameter lockstep)"
     if simulated and not clocks:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.processes import TUNABLE, VIEWER
 from contact_reach_ros.nodes.topics import Topic
 
 
@@ -32,6 +33,9 @@ class Interface:
     calls: frozenset[str] = frozenset()
 
 
+STOPPABLE = ("controller", "observer", "driver")
+"""Nodes with the services ~/stop and ~/reset."""
+
 _PARAMETER_SERVICES = {
     "~/describe_parameters",
     "~/get_parameter_types",
@@ -52,21 +56,26 @@ _EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
 """Absolute, as ROS has them."""
 
 
-def _node(publishes: Iterable[Topic], subscribes: Iterable[Topic], calls: Iterable[str] = ()) -> Interface:
+def _node(
+    publishes: Iterable[Topic], subscribes: Iterable[Topic], calls: Iterable[str] = (), serves: Iterable[str] = ()
+) -> Interface:
     return Interface(
         frozenset(_EVERY_NODE_PUBLISHES | {topic.name for topic in publishes}),
         frozenset(topic.name for topic in subscribes),
-        frozenset(_PARAMETER_SERVICES),
+        frozenset(_PARAMETER_SERVICES | set(serves)),
         frozenset(calls),
     )
 
 
-def _managed(publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = ()) -> Interface:
-    plain = _node([*publishes, topics.DIAGNOSTICS, topics.SETTINGS], [*subscribes, topics.CLOCK])
+def _managed(
+    publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
+) -> Interface:
+    plain = _node([*publishes, topics.DIAGNOSTICS, topics.SETTINGS], [*subscribes, topics.CLOCK], calls)
     return Interface(
         plain.publishes | {"~/transition_event"},
         plain.subscribes,
         plain.serves | _LIFECYCLE_SERVICES | set(serves),
+        plain.calls,
     )
 
 
@@ -78,6 +87,27 @@ def _replay() -> Interface:
 
 
 _STOP = ("~/stop", "~/reset")
+
+HEARD_BY_VIEWER = (
+    topics.JOINT_STATES,
+    topics.EXTERNAL_TORQUE,
+    topics.OBSTACLES,
+    topics.PLAN_MARKERS,
+    topics.REFERENCE_POSE,
+    topics.SIM_CONTACTS,
+    topics.GOAL_POSE,
+    topics.SAFETY_STATE,
+    topics.DIAGNOSTICS,
+)
+_CALLED_BY_VIEWER = (
+    *(f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset")),
+    *(
+        f"{name}/{service}"
+        for name in TUNABLE
+        for service in ("list_parameters", "describe_parameters", "get_parameters")
+    ),
+    *(f"bringup/{service}" for service in ("get_parameters", "set_parameters_atomically", "restart")),
+)
 
 MANAGED = {
     "driver": _managed(
@@ -128,6 +158,7 @@ MANAGED = {
         [topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE],
     ),
     "recorder": _managed([], topics.ALL),
+    VIEWER: _managed([topics.GOAL_POSE], HEARD_BY_VIEWER, calls=_CALLED_BY_VIEWER),
 }
 """The lifecycle nodes."""
 
@@ -153,7 +184,10 @@ ACTING = ("driver", "controller", "planner")
 INTERFACES = {
     **MANAGED,
     "bringup": _node(
-        [], [topics.JOINT_STATES], [*(f"{name}/get_state" for name in sorted(MANAGED)), "controller/stop"]
+        [],
+        [topics.JOINT_STATES],
+        [*(f"{name}/get_state" for name in sorted(MANAGED)), "controller/stop"],
+        ["~/restart"],
     ),
     DOCTOR: _node(
         [],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,17 @@ Sections = Mapping[str, type[Settings]]
 _BUILT_IN = ("use_sim_time", "start_type_description_service", "autostart", "cpus")
 
 
-def declare(node: Node, sections: Sections) -> dict[str, Any]:
-    """Declare all settings as read-only parameters and return them, one settings object by prefix.
+def declare(node: Node, sections: Sections, changeable: Collection[str] = ()) -> dict[str, Any]:
+    """Declare all settings as parameters and return them, one settings object by prefix.
+
+    Parameters
+    ----------
+    node
+        That has them.
+    sections
+        Settings by prefix.
+    changeable
+        Names of the parameters that can be set later; all others are read-only.
 
     Raises
     ------
@@ -33,13 +42,16 @@ def declare(node: Node, sections: Sections) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for prefix, settings_class in sections.items():
         entries = settings_class.declared()
-        values = {entry.name: _declare(node, full_name(prefix, entry.name), entry) for entry in entries}
+        values = {}
+        for entry in entries:
+            name = full_name(prefix, entry.name)
+            values[entry.name] = _declare(node, name, entry, name not in changeable)
         made[prefix] = settings_class.from_mapping(values, f"parameters of {node.get_name()}, {prefix or 'node'}")
     return made
 
 
-def _declare(node: Node, name: str, entry: Setting) -> Any:
-    descriptor = _descriptor(entry)
+def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
+    descriptor = _descriptor(entry, read_only)
     try:
         if entry.is_open_list:
             # ROS cannot tell the type of an empty list.
@@ -51,12 +63,12 @@ def _declare(node: Node, name: str, entry: Setting) -> Any:
         raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
 
 
-def _descriptor(entry: Setting) -> ParameterDescriptor:
+def _descriptor(entry: Setting, read_only: bool) -> ParameterDescriptor:
     unit = f" [{entry.unit}]" if entry.unit else ""
     descriptor = ParameterDescriptor(
         description=f"{entry.description}{unit}",
         additional_constraints=entry.accepts,
-        read_only=True,
+        read_only=read_only,
         # A whole number is accepted for a float; the settings class checks and converts it.
         dynamic_typing=entry.kind is float,
     )

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+import yaml
+
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.parameter_files import parameters_in
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.scenes.files import read_scene, scene_file
 from contact_reach_ros.scenes.scene import SceneFile
 from contact_reach_ros.scenes.spheres import sphere_capacity
+from contact_reach_ros.viewer.settings import ViewerSettings
 
 ParameterValue = bool | int | float | str | list[str]
 
 PACKAGE = "contact_reach_ros"
 ENCLAVES = "/contact_reach"
 DEFAULT_PARAMETERS = "default.yaml"
+
+TUNABLE = ("planner", "controller", "observer", "driver")
+"""Nodes whose parameters may be changed by a restart of the stack."""
+
+VIEWER = "viewer"
+"""The process that a restart leaves running."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +44,14 @@ class Process:
         Given on its command line, after the parameter file.
     first
         Whether it is up before the loops are started: it needs the whole machine to get ready, or must miss nothing.
+    essential
+        Whether its end is the end of the stack.
     """
 
     name: str
     parameters: Mapping[str, ParameterValue]
     first: bool = False
+    essential: bool = True
 
     @property
     def module(self) -> str:
@@ -66,6 +81,10 @@ class StackOptions:
     """Whether to start the simulated driver; a real robot brings its own."""
     discovery: str = "host"
     """Who hears the nodes, one of `discovery.CHOICES`."""
+    view: bool = False
+    """Whether to start the viewer."""
+    overrides: tuple[str, ...] = ()
+    """Parameters of nodes besides the file's, as `Override.parse` reads them; the last one of a name holds."""
 
     @property
     def parameter_file(self) -> Path:
@@ -73,13 +92,44 @@ class StackOptions:
         return Path(self.parameters) if self.parameters else config_file(DEFAULT_PARAMETERS)
 
 
+class Override(NamedTuple):
+    """A parameter of one node."""
+
+    node: str
+    name: str
+    value: ParameterValue
+
+    @classmethod
+    def parse(cls, text: str) -> Override:
+        """Read node:parameter=value, the value as YAML.
+
+        Raises
+        ------
+        SettingsError
+            If it reads otherwise, or the node is none of the stack's that have parameters.
+        """
+        node, colon, rest = text.partition(":")
+        name, equals, written = rest.partition("=")
+        if not (colon and equals and name and node in TUNABLE):
+            raise SettingsError(
+                f"override '{text}': expected node:parameter=value with one of {', '.join(TUNABLE)} as the node"
+            )
+        try:
+            value = yaml.safe_load(written)
+        except yaml.YAMLError as error:
+            raise SettingsError(f"override '{text}': its value is no YAML: {error}") from error
+        if not isinstance(value, (bool, int, float, str)):
+            raise SettingsError(f"override '{text}': expected a number, true, false or a text")
+        return cls(node, name, value)
+
+
 def processes(options: StackOptions) -> list[Process]:
-    """The processes from recorder to planner; they are ended in the reverse order.
+    """The processes from viewer and recorder to planner; they are ended in the reverse order.
 
     Raises
     ------
     SceneError, SettingsError
-        If the scene is unknown, or its file or the parameter file is wrong.
+        If the scene is unknown, or its file, the parameter file or an override is wrong.
     """
     scene = read_scene(options.scene)
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep}
@@ -97,7 +147,31 @@ def processes(options: StackOptions) -> list[Process]:
     table.append(Process("observer", time))
     table.append(Process("controller", time))
     table.append(Process("planner", {**time, **_obstacles(scene, options.parameter_file)}, first=True))
-    return table
+    if options.view:
+        table.insert(0, Process(VIEWER, time, first=True, essential=False))
+    changed = [Override.parse(text) for text in options.overrides]
+    return [
+        dataclasses.replace(
+            process,
+            parameters={
+                **process.parameters,
+                **{entry.name: entry.value for entry in changed if entry.node == process.name},
+            },
+        )
+        for process in table
+    ]
+
+
+def page_address(parameter_file: Path) -> str:
+    """Where the viewer of a stack serves its page.
+
+    Raises
+    ------
+    SettingsError
+        If the file has something for the viewer that is not accepted.
+    """
+    settings = ViewerSettings.from_mapping(parameters_in(parameter_file, VIEWER), str(parameter_file))
+    return settings.page_address(settings.port)
 
 
 def _origin(options: StackOptions) -> dict[str, ParameterValue]:

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -59,10 +59,12 @@ class Supervisor:
     def __init__(self, node: Node, table: Sequence[Process], parameter_file: Path, log: Path | None = None) -> None:
         self._node = node
         self._table = list(table)
-        self._parameter_file = parameter_file
+        self.parameter_file = parameter_file
         self._log_path = log
         self._log: IO[bytes] | None = None
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._optional: set[str] = set()
+        """Processes whose end changes nothing, once they are up."""
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._speed = float("nan")
@@ -85,15 +87,41 @@ class Supervisor:
         StackError
             If a process died, or the time is over; the missing ones are named with their last state.
         """
-        if self._log_path is not None:
+        if self._log_path is not None and self._log is None:
             self._log = self._log_path.open("wb")
         prioritise_middleware()
         deadline = time.monotonic() + timeout
         for first in (True, False):
-            processes = [process for process in self._table if process.first is first]
+            processes = [
+                process for process in self._table if process.first is first and process.name not in self._running
+            ]
             for process in processes:
                 self._start(process)
             self._wait_active(processes, deadline, timeout, progress)
+            self._optional |= {process.name for process in processes if not process.essential}
+
+    def restart(
+        self, table: Sequence[Process], keep: Collection[str], timeout: float, progress: Callable[[str], None]
+    ) -> None:
+        """Bring the arm to rest, end all processes but those to keep, and bring up those of another table.
+
+        Parameters
+        ----------
+        table
+            From `processes`.
+        keep
+            Names of processes that go on as they are.
+        timeout, progress
+            As for `bring_up`.
+
+        Raises
+        ------
+        StackError
+            As `bring_up`.
+        """
+        self._end_all(keep)
+        self._table = list(table)
+        self.bring_up(timeout, progress)
 
     def wait_heard(self, listener: str, heard: Sequence[Topic], timeout: float) -> None:
         """Wait until a node has subscribed to topics, which a recorder does only once it has discovered a publisher.
@@ -161,11 +189,15 @@ class Supervisor:
         self.inbox.wait(0)
 
     def check(self) -> None:
-        """Raise `StackError` naming a process that died, and how."""
-        for name, process in self._running.items():
+        """Raise `StackError` naming a process that died, and how; one that is not essential is only told."""
+        for name, process in list(self._running.items()):
             code = process.poll()
             if code is not None:
                 how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+                if name in self._optional:
+                    print(f"{name} ended ({how}); the stack goes on without it", file=sys.stderr)
+                    del self._running[name]
+                    continue
                 raise StackError(f"{name} ended ({how}){self._see_log()}")
 
     @property
@@ -174,18 +206,22 @@ class Supervisor:
         return {name: process.pid for name, process in self._running.items()}
 
     def shutdown(self) -> None:
-        """Bring the arm to rest and end all processes: planner first, recorder last."""
-        self._halt()
-        for process in reversed(self._table):
-            self._end(process.name)
-            if process.name == "controller":
-                self.spin(_WATCHDOG_S)
+        """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
+        self._end_all(())
         self._executor.shutdown()
         if self._log is not None:
             self._log.close()
 
+    def _end_all(self, keep: Collection[str]) -> None:
+        self._halt()
+        for process in reversed(self._table):
+            if process.name not in keep:
+                self._end(process.name)
+            if process.name == "controller":
+                self.spin(_WATCHDOG_S)
+
     def _arguments(self, process: Process) -> list[str]:
-        arguments = ["--ros-args", "--enclave", process.enclave, "--params-file", str(self._parameter_file)]
+        arguments = ["--ros-args", "--enclave", process.enclave, "--params-file", str(self.parameter_file)]
         for key, value in process.parameters.items():
             # JSON is YAML: quoted, an empty or blank-separated string stays a string.
             arguments += ["-p", f"{key}:={json.dumps(value)}"]

@@ -137,6 +137,11 @@ class BagReader:
         """The topics of the bag by name."""
         return self.summary.topics
 
+    def indexed_files(self) -> list[Path]:
+        """Its mcap files, if all are complete and have an index; else none."""
+        indexed = all(file.contents.indexed for file in self._files)
+        return [file.path for file in self._files] if indexed else []
+
     def raw_messages(self, topics: Collection[str] | None = None, start_ns: int = 0) -> Iterator[RawMessage]:
         """Messages of some topics, or of all, as they were received, from a time of reception on.
 

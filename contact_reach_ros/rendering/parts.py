@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contact_reach_ros.palette import SKY_BLUE, rgb
-from contact_reach_ros.rendering.shapes import Capsule, Colour, Cylinder, Mesh, Shape, Sphere, tube
+from contact_reach_ros.rendering.shapes import Capsule, Colour, Cylinder, Mesh, Shape, Sphere, move, tube
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.scenes.scene import Scene, Wall
 
 Array = NDArray[np.float64]
 
-_BODY = (0.86, 0.87, 0.88)
+BODY = (0.86, 0.87, 0.88)
 _ACCENT = (0.95, 0.45, 0.1)
-_DARK = (0.22, 0.23, 0.25)
-_FOAM = (0.42, 0.8, 0.58)
-_NODE = (0.1, 0.55, 0.35)
+DARK = (0.22, 0.23, 0.25)
+FOAM = (0.42, 0.8, 0.58)
+NODE = (0.1, 0.55, 0.35)
 _FLOOR = (0.93, 0.93, 0.93)
 _COVERED_JOINTS = (2, 4, 6)
 _COVER_RADIUS = 0.62
@@ -38,29 +40,36 @@ def arm_shapes(joints: ArrayLike, tint: str = "") -> list[Shape]:
     tint
         '#rrggbb' of the whole arm but its base, instead of its own colours.
     """
-
-    def colour(own: tuple[float, float, float]) -> Colour:
-        return (*(rgb(tint) if tint else own), 1.0)
-
     rotations, origins = link_frames(joints)
+    shapes = list(link_shapes()[0])
+    for link, parts in enumerate(link_shapes()[1:]):
+        for part in parts:
+            moved = move(part, rotations[link], origins[link])
+            shapes.append(dataclasses.replace(moved, colour=(*rgb(tint), 1.0)) if tint else moved)
+    return shapes
+
+
+@functools.cache
+def link_shapes() -> tuple[tuple[Shape, ...], ...]:
+    """The base, then the links, in the frame of each: what `arm_shapes` puts together. The first link has none."""
     base = iiwa14.BASE_CAPSULE
     ground, top = np.zeros(3), np.array(base.end)
-    shapes: list[Shape] = [
-        Cylinder(ground, top, base.radius, (*_BODY, 1.0)),
-        Sphere(top, base.radius, (*_BODY, 1.0)),
-        Cylinder(ground, np.array([0.0, 0.0, 0.03]), 1.15 * base.radius, (*_DARK, 1.0)),
+    shapes: list[list[Shape]] = [[] for _ in range(iiwa14.N_JOINTS + 1)]
+    shapes[0] = [
+        Cylinder(ground, top, base.radius, (*BODY, 1.0)),
+        Sphere(top, base.radius, (*BODY, 1.0)),
+        Cylinder(ground, np.array([0.0, 0.0, 0.03]), 1.15 * base.radius, (*DARK, 1.0)),
     ]
     thickness = base.radius
     for capsule in iiwa14.CAPSULES:
-        rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
-        start, end = (origin + rotation @ point for point in (capsule.start, capsule.end))
         last = capsule.link == iiwa14.N_JOINTS
-        shapes.append(Capsule(start, end, capsule.radius, colour(_DARK if last else _BODY)))
+        start, end = np.array(capsule.start, float), np.array(capsule.end, float)
+        shapes[capsule.link].append(Capsule(start, end, capsule.radius, (*(DARK if last else BODY), 1.0)))
         if capsule.link in _COVERED_JOINTS:
-            half = 1.04 * max(thickness, capsule.radius) * rotation[:, 2]
-            shapes.append(Cylinder(origin - half, origin + half, _COVER_RADIUS * capsule.radius, colour(_ACCENT)))
+            half = np.array([0.0, 0.0, 1.04 * max(thickness, capsule.radius)])
+            shapes[capsule.link].append(Cylinder(-half, half, _COVER_RADIUS * capsule.radius, (*_ACCENT, 1.0)))
         thickness = capsule.radius
-    return shapes
+    return tuple(map(tuple, shapes))
 
 
 def obstacle_shapes(scene: Scene, positions: Array, opacity: float = 0.55) -> list[Shape]:
@@ -75,7 +84,7 @@ def obstacle_shapes(scene: Scene, positions: Array, opacity: float = 0.55) -> li
     opacity
         Of what one should see the arm through.
     """
-    green = (*_FOAM, opacity)
+    green = (*FOAM, opacity)
     shapes: list[Shape] = []
     for ball, center in zip(scene.balls, positions, strict=False):
         shapes.append(Sphere(center, ball.settings.radius, green))
@@ -84,7 +93,7 @@ def obstacle_shapes(scene: Scene, positions: Array, opacity: float = 0.55) -> li
         nodes = positions[first : first + len(wall.rest)]
         first += len(wall.rest)
         for node, fixed in zip(nodes, wall.fixed, strict=True):
-            colour = (*_DARK, 1.0) if fixed else (*_NODE, 1.0)
+            colour = (*DARK, 1.0) if fixed else (*NODE, 1.0)
             shapes.append(Sphere(node, 0.5 * wall.settings.node_radius, colour))
         shapes.append(_surface(wall, nodes, green))
     return shapes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +65,15 @@ def corners(shape: Shape) -> Array:
     ends = (shape.center,) if isinstance(shape, Sphere) else (shape.start, shape.end)
     offsets = shape.radius * np.concatenate([np.eye(3), -np.eye(3)])
     return np.concatenate([end + offsets for end in ends])
+
+
+def move(shape: Shape, rotation: Array, origin: Array) -> Shape:
+    """The shape, given in a frame with axes `rotation` (3, 3) and `origin` (3,), in the base frame."""
+    if isinstance(shape, Mesh):
+        return replace(shape, vertices=shape.vertices @ rotation.T + origin)
+    if isinstance(shape, Sphere):
+        return replace(shape, center=rotation @ shape.center + origin)
+    return replace(shape, start=rotation @ shape.start + origin, end=rotation @ shape.end + origin)
 
 
 def revolve(start: ArrayLike, end: ArrayLike, profile: ArrayLike, colour: Colour, around: int = _AROUND) -> Mesh:

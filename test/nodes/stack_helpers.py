@@ -37,10 +37,17 @@ def module(name: str) -> list[str]:
 
 
 @contextmanager
-def running(command: list[str], env: dict[str, str], output: Path) -> Iterator[subprocess.Popen]:
-    """A process whose output goes to a file; interrupted, and if need be killed, at the end."""
+def running(
+    command: list[str], env: dict[str, str], output: Path, prepare: Callable[[], None] | None = None
+) -> Iterator[subprocess.Popen]:
+    """A process whose output goes to a file; interrupted, and if need be killed, at the end.
+
+    `prepare` is called in it before it becomes the command.
+    """
     with output.open("wb") as file:
-        process = subprocess.Popen(command, env=env, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+        process = subprocess.Popen(
+            command, env=env, stdout=file, stderr=subprocess.STDOUT, start_new_session=True, preexec_fn=prepare
+        )
         try:
             yield process
         finally:

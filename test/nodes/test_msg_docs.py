@@ -11,6 +11,7 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.parameter_files import full_name
 from contact_reach_ros.resources import share_directory
+from contact_reach_ros.viewer.settings import ViewerSettings
 
 SECTIONS = {
     "driver": DriverNode.SECTIONS,
@@ -18,6 +19,7 @@ SECTIONS = {
     "observer": ObserverNode.SECTIONS,
     "planner": PlannerNode.SECTIONS,
     "recorder": RecorderNode.SECTIONS,
+    "viewer": {"": ViewerSettings},
     "bringup": bringup.SECTIONS,
 }
 

@@ -11,9 +11,9 @@ from stack_helpers import environment
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes.observer import ObserverNode, read_contact
-from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.nodes.serialized import JointStateWriter
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 

@@ -16,6 +16,7 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.policies import policy
 from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.nodes.recorder import RecorderNode
+from contact_reach_ros.nodes.viewer import ViewerNode
 from contact_reach_ros.resources import share_directory
 
 NODES = {
@@ -24,8 +25,10 @@ NODES = {
     "observer": ObserverNode,
     "planner": PlannerNode,
     "recorder": RecorderNode,
+    "viewer": ViewerNode,
 }
 REAL_TIME = ("-p", "torque_source:=measured")
+FREE_PORT = ("-p", "port:=0")
 LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "torque_source:=commanded")
 SHADOW = ("-p", "supervision.shadow:=true")
 
@@ -64,7 +67,7 @@ def interface(name, *parameters):
 
 @pytest.mark.parametrize("name", NODES)
 def test_the_table_says_what_a_node_does_in_all_its_modes(name):
-    modes = (REAL_TIME, (*LOCKSTEP, *SHADOW))
+    modes = ((*REAL_TIME, *FREE_PORT), (*LOCKSTEP, *SHADOW, *FREE_PORT))
     publishes, subscribes, serves, calls = (
         set().union(*parts) for parts in zip(*(interface(name, *mode) for mode in modes), strict=True)
     )
@@ -72,6 +75,9 @@ def test_the_table_says_what_a_node_does_in_all_its_modes(name):
         # It subscribes to topics once they have a publisher.
         subscribes |= {topic.name for topic in topics.ALL}
     table = INTERFACES[name]
+    if name == "viewer":
+        # It calls services when its users ask for it.
+        calls |= table.calls
     assert publishes == table.publishes
     assert subscribes == table.subscribes
     assert serves == table.serves
@@ -79,7 +85,7 @@ def test_the_table_says_what_a_node_does_in_all_its_modes(name):
 
 
 def test_every_process_and_every_topic_of_the_stack_is_in_the_table():
-    assert {process.name for process in processes(StackOptions(bag="bag"))} == set(MANAGED) == set(NODES)
+    assert {process.name for process in processes(StackOptions(bag="bag", view=True))} == set(MANAGED) == set(NODES)
     named = {name for interface in INTERFACES.values() for name in interface.publishes | interface.subscribes}
     assert {topic.name for topic in topics.ALL} <= named
 

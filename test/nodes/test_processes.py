@@ -3,6 +3,7 @@
 import pytest
 from stack_helpers import parameter_file
 
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes.processes import StackOptions, processes
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.spheres import WALL_SPHERES
@@ -39,3 +40,24 @@ def test_what_the_parameter_file_says_holds(tmp_path):
     file = parameter_file(tmp_path / "own.yaml", planner={"max_spheres": 5, "period": 0.1})
     told = planner_parameters(scene="wall", parameters=str(file))
     assert "max_spheres" not in told and "edge_stiffness" in told
+
+
+def test_overrides_reach_their_node_only():
+    options = StackOptions(overrides=("planner:period=0.05", "driver:seed=7", "planner:goal_orientation=free"))
+    told = {process.name: process.parameters for process in processes(options)}
+    assert told["planner"]["period"] == 0.05 and told["planner"]["goal_orientation"] == "free"
+    assert told["driver"]["seed"] == 7 and "seed" not in told["controller"]
+
+
+@pytest.mark.parametrize(
+    "text", ["planner", "planner:period", "nobody:period=1", "planner:=1", "planner:a=[1]", "planner:a={"]
+)
+def test_an_override_that_is_none_is_refused(text):
+    with pytest.raises(SettingsError, match="override"):
+        processes(StackOptions(overrides=(text,)))
+
+
+def test_only_the_viewer_may_end_alone():
+    table = processes(StackOptions(view=True, bag="somewhere"))
+    assert [process.name for process in table if not process.essential] == ["viewer"]
+    assert not any(process.name == "viewer" for process in processes(StackOptions()))

@@ -9,8 +9,8 @@ from std_msgs.msg import Header
 
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.nodes.serialized import JointStateWriter
+from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.robot import iiwa14
 
 

@@ -1,0 +1,200 @@
+"""A headless Chromium, driven through its DevTools protocol: just what the tests of the page need."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import connect
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+_START_S, _ANSWER_S = 60.0, 60.0
+
+
+def find_chromium() -> str | None:
+    """Its path; None where there is none."""
+    return next((path for name in _NAMES if (path := shutil.which(name))), None)
+
+
+class Page:
+    """One tab."""
+
+    def __init__(self, address: str) -> None:
+        self._socket = connect(address, max_size=None, open_timeout=_START_S)
+        self._numbers = itertools.count(1)
+        self.errors: list[str] = []
+        """What the page's scripts threw."""
+        self.call("Page.enable")
+        self.call("Runtime.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One command of the protocol, and its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=_ANSWER_S))
+            if answer.get("method") == "Runtime.exceptionThrown":
+                details = answer["params"]["exceptionDetails"]
+                self.errors.append(details.get("exception", {}).get("description", details["text"]))
+            if answer.get("id") == number:
+                assert "error" not in answer, f"{method}: {answer['error']}"
+                return answer["result"]
+
+    def open(self, url: str, width: int = 1280, height: int = 800) -> None:
+        """Load a page in a window of some size."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
+        )
+        self.call("Page.navigate", url=url)
+
+    def run(self, script: str) -> Any:
+        """Value of an expression."""
+        result = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
+
+    def text(self) -> str:
+        """All that can be read on the page."""
+        return self.run("document.body ? document.body.innerText : ''")
+
+    def wait_for(self, script: str, what: str, timeout: float = 60.0) -> Any:
+        """Value of an expression once it is true."""
+        deadline = time.monotonic() + timeout
+        while not (value := self.run(script)):
+            assert time.monotonic() < deadline, (
+                f"not within {timeout:.0f} s: {what}; the page says: {self.text()[:2000]}"
+            )
+            time.sleep(0.1)
+        return value
+
+    def wait_for_text(self, text: str, timeout: float = 60.0) -> None:
+        """Wait until the page shows a text."""
+        self.wait_for(f"document.body && document.body.innerText.includes({json.dumps(text)})", text, timeout)
+
+    def click(self, text: str, selector: str = "button") -> None:
+        """Click the first visible element with exactly this text, as a hand would."""
+        find = (
+            f"[...document.querySelectorAll({json.dumps(selector)})].find(e => e.innerText.trim() === "
+            f"{json.dumps(text)} && e.getClientRects().length && !e.disabled)"
+        )
+        place = self.wait_for(
+            f"(() => {{ const e = {find}; if (!e) return null; e.scrollIntoView({{block: 'center'}}); "
+            "const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; })()",
+            f"{selector} '{text}'",
+        )
+        self.press(*place)
+
+    def press(self, x: float, y: float) -> None:
+        """Press and release the mouse."""
+        self._mouse("mousePressed", x, y)
+        self._mouse("mouseReleased", x, y)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 8) -> None:
+        """Drag with the mouse."""
+        self._mouse("mouseMoved", *start)
+        self._mouse("mousePressed", *start)
+        for step in range(1, steps + 1):
+            share = step / steps
+            self._mouse("mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)))
+        self._mouse("mouseReleased", *end)
+
+    def fill(self, label: str, value: str) -> None:
+        """Put a text into the input next to a label, and leave it."""
+        self.press(*self._input(label))
+        self.run("document.activeElement.select()")
+        self.call("Input.insertText", text=value)
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of the list next to a label."""
+        self.press(*self._input(label))
+        self.click(option, "[role=option]")
+
+    def _input(self, label: str) -> tuple[float, float]:
+        """Where the first input next to a label is that takes text."""
+        place = self.wait_for(
+            "(() => { const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === "
+            f"{json.dumps(label)}); for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
+            "const e = n.querySelector('input:not([type=hidden])'); if (e) { e.scrollIntoView({block: 'center'}); "
+            "const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; } "
+            "n = n.parentElement; } } return null; })()",
+            f"input '{label}'",
+        )
+        return place[0], place[1]
+
+    def screenshot(self, file: Path) -> Path:
+        """Write what the window shows as PNG."""
+        file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        return file
+
+    def close(self) -> None:
+        """Let go of the tab."""
+        self._socket.close()
+
+    def _mouse(self, kind: str, x: float, y: float) -> None:
+        held = kind == "mousePressed" or kind == "mouseMoved"
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=int(held), clickCount=1)
+
+
+@contextmanager
+def chromium(folder: Path) -> Iterator[Page]:
+    """A browser whose files are kept in a folder; it draws without a graphics card."""
+    path = find_chromium()
+    assert path is not None
+    home = folder / "chromium"
+    home.mkdir()
+    command = [
+        path,
+        "--headless=new",
+        "--remote-debugging-port=0",
+        f"--user-data-dir={home}",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--no-first-run",
+        "--disable-extensions",
+        "--disable-background-networking",
+        "--mute-audio",
+        "--disable-renderer-backgrounding",
+        "--disable-backgrounding-occluded-windows",
+        "--disable-background-timer-throttling",
+        *(["--no-sandbox"] if os.geteuid() == 0 else []),
+        "about:blank",
+    ]
+    with (folder / "chromium.log").open("wb") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, "HOME": str(home)})
+    try:
+        page = Page(_address(home / "DevToolsActivePort", process))
+        try:
+            yield page
+        finally:
+            page.close()
+    finally:
+        process.terminate()
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _address(port_file: Path, process: subprocess.Popen) -> str:
+    deadline = time.monotonic() + _START_S
+    while not (port_file.exists() and port_file.read_text().count("\n") >= 1):
+        assert process.poll() is None, f"chromium ended with {process.returncode}; see chromium.log"
+        assert time.monotonic() < deadline, "chromium did not start"
+        time.sleep(0.1)
+    port = port_file.read_text().split()[0]
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as response:
+        tabs = json.load(response)
+    return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")

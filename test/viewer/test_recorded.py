@@ -1,0 +1,150 @@
+"""A recording is shown as it was: moments, events and curves, also of bags that were not closed."""
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.nodes.viewer import make_decoders
+from contact_reach_ros.recording.bag_writer import BagWriter
+from contact_reach_ros.recording.topics import Topic
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.viewer.frame import Level
+from contact_reach_ros.viewer.history import QUANTITIES
+from contact_reach_ros.viewer.player import Player
+from contact_reach_ros.viewer.recorded import Recording
+
+TICKS, START = 2000, 1000
+GOAL = np.array([0.5, 0.1, 0.3])
+TYPES = {
+    "/joint_states": JointState,
+    "/external_torque": JointState,
+    "/sim/contacts": JointState,
+    "/goal_pose": PoseStamped,
+    "/safety_state": DiagnosticStatus,
+    "/reference/pose": MultiDOFJointTrajectory,
+}
+
+
+def joint_angles(tick):
+    return np.array(iiwa14.HOME_POSITION) + 1e-4 * tick
+
+
+def messages():
+    """(robot's time ns, topic, message) of two seconds: a goal, two contacts, a stop."""
+    for tick in range(TICKS):
+        stamp = Time(sec=START + tick // 1000, nanosec=tick % 1000 * 1_000_000)
+        # The arm's joints in another order, and one more.
+        names = [*reversed(iiwa14.JOINT_NAMES), "gripper"]
+        state = JointState(name=names, position=[*joint_angles(tick)[::-1].tolist(), 9.0], velocity=[0.0] * 8)
+        state.header.stamp = stamp
+        yield tick, "/joint_states", state
+        torque = JointState(name=list(iiwa14.JOINT_NAMES), effort=[0.001 * tick] * 7)
+        torque.header.stamp = stamp
+        yield tick, "/external_torque", torque
+        if tick % 5 == 0:
+            force = 4.0 if 600 <= tick < 700 or 1500 <= tick < 1510 else 0.0
+            contact = JointState(name=["lbr_link_5", "sum", "max"], effort=[force] * 3)
+            contact.header.stamp = stamp
+            yield tick, "/sim/contacts", contact
+        if tick == 300:
+            goal = PoseStamped()
+            goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = GOAL.tolist()
+            yield tick, "/goal_pose", goal
+        if tick in (0, 1800):
+            level = DiagnosticStatus.ERROR if tick else DiagnosticStatus.OK
+            yield tick, "/safety_state", DiagnosticStatus(level=level, name="controller", message=f"said at {tick}")
+        if tick % 50 == 0:
+            plan = MultiDOFJointTrajectory()
+            plan.header.stamp = stamp
+            yield tick, "/reference/pose", plan
+
+
+def write(folder):
+    topics = {name: Topic(name, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}") for name, kind in TYPES.items()}
+    writer = BagWriter(folder, topics.values())
+    for number, (tick, name, message) in enumerate(messages()):
+        # In lockstep the wall's clock runs another way than the robot's.
+        received = 5_000_000_000 + 3 * tick * 1_000_000 + number % 7
+        writer.write(name, serialize_message(message), received)
+    return writer
+
+
+@pytest.fixture(scope="module", params=["closed", "not closed"])
+def recording(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bag") / "bag"
+    writer = write(folder)
+    if request.param == "not closed":
+        writer.flush()
+        yield Recording(folder, make_decoders())
+        writer.close()
+    else:
+        writer.close()
+        yield Recording(folder, make_decoders())
+
+
+def test_a_moment_is_shown_as_it_was(recording):
+    assert recording.duration == pytest.approx(1.999) and len(recording.ticks) == TICKS
+    frame = recording.frame(0.65)
+    np.testing.assert_allclose(frame.q, joint_angles(650))
+    np.testing.assert_allclose(frame.external_torque, 0.65)
+    assert frame.forces["lbr_link_5"] == 4.0
+    np.testing.assert_allclose(frame.goal, GOAL)
+    assert frame.safety["controller"].message == "said at 0" and not frame.stops()
+    assert recording.frame(0.2).goal is None
+    stopped = recording.frame(1.9)
+    assert stopped.safety["controller"].level is Level.STOP and stopped.stops() == {"controller": "said at 1800"}
+
+
+def test_events_are_on_the_robots_clock(recording):
+    found = [(event.kind, round(event.time, 2)) for event in recording.events]
+    assert found == [("goal", 0.3), ("contact", 0.6), ("contact", 1.5), ("stop", 1.8)]
+
+
+def test_curves_have_the_values_of_their_time(recording):
+    table = recording.table(recording.duration)
+    columns = dict(zip(("time", *QUANTITIES), table.T, strict=True))
+    row = int(np.argmin(np.abs(columns["time"] - 1.0)))
+    tick = round(1000 * columns["time"][row])
+    flange = link_frames(joint_angles(tick))[1][-1]
+    assert columns["distance"][row] == pytest.approx(1000.0 * np.linalg.norm(flange - GOAL), abs=0.01)
+    assert columns["A3"][row] == pytest.approx(0.001 * tick)
+    assert columns["plan age"][row] == pytest.approx(tick % 50)
+    # A contact of 10 ms is shorter than the distance of the points, and is not lost.
+    assert columns["force"][np.abs(columns["time"] - 1.51) < 0.02].max() == 4.0
+    assert np.isnan(columns["distance"][columns["time"] < 0.29]).all()
+
+
+def test_playing_stepping_and_jumping(recording):
+    player = Player(recording)
+    player.advance(1.0)
+    assert player.time == 0.0
+    player.toggle()
+    player.speed = 0.5
+    player.advance(0.4)
+    assert player.time == pytest.approx(0.2)
+    assert player.jump() and not player.playing and player.time == pytest.approx(0.6, abs=0.01)
+    player.step(1)
+    assert player.time == pytest.approx(0.601, abs=1e-9)
+    player.step(-2)
+    assert player.time == pytest.approx(0.599, abs=1e-9)
+    assert player.jump() and player.jump() and not player.jump()
+    assert "contact" in player.last_event()
+    player.seek(99.0)
+    assert player.time == recording.duration
+    player.toggle()
+    assert player.playing and player.time == 0.0
+
+
+def test_a_bag_without_joint_states_is_refused(tmp_path):
+    writer = BagWriter(tmp_path / "bag", [Topic("/goal_pose", "geometry_msgs/msg/PoseStamped")])
+    writer.write("/goal_pose", serialize_message(PoseStamped()), 1)
+    writer.close()
+    with pytest.raises(BagError, match="joint_states"):
+        Recording(tmp_path / "bag", make_decoders())
