@@ -150,6 +150,8 @@ def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> 
         "/joint_states": 600,
         "/effort_controller/commands": 600,
         "/goal_pose": 1,
+        # Its own.
+        "/settings": 1,
     }
     positions = [item.message.position[0] for item in reader.messages(["/joint_states"])]
     assert positions == [float(count) for count in range(600)]
