@@ -33,6 +33,13 @@ TYPES = {
     "/sim/contacts": "sensor_msgs/msg/JointState",
     "/robot_description": "std_msgs/msg/String",
     "/clock": "rosgraph_msgs/msg/Clock",
+    "/lockstep/horizon": "std_msgs/msg/Header",
+    "/plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/plan/solution": "std_msgs/msg/Float32MultiArray",
+    "/settings": "diagnostic_msgs/msg/DiagnosticStatus",
+    "/intake/controller": "std_msgs/msg/Int64MultiArray",
+    "/intake/observer": "std_msgs/msg/Int64MultiArray",
+    "/intake/planner": "std_msgs/msg/Int64MultiArray",
 }
 
 
