@@ -319,7 +319,7 @@ def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitte
     axes.set_xlim(left=0.0)
     arrow = f"force on a body, {100 * _FORCE_SCALE:g} cm/N"
     axes.plot([], [], color=BLACK, marker=r"$\rightarrow$", markersize=14.0, linestyle="none", label=arrow)
-    axes.legend(loc="center left", fontsize=8.0, framealpha=1.0, edgecolor="none", borderaxespad=0.2)
+    axes.legend(loc="best", fontsize=8.0, framealpha=1.0, edgecolor="none", borderaxespad=0.2)
     _finish(axes)
 
 
