@@ -170,7 +170,7 @@ class Supervisor:
     def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
         """Take the observer's sign of life; a non-empty reason stops the arm.
 
-        `distrust`: what is wrong with the joint states themselves, on which a compliant stop would act, too.
+        `distrust`: what is wrong with the joint states or the model, on which a compliant stop would rely, too.
         """
         self._observer_ns = clock_ns
         self._observer_stopped = stopped_because

@@ -45,7 +45,7 @@ class SafetySettings(Settings):
 
 
 DISTRUST = "distrust"
-"""Name of a value in safety_state: what is wrong with the joint states themselves."""
+"""Name of a value in safety_state: what is wrong with the joint states or the model, on which a stop relies, too."""
 
 
 class Level(Enum):
@@ -74,7 +74,8 @@ class SafetyMonitor:
     stop_reason
         Why the arm is stopped; empty while it is not.
     distrust
-        What is wrong with the joint states themselves; empty until something is, and after a reset.
+        What is wrong with what a compliant stop relies on, the joint states or the model; empty until something is, and
+        after a reset.
     stops
         How often it has been stopped.
     in_contact
@@ -176,7 +177,7 @@ class SafetyMonitor:
             self.stops += 1
 
     def stop_distrusting(self, reason: str) -> None:
-        """Latch a stop because the joint states are wrong; the first such reason is kept."""
+        """Latch a stop because the joint states or the model are wrong; the first such reason is kept."""
         self.stop(reason)
         self.distrust = self.distrust or reason
 
@@ -242,7 +243,8 @@ class SafetyMonitor:
             return
         self._handed_over_above += 1
         if self._handed_over_above >= self.settings.handover_debounce:
-            self.stop(
+            # A compliant stop would let the arm sink: it is the model that is to carry it.
+            self.stop_distrusting(
                 f"at hand-over the external torque on {iiwa14.JOINT_NAMES[joint]} is {residual[joint]:.1f} Nm, "
                 f"permitted {self._handover_limits[joint]:g} Nm: the model's gravity or payload does not match the arm"
             )

@@ -112,6 +112,7 @@ def test_unknown_weight_at_hand_over_is_an_error(watched):
     watched.give(1.2 * np.array(BUDGET.handover_thresholds)[1] * np.eye(7)[1], 200)
     assert watched.last[0] == DiagnosticStatus.ERROR
     assert "at hand-over the external torque on lbr_A2" in watched.last[1]
+    assert watched.last[2][DISTRUST] == watched.last[1]
 
 
 def test_torque_of_which_a_part_is_not_finite_is_refused(watched):

@@ -235,6 +235,8 @@ class TestHandOver:
         )
         assert "gravity or payload" in monitor.stop_reason
         assert monitor.stops == 1
+        # No compliant stop: the model that is wrong would have to carry the arm.
+        assert monitor.distrust == monitor.stop_reason
 
     def test_the_same_torque_later_does_not(self):
         assert not self.hand_over(self.weight, 1.0, begin=self.budget.handover_time).stopped
