@@ -49,7 +49,7 @@ PRIORITY = 26
 
 _CLOCK_HZ = 100.0
 _RATES = (0.01, 100.0)
-_SETTLED_S, _DISCOVERY_S = 1.0, 5.0
+_MATCHED_S = 1.0
 _LOOK_S = 0.05
 _TURNS_SHOWN = 4
 _ARRIVAL_S = 1.0
@@ -198,9 +198,8 @@ class Replay:
         ContactReachError
             If something would act on what is replayed, or the bag cannot be read.
         """
-        self._wait_settled(ended)
         if self._watching is not None:
-            self._watching.check_all()
+            self._watching.settle(lambda: not ended.empty())
         self._publishers = {
             name: self._node.create_publisher(kind, name, publisher_qos(name, self._reader.topics()[name].offered_qos))
             for name, kind in self._chosen.items()
@@ -221,7 +220,7 @@ class Replay:
         began = time.monotonic()
         try:
             # Subscriptions have to be matched before the first message.
-            time.sleep(_SETTLED_S)
+            time.sleep(_MATCHED_S)
             playing.start()
             failure = self._watch(start_ns, ended)
         finally:
@@ -230,7 +229,7 @@ class Replay:
                 playing.join()
             executor.shutdown()
             serving.join()
-        self._report(time.monotonic() - began - _SETTLED_S)
+        self._report(time.monotonic() - began - _MATCHED_S)
         if failure is not None:
             raise failure
         return 0
@@ -239,7 +238,7 @@ class Replay:
         try:
             self._prioritise(PRIORITY)
             for message in self._latched_before(start_ns):
-                self._publishers[message.topic].publish(message.data)
+                self._publish(message)
             while self._play_once(start_ns) and self._options.loop:
                 self._loops += 1
             if not self._options.loop:
@@ -250,11 +249,16 @@ class Replay:
             ended.put(error)
 
     def _play_once(self, start_ns: int) -> bool:
-        publish = {name: publisher.publish for name, publisher in self._publishers.items()}
         stored = self._reader.raw_messages(list(self._chosen), start_ns)
         # With the same priority as this one, the thread that reads ahead would keep it from running.
         with closing(read_ahead(stored, lambda: self._prioritise(PRIORITY - 1))) as messages:
-            return self._playback.run(messages, start_ns, lambda message: publish[message.topic](message.data))
+            return self._playback.run(messages, start_ns, self._publish)
+
+    def _publish(self, message: RawMessage) -> None:
+        publisher = self._publishers[message.topic]
+        if self._watching is not None:
+            self._watching.admit(message.topic, publisher)
+        publisher.publish(message.data)
 
     def _prioritise(self, priority: int) -> None:
         """For the calling thread, where the system permits it."""
@@ -295,17 +299,6 @@ class Replay:
                 if turn % _TURNS_SHOWN == 0:
                     position = min(max(self._playback.position_ns, start_ns), end_ns)
                     show((position - start_ns) / NANOSECONDS, "paused" if self._playback.paused else "")
-
-    def _wait_settled(self, ended: queue.SimpleQueue[BaseException | None]) -> None:
-        """Until no other node has appeared for a while, so that the first look finds who is there."""
-        seen: Any = None
-        deadline = time.monotonic() + _DISCOVERY_S
-        changed = time.monotonic()
-        while time.monotonic() < min(deadline, changed + _SETTLED_S) and ended.empty():
-            time.sleep(4 * _LOOK_S)
-            found = sorted(self._node.get_node_names_and_namespaces())
-            if found != seen:
-                seen, changed = found, time.monotonic()
 
     def _serve(self) -> None:
         self._node.create_service(SetBool, "~/pause", self._on_pause)

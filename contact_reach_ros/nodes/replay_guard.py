@@ -1,16 +1,19 @@
 """What keeps a replay from moving an arm that is really there.
 
 Recorded commands, references and goals look like live ones, and a controller that hears recorded joint states commands
-the arm it has for states that it is not in. So a replay first looks who listens, and keeps looking.
+the arm it has for states that it is not in. So a replay first looks who listens, keeps looking, and before each message
+asks its publisher whether somebody new would get it.
 """
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import NamedTuple
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.errors import InputError
@@ -25,6 +28,11 @@ _LEADING = (topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 _UNNAMED = "/_NODE_NAME_UNKNOWN_"
 _UNNAMED_S = 3.0
 """After this time a node without a name is taken for one that acts."""
+
+_SETTLED_S, _DISCOVERY_S = 3.5, 10.0
+"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
+
+_LOOK_S = 0.02
 
 
 class Endpoints(NamedTuple):
@@ -73,7 +81,7 @@ def objections(replayed: Collection[str], graph: Mapping[str, Endpoints]) -> lis
 
 
 class Watch:
-    """Looks who publishes and hears the replayed topics.
+    """Looks who publishes and hears the replayed topics; for several threads.
 
     Asking for one topic keeps the interpreter busy for a tenth of a millisecond, so that a look at all of them would
     make messages late.
@@ -91,20 +99,33 @@ class Watch:
         self._replayed = frozenset(replayed)
         self._names = sorted({*replayed, *_related(replayed)})
         self._graph: dict[str, Endpoints] = {}
+        self._admitted = dict.fromkeys(replayed, 0)
         self._next = 0
         self._complete_at = time.monotonic()
+        self._lock = threading.Lock()
 
-    def check_all(self) -> None:
-        """Look at all topics.
+    def settle(self, ended: Callable[[], bool]) -> None:
+        """Look at all topics until nothing new has been found for a while and every node has a name.
+
+        Parameters
+        ----------
+        ended :
+            Whether to leave it.
 
         Raises
         ------
         InputError
             If something there would act on what is replayed.
         """
-        for _ in self._names:
-            self._look()
-        self._judge()
+        changed = time.monotonic()
+        deadline = changed + _DISCOVERY_S
+        seen: dict[str, Endpoints] = {}
+        while time.monotonic() < min(deadline, changed + _SETTLED_S) and not ended():
+            time.sleep(_LOOK_S)
+            self._look_all()
+            if self._graph != seen or without_unnamed(self._graph) != self._graph:
+                seen, changed = dict(self._graph), time.monotonic()
+        self._judge(self._graph)
 
     def check_next(self) -> None:
         """Look at one topic, another one each time.
@@ -114,25 +135,60 @@ class Watch:
         InputError
             If something there would act on what is replayed.
         """
-        self._look()
-        self._judge()
+        with self._lock:
+            self._look(self._names[self._next])
+            self._next = (self._next + 1) % len(self._names)
+            now = time.monotonic()
+            named = without_unnamed(self._graph)
+            if named == self._graph:
+                self._complete_at = now
+            self._judge(self._graph if now - self._complete_at > _UNNAMED_S else named)
 
-    def _look(self) -> None:
-        name = self._names[self._next]
-        self._next = (self._next + 1) % len(self._names)
+    def admit(self, name: str, publisher: Publisher) -> None:
+        """Before a message: who would get it has to be known, and not act on it.
+
+        A message reaches those alone that the publisher is matched with, which costs little to ask. Where there are
+        more of them than before, this waits until they have names.
+
+        Parameters
+        ----------
+        name :
+            Full name of the topic.
+        publisher :
+            The replay's own.
+
+        Raises
+        ------
+        InputError
+            If one of them would act on it.
+        """
+        matched = publisher.get_subscription_count()
+        if matched > self._admitted[name]:
+            deadline = time.monotonic() + _UNNAMED_S
+            self._look_all()
+            while time.monotonic() < deadline and not self._is_known(name):
+                time.sleep(_LOOK_S)
+                self._look_all()
+            self._judge(self._graph)
+        self._admitted[name] = matched
+
+    def _is_known(self, name: str) -> bool:
+        """Whether there is somebody who hears a topic, and everybody has a name."""
+        return bool(self._graph[name].listeners) and without_unnamed(self._graph) == self._graph
+
+    def _look_all(self) -> None:
+        with self._lock:
+            for name in self._names:
+                self._look(name)
+
+    def _look(self, name: str) -> None:
         own = self._node.get_fully_qualified_name()
         self._graph[name] = Endpoints(
             _full_names(self._node.get_publishers_info_by_topic(name)) - {own},
             _full_names(self._node.get_subscriptions_info_by_topic(name)) - {own},
         )
 
-    def _judge(self) -> None:
-        now = time.monotonic()
-        graph = without_unnamed(self._graph)
-        if graph == self._graph:
-            self._complete_at = now
-        elif now - self._complete_at > _UNNAMED_S:
-            graph = self._graph
+    def _judge(self, graph: Mapping[str, Endpoints]) -> None:
         found = objections(self._replayed, graph)
         if found:
             raise InputError(

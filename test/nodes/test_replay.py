@@ -18,9 +18,10 @@ from stack_helpers import environment, module, wait_for
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.replay import main, publisher_qos
-from contact_reach_ros.nodes.replay_guard import Endpoints, objections
+from contact_reach_ros.nodes.replay_guard import Endpoints, Watch, objections
 from contact_reach_ros.recording.bag_writer import BagWriter
 from contact_reach_ros.recording.topics import OfferedQos, Topic
 
@@ -170,6 +171,33 @@ def test_commands_are_not_replayed_to_a_live_arm(tmp_path, env):
         assert arm.node.count_publishers("/effort_controller/commands") == 0
     finally:
         arm.close()
+
+
+def test_no_message_goes_to_an_arm_found_too_late_to_be_looked_at(env, listener):
+    arm = Listener(env, "my_arm")
+    kind, name = Float64MultiArray, COMMANDS
+    try:
+        watch = Watch(listener.node, [name])
+        publisher = listener.node.create_publisher(kind, name, 1)
+        watch.admit(name, publisher)
+        arm.hear(kind, name, QoSProfile(depth=1))
+        wait_for(publisher.get_subscription_count, PATIENCE, "a match")
+        with pytest.raises(InputError, match=f"{name} is heard by /my_arm"):
+            watch.admit(name, publisher)
+    finally:
+        arm.close()
+
+
+def test_whoever_only_watches_gets_messages(env, listener):
+    watching = Listener(env, "recorder")
+    try:
+        watch = Watch(listener.node, [COMMANDS])
+        publisher = listener.node.create_publisher(Float64MultiArray, COMMANDS, 1)
+        watching.hear(Float64MultiArray, COMMANDS, QoSProfile(depth=1))
+        wait_for(publisher.get_subscription_count, PATIENCE, "a match")
+        watch.admit(COMMANDS, publisher)
+    finally:
+        watching.close()
 
 
 def nodes(*names: str) -> frozenset[str]:
