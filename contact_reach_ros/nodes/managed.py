@@ -29,6 +29,7 @@ from contact_reach_ros.nodes.realtime import (
     Inbox,
     Role,
     choose_cpus,
+    give_way,
     prioritise_background,
     prioritise_middleware,
     request_realtime,
@@ -283,7 +284,12 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     if warning:
         node.get_logger().warning(warning)
     _on_signals(lambda *_: ended.put(None))
-    tasks = {"loop": node.loop, "services": executor.spin}
+
+    def serve() -> None:
+        give_way()
+        executor.spin()
+
+    tasks = {"loop": node.loop, "services": serve}
     threads = [threading.Thread(target=work, args=[task], name=name) for name, task in tasks.items()]
     for thread in threads:
         thread.start()

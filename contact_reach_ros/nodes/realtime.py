@@ -141,6 +141,17 @@ def prioritise_background() -> str:
     return _prioritise(os.listdir("/proc/self/task"), _BACKGROUND_PRIORITY)
 
 
+def give_way() -> None:
+    """Lower the calling thread's SCHED_FIFO priority by one, if it has any; those of other processes stay on their side.
+
+    For what a process does beside its loop: Linux lets threads of one priority finish, so that on the same CPU the loop
+    would wait until diagnostics are written.
+    """
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:
+        priority = os.sched_getparam(0).sched_priority
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority - 1))
+
+
 def _prioritise(threads: Sequence[str], priority: int) -> str:
     try:
         for thread in threads:
