@@ -7,7 +7,6 @@ callback in an executor, with message objects. Names are below /bench, where not
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import sys
@@ -15,7 +14,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -23,7 +21,7 @@ from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import controller, driver, topics
-from contact_reach_ros.nodes.managed import initialise
+from contact_reach_ros.nodes.managed import run_measurement
 from contact_reach_ros.nodes.realtime import Inbox, Role, choose_cpus, request_realtime, use_cpus
 from contact_reach_ros.nodes.serialized import JointStateWriter
 from contact_reach_ros.nodes.topics import Topic
@@ -51,19 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ended: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: ended.append(number))
-    try:
-        initialise([options.role])
-        node = Node(f"echo_{options.role}")
-        if options.role == PING:
-            print(json.dumps(_ping(node, options.seconds, ended)), flush=True)
-        else:
-            _pong(node, ended)
-        node.destroy_node()
-    except ContactReachError as error:
-        print(f"{options.role}: {error}", file=sys.stderr)
-        sys.exit(2)
-    finally:
-        rclpy.try_shutdown()
+    if options.role == PING:
+        run_measurement(f"echo_{PING}", lambda node: _ping(node, options.seconds, ended))
+    else:
+        run_measurement(f"echo_{PONG}", lambda node: _pong(node, ended))
 
 
 def _ping(node: Node, seconds: float, ended: list[int]) -> dict[str, float]:

@@ -6,20 +6,17 @@ Names are below /bench, where nothing that moves an arm listens. Every message h
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import rclpy
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.managed import initialise
+from contact_reach_ros.nodes.managed import run_measurement
 from contact_reach_ros.nodes.realtime import request_realtime
 from contact_reach_ros.nodes.serialized import CommandWriter, JointStateWriter, WrenchWriter
 from contact_reach_ros.nodes.topics import Topic
@@ -62,16 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=1000.0)
     options = parser.parse_args(arguments)
-    try:
-        initialise([NAME])
-        node = Node(NAME)
-        print(json.dumps(_publish(node, options.seconds, options.rate)), flush=True)
-        node.destroy_node()
-    except ContactReachError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        sys.exit(2)
-    finally:
-        rclpy.try_shutdown()
+    run_measurement(NAME, lambda node: _publish(node, options.seconds, options.rate))
 
 
 def _publish(node: Node, seconds: float, rate: float) -> dict[str, float]:

@@ -19,6 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros import __version__
@@ -246,6 +247,20 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except rclpy_implementation.RCLError as error:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
+
+
+def run_measurement(name: str, measure: Callable[[Node], Any]) -> None:
+    """Have a bare node measure something and print it as JSON; exit code 2 and one line where that is not possible."""
+    try:
+        initialise([name])
+        node = Node(name)
+        print(json.dumps(measure(node)), flush=True)
+        node.destroy_node()
+    except ContactReachError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(2)
+    finally:
+        rclpy.try_shutdown()
 
 
 def _serve(node: ManagedNode, role: Role, priority: int) -> int:

@@ -142,7 +142,7 @@ def prioritise_background() -> str:
 
 
 def give_way() -> None:
-    """Lower the calling thread's SCHED_FIFO priority by one, if it has any; those of other processes stay on their side.
+    """Lower the calling thread's SCHED_FIFO priority by one, if it has any: still above or below the same processes.
 
     For what a process does beside its loop: Linux lets threads of one priority finish, so that on the same CPU the loop
     would wait until diagnostics are written.

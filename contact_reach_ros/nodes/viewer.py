@@ -30,6 +30,7 @@ from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.interfaces import STOPPABLE
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import quaternion, to_point, vector
+from contact_reach_ros.nodes.observer import read_contact
 from contact_reach_ros.nodes.obstacle_markers import Material, ObstacleMarkerReader
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.plan_markers import ARM, ELBOW, FLANGE
@@ -387,17 +388,11 @@ def _parameter(descriptor: ParameterDescriptor, value: ParameterValue) -> Parame
 
 def _status(message: DiagnosticStatus) -> tuple[str, Status]:
     level = message.level[0] if isinstance(message.level, bytes) else int(message.level)
-    values = {entry.key: entry.value for entry in message.values}
     try:
-        force = np.array([float(text) for text in values.get("contact force xyz N", "").split()])
-    except ValueError:
-        force = np.zeros(0)
-    return message.name, Status(
-        Level(min(level, Level.STOP.value)),
-        message.message,
-        values.get("contact link", ""),
-        force if force.shape == (3,) else None,
-    )
+        contact = read_contact(message)
+    except InputError:
+        contact = None
+    return message.name, Status(Level(min(level, Level.STOP.value)), message.message, contact)
 
 
 def _numbers(message: DiagnosticArray) -> dict[str, float]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Callable, Container, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from contact_reach_ros.cdr import (
@@ -30,6 +30,7 @@ from contact_reach_ros.cdr import (
     joint_state_starts,
 )
 from contact_reach_ros.recording.bag_reader import BagReader, RawMessage
+from contact_reach_ros.recording.mcap_chunks import Block
 from contact_reach_ros.recording.mcap_file import McapFile
 from contact_reach_ros.units import NANOSECONDS
 
@@ -37,10 +38,6 @@ Times = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 _BATCH = 4096
-_RECORD = struct.Struct("<BQ")
-"""Opcode and length of a record of an mcap file."""
-_MESSAGE = struct.Struct("<HIQQ")
-"""Channel, sequence, times of reception and of sending."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,8 +72,11 @@ class Column:
         return len(self.log_ns)
 
 
-class Collector:
+class Collector(ABC):
     """Gathers the messages of one topic in a column. Subclasses say how many of them are read at once."""
+
+    stamped = True
+    """Whether the messages begin with a header."""
 
     def __init__(self) -> None:
         self._waiting: list[RawMessage] = []
@@ -85,20 +85,17 @@ class Collector:
         self._refused = 0
 
     @property
+    @abstractmethod
     def names(self) -> tuple[str, ...]:
         """Of the columns."""
-        raise NotImplementedError
 
+    @abstractmethod
     def alike(self, rows: Bytes) -> NDArray[np.float64] | None:
         """Values (n, k) of messages of one size (n, size) that look alike except for numbers; None if they do not."""
-        raise NotImplementedError
 
+    @abstractmethod
     def single(self, data: bytes) -> NDArray[np.float64] | None:
         """Values (k,) of one message; None if it is none."""
-        raise NotImplementedError
-
-    stamped = True
-    """Whether the messages begin with a header."""
 
     def add(self, message: RawMessage) -> None:
         """Take a message."""
@@ -106,25 +103,16 @@ class Collector:
         if len(self._waiting) == _BATCH:
             self._read_waiting()
 
-    def add_block(self, chunk: bytes, times: Times, starts: Times, sizes: Times) -> None:
-        """Take messages out of a chunk.
-
-        Parameters
-        ----------
-        chunk
-            The bytes that they are in.
-        times
-            (4, n): log_ns, publish_ns, sequence, and room for the stamps.
-        starts, sizes
-            (n,) of each in the chunk.
-        """
-        size = int(sizes[0])
-        if size >= HEADER and (sizes == size).all():
-            rows = np.frombuffer(chunk, np.uint8)[starts[:, None] + np.arange(size)]
+    def add_block(self, block: Block) -> None:
+        """Take the messages of a block."""
+        # Room for the stamps in the last row.
+        times = np.stack([block.log_ns, block.publish_ns, block.sequence, np.zeros_like(block.log_ns)])
+        size = int(block.sizes[0])
+        if size >= HEADER and (block.sizes == size).all():
+            rows = np.frombuffer(block.content, np.uint8)[block.starts[:, None] + np.arange(size)]
             if self._read_rows(rows, times):
                 return
-        ends = starts + sizes
-        self._read_each([chunk[start:end] for start, end in zip(starts.tolist(), ends.tolist(), strict=True)], times)
+        self._read_each([block.data(row) for row in range(len(block.starts))], times)
 
     def column(self) -> Column:
         """All that came."""
@@ -150,10 +138,7 @@ class Collector:
     def _read_waiting(self) -> None:
         messages, self._waiting = self._waiting, []
         if messages:
-            times = np.array([(m.log_time_ns, m.publish_time_ns, m.sequence, 0) for m in messages], dtype=np.int64).T
-            data = [message.data for message in messages]
-            sizes = np.array([len(content) for content in data])
-            self.add_block(b"".join(data), times, np.cumsum(sizes) - sizes, sizes)
+            self.add_block(Block.of([(m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]))
 
     def _read_rows(self, rows: Bytes, times: Times) -> bool:
         """Read messages of one size, if they look alike."""
@@ -333,35 +318,16 @@ def _read_indexed(
         for number, channel in file.contents.channels.items()
         if channel.topic in handlers
     }
-    for chunk in file.chunks(set(channels)):
-        for number, rows in _messages_of(chunk, channels).items():
+    for blocks in file.blocks(set(channels)):
+        for number, block in blocks.items():
             topic, handler = channels[number]
             if isinstance(handler, Collector):
-                log_ns, publish_ns, sequence, starts, sizes = np.array(rows, dtype=np.int64).T
-                times = np.stack([log_ns, publish_ns, sequence, np.zeros_like(log_ns)])
-                handler.add_block(chunk, times, starts, sizes)
-            else:
-                type_name = bag.topics()[topic].type
-                for log_ns, publish_ns, sequence, start, size in sorted(rows):
-                    data = chunk[start : start + size]
-                    handler(RawMessage(topic, type_name, log_ns, publish_ns, data, sequence))
-
-
-def _messages_of(chunk: bytes, channels: Container[int]) -> dict[int, list[tuple[int, int, int, int, int]]]:
-    """Times, number, start and size of the messages of some channels."""
-    found: dict[int, list[tuple[int, int, int, int, int]]] = {}
-    unpack_record, unpack_message = _RECORD.unpack_from, _MESSAGE.unpack_from
-    at, end = 0, len(chunk)
-    while at + _RECORD.size <= end:
-        code, length = unpack_record(chunk, at)
-        at += _RECORD.size
-        if code == Opcode.MESSAGE:
-            channel, sequence, log_ns, publish_ns = unpack_message(chunk, at)
-            if channel in channels:
-                row = (log_ns, publish_ns, sequence, at + _MESSAGE.size, length - _MESSAGE.size)
-                found.setdefault(channel, []).append(row)
-        at += length
-    return found
+                handler.add_block(block)
+                continue
+            type_name = bag.topics()[topic].type
+            for row in np.argsort(block.log_ns, kind="stable").tolist():
+                received, sent, sequence = (int(column[row]) for column in block[1:4])
+                handler(RawMessage(topic, type_name, received, sent, block.data(row), sequence))
 
 
 def _stamp_ns(data: bytes) -> int:

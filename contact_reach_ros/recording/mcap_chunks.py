@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from io import BytesIO
 from operator import itemgetter
 from typing import BinaryIO, NamedTuple
@@ -15,6 +15,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
 
 DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError)
 """What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text, or a
@@ -27,6 +28,19 @@ _MESSAGE = struct.Struct("<HIQQ")
 _INDEX = struct.Struct("<BQHI")
 """Opcode, length, channel and number of bytes of the entries."""
 _INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
+_HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("received", "<u8"),
+        ("sent", "<u8"),
+    ]
+)
+"""What stands before the data of a message."""
+
+Numbers = NDArray[np.int64]
 
 
 class StoredMessage(NamedTuple):
@@ -37,6 +51,42 @@ class StoredMessage(NamedTuple):
     channel_id: int
     sequence: int
     data: bytes
+
+
+class Block(NamedTuple):
+    """Messages of one channel in one chunk, in the order of the file.
+
+    Attributes
+    ----------
+    content
+        The bytes that they are in.
+    log_ns, publish_ns
+        (n,) reception and sending, ns since the epoch.
+    sequence
+        (n,) numbers that the publisher gave.
+    starts, sizes
+        (n,) where the data of each is in the content.
+    """
+
+    content: bytes
+    log_ns: Numbers
+    publish_ns: Numbers
+    sequence: Numbers
+    starts: Numbers
+    sizes: Numbers
+
+    def data(self, row: int) -> bytes:
+        """The data of one message."""
+        start = int(self.starts[row])
+        return self.content[start : start + int(self.sizes[row])]
+
+    @classmethod
+    def of(cls, messages: Sequence[tuple[int, int, int, bytes]]) -> Block:
+        """A block of times of reception and of sending, numbers and data."""
+        received, sent, numbers, data = zip(*messages, strict=True)
+        sizes = np.array([len(content) for content in data], np.int64)
+        log_ns, publish_ns, sequence = (np.array(column, np.int64) for column in (received, sent, numbers))
+        return cls(b"".join(data), log_ns, publish_ns, sequence, np.cumsum(sizes) - sizes, sizes)
 
 
 _TIME = itemgetter(0)
@@ -126,23 +176,65 @@ class OrderedChunks:
         yield from waiting
 
 
-def reception_times(stream: BinaryIO, indexes: list[ChunkIndex]) -> dict[int, np.ndarray]:
+def read_blocks(stream: BinaryIO, index: ChunkIndex, channels: Collection[int]) -> dict[int, Block]:
+    """The messages of some channels in the chunk that an index points to; its message indexes are used if it has any.
+
+    One of `DAMAGE` is raised where the chunk or its message indexes are not what was written.
+    """
+    content = read_chunk(stream, index)
+    if index.message_index_offsets:
+        entries = _message_indexes(stream, index)
+        offsets = {number: np.sort(entries[number]["offset"]) for number in channels if number in entries}
+    else:
+        starts = [at - _RECORD.size for opcode, at, _ in _records(content) if opcode == Opcode.MESSAGE]
+        found = np.array(starts, np.int64)
+        owners = _heads(content, found)["channel"]
+        offsets = {number: found[owners == number] for number in channels}
+    return {number: _block(content, number, at.astype(np.int64)) for number, at in offsets.items() if len(at)}
+
+
+def _block(content: bytes, channel: int, offsets: Numbers) -> Block:
+    heads = _heads(content, offsets)
+    starts, sizes = offsets + _HEAD.itemsize, heads["length"].astype(np.int64) - _MESSAGE.size
+    whole = sizes.min() >= 0 and (starts + sizes).max() <= len(content)
+    if not (whole and (heads["opcode"] == Opcode.MESSAGE).all() and (heads["channel"] == channel).all()):
+        raise ValueError(f"the index of channel {channel} does not point to its messages")
+    log_ns, publish_ns, sequence = (heads[name].astype(np.int64) for name in ("received", "sent", "sequence"))
+    return Block(content, log_ns, publish_ns, sequence, starts, sizes)
+
+
+def _heads(content: bytes, offsets: Numbers) -> NDArray[np.void]:
+    """What stands before the data of the messages at some places, (n,)."""
+    if len(offsets) and not 0 <= offsets.min() <= offsets.max() <= len(content) - _HEAD.itemsize:
+        raise ValueError("a message index points behind its chunk")
+    rows = np.frombuffer(content, np.uint8)[offsets[:, None] + np.arange(_HEAD.itemsize)]
+    return rows.view(_HEAD)[:, 0]
+
+
+def _message_indexes(stream: BinaryIO, index: ChunkIndex) -> dict[int, NDArray[np.void]]:
+    """Times and offsets of the messages of each channel in a chunk, (n,)."""
+    behind = index.chunk_start_offset + index.chunk_length
+    stream.seek(behind)
+    content = stream.read(index.message_index_length)
+    found = {}
+    at = 0
+    while at < len(content):
+        opcode, length, channel, size = _INDEX.unpack_from(content, at)
+        start = at + _INDEX.size
+        if opcode != Opcode.MESSAGE_INDEX or start + size > len(content):
+            raise ValueError(f"no message index at byte {behind}")
+        found[channel] = np.frombuffer(content, _INDEX_ENTRY, size // _INDEX_ENTRY.itemsize, start)
+        at += _RECORD.size + length
+    return found
+
+
+def reception_times(stream: BinaryIO, indexes: list[ChunkIndex]) -> dict[int, Numbers]:
     """Times of reception, (n,) in ns since the epoch, of each channel in the order of the file, from the index alone.
 
     One of `DAMAGE` is raised where the index is not what was written.
     """
-    found: dict[int, list[np.ndarray]] = {}
+    found: dict[int, list[Numbers]] = {}
     for index in sorted(indexes, key=lambda index: index.chunk_start_offset):
-        stream.seek(index.chunk_start_offset + index.chunk_length)
-        content = stream.read(index.message_index_length)
-        at = 0
-        while at < len(content):
-            opcode, length, channel, size = _INDEX.unpack_from(content, at)
-            at += _RECORD.size
-            start = at + _INDEX.size - _RECORD.size
-            if opcode != Opcode.MESSAGE_INDEX or start + size > len(content):
-                raise ValueError(f"no message index at byte {index.chunk_start_offset + index.chunk_length}")
-            entries = np.frombuffer(content, _INDEX_ENTRY, size // _INDEX_ENTRY.itemsize, start)
+        for channel, entries in _message_indexes(stream, index).items():
             found.setdefault(channel, []).append(entries["time"].astype(np.int64))
-            at += length
     return {channel: np.concatenate(parts) for channel, parts in found.items()}

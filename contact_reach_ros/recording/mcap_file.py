@@ -20,12 +20,13 @@ from mcap.summary import Summary
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.recording.mcap_chunks import (
     DAMAGE,
+    Block,
     OrderedChunks,
     StoredMessage,
     chunk_content,
     chunk_definitions,
     chunk_messages,
-    read_chunk,
+    read_blocks,
     reception_times,
 )
 
@@ -123,16 +124,18 @@ class McapFile:
                 if channel is not None:
                     yield channel, message
 
-    def chunks(self, channels: set[int]) -> Iterator[bytes]:
-        """The unpacked chunks of an indexed file that have messages of the channels, in the order of the file."""
+    def blocks(self, channels: set[int]) -> Iterator[dict[int, Block]]:
+        """The messages of some channels of an indexed file, chunk by chunk in the order of the file."""
         with self.path.open("rb") as stream:
             for index in sorted(self._chunks, key=lambda index: index.chunk_start_offset):
                 if index.message_index_offsets and channels.isdisjoint(index.message_index_offsets):
                     continue
                 try:
-                    yield read_chunk(stream, index)
+                    found = read_blocks(stream, index, channels)
                 except DAMAGE:
                     self._damaged.add(index.chunk_start_offset)
+                    continue
+                yield found
 
     def reception_times(self) -> dict[int, np.ndarray]:
         """Times of reception, (n,) in ns since the epoch, by channel number and in the order of the file."""

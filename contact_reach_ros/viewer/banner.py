@@ -36,7 +36,8 @@ def banner_text(frame: Frame | None, silence: float | None) -> tuple[Level | Non
         return Level.STOP, "STOPPED", "; ".join(f"{name}: {reason}" for name, reason in stops.items())
     touched = [status for status in frame.safety.values() if status.level is Level.CONTACT]
     if touched:
-        return Level.CONTACT, "contact", f"at {touched[0].contact_link}" if touched[0].contact_link else ""
+        contact = touched[0].contact
+        return Level.CONTACT, "contact", "" if contact is None else f"at {contact.link}"
     controller = frame.safety.get(_CONTROLLER)
     return (Level.OK, controller.message, "") if controller is not None else (None, "no controller", "")
 

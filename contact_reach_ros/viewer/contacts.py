@@ -42,7 +42,7 @@ def arrows(frame: Frame) -> list[Arrow]:
     """The contacts of a moment.
 
     Simulation tells the size of the force on each link: it is drawn where the link is nearest to an obstacle, along
-    their common normal. The observer tells size and direction, and the link: drawn in the middle of the link.
+    their common normal. The observer tells size, direction and place.
     """
     starts, ends = capsule_segments(frame.q)
     found = []
@@ -52,10 +52,9 @@ def arrows(frame: Frame) -> list[Arrow]:
             point, normal = _nearest(starts[place], ends[place], iiwa14.CAPSULES[place].radius, frame.obstacles)
             found.append(Arrow(point, size * normal, False))
     for status in frame.safety.values():
-        if status.contact_link in _PLACES and status.contact_force is not None:
-            place = _PLACES[status.contact_link]
-            if np.linalg.norm(status.contact_force) >= _LEAST:
-                found.append(Arrow(0.5 * (starts[place] + ends[place]), status.contact_force, True))
+        contact = status.contact
+        if contact is not None and np.linalg.norm(contact.force) >= _LEAST:
+            found.append(Arrow(contact.position, contact.force, True))
     return found
 
 

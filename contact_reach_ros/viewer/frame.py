@@ -9,6 +9,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.planning.problem import Spheres
 
 Array = NDArray[np.float64]
@@ -28,10 +29,8 @@ class Status:
 
     level: Level
     message: str
-    contact_link: str = ""
-    """Where the observer believes the arm to be touched; empty while it is not."""
-    contact_force: Array | None = None
-    """(3,) on the arm, N, base axes, with it."""
+    contact: Contact | None = None
+    """Where the observer believes the arm to be touched."""
 
 
 @dataclass(frozen=True)

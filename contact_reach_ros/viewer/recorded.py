@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.cdr import after_string, text_at
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.recording.bag_reader import BagReader
-from contact_reach_ros.recording.index import BagIndex, JointColumns, Rows
+from contact_reach_ros.recording.columns import JointStates, Stamps
+from contact_reach_ros.recording.index import BagIndex, Place, UnindexedBag
+from contact_reach_ros.recording.mcap_chunks import Block
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.kinematics import link_frames_of_many
 from contact_reach_ros.units import NANOSECONDS
@@ -26,8 +29,7 @@ Times = NDArray[np.int64]
 _STATES, _TORQUES, _CONTACTS = "/joint_states", "/external_torque", "/sim/contacts"
 _PLANS, _PICTURES, _OBSTACLES = "/reference/pose", "/plan/markers", "/obstacles"
 _GOALS, _SAFETY, _NUMBERS = "/goal_pose", "/safety_state", "/diagnostics"
-_WHOLE = (_STATES, _TORQUES, _CONTACTS, _PLANS, _SAFETY)
-_PLACED = (_PICTURES, _OBSTACLES, _GOALS, _SAFETY, _NUMBERS)
+_ASKED_FOR = (_PICTURES, _OBSTACLES, _GOALS, _SAFETY, _NUMBERS)
 
 _SAMPLES = 0.02
 """Time between the points of a curve, s: the rate of the fastest plotted quantities is thinned to that anyway."""
@@ -36,7 +38,6 @@ _CONTACT_FORCE = 0.5
 _CONTACT_PAUSE = 0.3
 """Time without a contact after which the next is another one, s."""
 _ROUND_TRIP = b"round trip"
-_NUMBER = struct.Struct("<I")
 
 _LINKS = tuple(iiwa14.LINK_NAMES[capsule.link - 1] for capsule in iiwa14.CAPSULES)
 
@@ -62,7 +63,7 @@ class Event(NamedTuple):
 
 
 class _Messages(NamedTuple):
-    """Where the messages of a topic are: times of reception (n,) ns, and chunk and offset of each (n, 2)."""
+    """Where the messages of a topic are: times of reception (n,) ns, and the `Place` of each (n, 3)."""
 
     times: Times
     places: Times
@@ -102,7 +103,7 @@ class Recording:
         self._decode = decoders
         reader = BagReader(path)
         files = reader.indexed_files()
-        self._source: BagIndex | _Unindexed = BagIndex(files) if files else _Unindexed(reader)
+        self._source: BagIndex | UnindexedBag = BagIndex(files) if files else UnindexedBag(reader)
         self._read()
         self._goals = self._read_goals()
         self.events = self._find_events()
@@ -146,44 +147,39 @@ class Recording:
 
     def _read(self) -> None:
         columns = {
-            _STATES: JointColumns(iiwa14.JOINT_NAMES, ["position"]),
-            _TORQUES: JointColumns(iiwa14.JOINT_NAMES, ["effort"]),
-            _CONTACTS: JointColumns((*_LINKS, "max"), ["effort"]),
+            _STATES: JointStates(["position"], iiwa14.JOINT_NAMES),
+            _TORQUES: JointStates(["effort"], iiwa14.JOINT_NAMES),
+            _CONTACTS: JointStates(["effort"], (*_LINKS, "max")),
+            _PLANS: Stamps(),
         }
-        plans: list[Times] = []
         said: list[_Said] = []
-        places: dict[str, list[NDArray[np.int64]]] = {topic: [] for topic in _PLACED}
-        for chunk, rows, pairs in self._source.scan(_WHOLE, _PLACED):
-            for topic, found in rows.items():
+        places: dict[str, list[Times]] = {topic: [] for topic in _ASKED_FOR}
+        for chunk, blocks in self._source.scan({*columns, *_ASKED_FOR}):
+            for topic, block in blocks.items():
                 if topic in columns:
-                    columns[topic].add(found)
-                elif topic == _PLANS:
-                    plans.append(_stamps(found))
-                else:
-                    said += _statuses(found)
-            for topic, pair in pairs.items():
-                parts = [pair["time"], np.full(len(pair), chunk), pair["offset"]]
-                places[topic].append(np.stack([part.astype(np.int64) for part in parts], axis=1))
-        received, stamps, positions = columns[_STATES].result()
+                    columns[topic].add_block(block)
+                    continue
+                place = [block.log_ns, np.full(len(block.starts), chunk), block.starts, block.sizes]
+                places[topic].append(np.stack(place, axis=1))
+                if topic == _SAFETY:
+                    said += _statuses(block)
+        states, torques, contacts = (columns[topic].column() for topic in (_STATES, _TORQUES, _CONTACTS))
         # What the arm's joints are not known of, or what came twice, is no moment to look at.
-        good = np.asarray(np.isfinite(positions).all(axis=(1, 2)))
-        good[1:] &= stamps[1:] > np.maximum.accumulate(stamps)[:-1]
+        good = np.asarray(np.isfinite(states.values).all(axis=1))
+        good[1:] &= states.stamp_ns[1:] > np.maximum.accumulate(states.stamp_ns)[:-1]
         if not good.any():
             raise BagError(f"{self.path}: holds no joint states of the arm; record joint_states")
-        self._received, stamps, self._q = received[good], stamps[good], positions[good, 0]
+        self._received, stamps, self._q = states.log_ns[good], states.stamp_ns[good], states.values[good]
         self._start_ns = int(stamps[0])
         self.ticks = (stamps - self._start_ns) / NANOSECONDS
         self.duration = float(self.ticks[-1])
-        _, torque_stamps, torques = columns[_TORQUES].result()
-        self._torque_times, self._torques = (torque_stamps - self._start_ns) / NANOSECONDS, torques[:, 0]
-        _, contact_stamps, contacts = columns[_CONTACTS].result()
-        self._contact_times = (contact_stamps - self._start_ns) / NANOSECONDS
-        self._forces, self._largest = contacts[:, 0, :-1], contacts[:, 0, -1]
-        effects = np.sort(np.concatenate(plans)) if plans else np.zeros(0, np.int64)
-        self._plan_times = (effects - self._start_ns) / NANOSECONDS
+        self._torque_times, self._torques = (torques.stamp_ns - self._start_ns) / NANOSECONDS, torques.values
+        self._contact_times = (contacts.stamp_ns - self._start_ns) / NANOSECONDS
+        self._forces, self._largest = contacts.values[:, :-1], contacts.values[:, -1]
+        self._plan_times = (np.sort(columns[_PLANS].column().stamp_ns) - self._start_ns) / NANOSECONDS
         self._messages: dict[str, _Messages] = {}
         for topic, tables in places.items():
-            table = np.concatenate(tables) if tables else np.zeros((0, 3), np.int64)
+            table = np.concatenate(tables) if tables else np.zeros((0, 4), np.int64)
             order = np.argsort(table[:, 0], kind="stable")
             table = table[order]
             self._messages[topic] = _Messages(table[:, 0], table[:, 1:])
@@ -203,8 +199,7 @@ class Recording:
         return int(np.searchsorted(times, time + 1e-9, side="right")) - 1
 
     def _raw(self, topic: str, row: int) -> bytes:
-        chunk, offset = self._messages[topic].places[row].tolist()
-        return self._source.message(chunk, offset)
+        return self._source.message(Place(*self._messages[topic].places[row].tolist()))
 
     def _newest(self, topic: str, until_ns: int, decode: Callable[[bytes], T]) -> T | None:
         row = self._messages[topic].before(until_ns)
@@ -317,68 +312,18 @@ class _Said(NamedTuple):
     message: str
 
 
-class _Unindexed:
-    """A bag whose recording was not closed: read message by message, and kept."""
-
-    def __init__(self, reader: BagReader) -> None:
-        self._reader = reader
-        self._kept: list[bytes] = []
-
-    def scan(
-        self, whole: tuple[str, ...], placed: tuple[str, ...]
-    ) -> Iterator[tuple[int, Mapping[str, Rows], Mapping[str, NDArray[np.void]]]]:
-        """As `BagIndex.scan`, in one piece."""
-        wanted = [topic for topic in self._reader.topics() if topic in whole or topic in placed]
-        found: dict[str, list[tuple[int, bytes]]] = {}
-        pairs: dict[str, list[tuple[int, int]]] = {}
-        for raw in self._reader.raw_messages(wanted):
-            if raw.topic in whole:
-                found.setdefault(raw.topic, []).append((raw.log_time_ns, raw.data))
-            if raw.topic in placed:
-                pairs.setdefault(raw.topic, []).append((raw.log_time_ns, len(self._kept)))
-                self._kept.append(raw.data)
-        kind = np.dtype([("time", "<i8"), ("offset", "<i8")])
-        rows = {topic: _as_rows(messages) for topic, messages in found.items()}
-        yield 0, rows, {topic: np.array(entries, kind) for topic, entries in pairs.items()}
-
-    def message(self, chunk: int, offset: int) -> bytes:
-        """As `BagIndex.message`."""
-        return self._kept[offset]
-
-
-def _as_rows(messages: list[tuple[int, bytes]]) -> Rows:
-    sizes = np.array([len(data) for _, data in messages], np.int64)
-    joined = b"".join(data.ljust(sizes.max(), b"\0") for _, data in messages)
-    times = np.array([time for time, _ in messages], np.int64)
-    return Rows(times, np.frombuffer(joined, np.uint8).reshape(len(messages), -1), sizes)
-
-
-def _stamps(rows: Rows) -> Times:
-    """Of the headers that messages begin with, ns."""
-    stamps = np.ascontiguousarray(rows.data[rows.sizes >= 12][:, 4:12])
-    return stamps.view("<i4")[:, 0].astype(np.int64) * NANOSECONDS + stamps.view("<u4")[:, 1]
-
-
-def _statuses(rows: Rows) -> list[_Said]:
+def _statuses(block: Block) -> list[_Said]:
     """What serialised DiagnosticStatus messages say; there may be tens of thousands, most of them alike."""
     found = []
-    for row, size in zip(rows.data, rows.sizes.tolist(), strict=True):
-        data = row[:size].tobytes()
+    for row in range(len(block.starts)):
+        data = block.data(row)
         try:
-            name, at = _text(data, 8)
-            message, _ = _text(data, at)
+            name, message = text_at(data, 8), text_at(data, after_string(data, 8))
         except (struct.error, UnicodeDecodeError):
             name = message = ""
         level = Level(min(data[4], Level.STOP.value)) if len(data) > 4 else Level.OK
         found.append(_Said(name, level, message))
     return found
-
-
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    """A string of a serialised message, and where the next field begins that is aligned to four bytes."""
-    (length,) = _NUMBER.unpack_from(data, at)
-    end = at + 4 + length
-    return data[at + 4 : end - 1].decode(), end + -(end - 4) % 4
 
 
 def _hold(values: Array) -> None:

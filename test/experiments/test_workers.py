@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from distributed import LocalCluster
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments import workers
@@ -102,10 +103,7 @@ def test_processes_end_when_their_parent_is_killed(tmp_path):
 class TestDask:
     @pytest.fixture
     def cluster(self):
-        distributed = pytest.importorskip("distributed")
-        with distributed.LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-        ) as cluster:
+        with LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster:
             yield cluster
 
     def test_its_workers_do_the_same(self, cluster):
@@ -123,7 +121,6 @@ class TestDask:
             DaskCrew(cluster.scheduler_address)
 
     def test_nobody_at_the_address(self, monkeypatch):
-        pytest.importorskip("distributed")
         monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", "1s")
         with pytest.raises(SettingsError, match=r"'tcp://127\.0\.0\.1:1': no Dask scheduler answers"):
             DaskCrew("tcp://127.0.0.1:1")

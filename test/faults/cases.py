@@ -48,8 +48,6 @@ class Case:
         Whether something from outside moves the arm, so that its speed says nothing.
     timeout
         Time to reach the goal, s; that of the scene if 0.
-    unmet
-        Why the requirement is not met today; empty if it is.
     """
 
     fault: str
@@ -61,7 +59,6 @@ class Case:
     refused: str = ""
     is_pushed: bool = False
     timeout: float = 0.0
-    unmet: str = ""
 
     @property
     def name(self) -> str:

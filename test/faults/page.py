@@ -10,7 +10,7 @@ from contact_reach_ros.experiments.fault_checks import end_of, speed_share
 from contact_reach_ros.plant.faults import kinds_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
-KINDS_HEADING, MATRIX_HEADING, UNMET_HEADING = "## Kinds", "## Matrix", "### Not met"
+KINDS_HEADING, MATRIX_HEADING = "## Kinds", "## Matrix"
 
 
 def row_head(case: Case) -> str:
@@ -38,35 +38,20 @@ def matrix_table(outcomes: dict[str, tuple]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def unmet_list(outcomes: dict[str, tuple]) -> str:
-    """What falls short, and why."""
-    lines = []
-    for case in CASES:
-        _, lacking = outcomes[case.name]
-        if lacking:
-            fault = case.fault.replace('"', "'")
-            lines.append(f"- {case.scene}, `{fault}`: {'; '.join(lacking)}. Why: {case.unmet}.")
-    return "\n".join(lines or ["Everything is met."]) + "\n"
-
-
 def write(outcomes: dict[str, tuple]) -> None:
     """Put new tables into the page."""
     text = PAGE.read_text()
-    for heading, table in (
-        (KINDS_HEADING, kinds_table()),
-        (MATRIX_HEADING, matrix_table(outcomes)),
-        (UNMET_HEADING, unmet_list(outcomes)),
-    ):
+    for heading, table in ((KINDS_HEADING, kinds_table()), (MATRIX_HEADING, matrix_table(outcomes))):
         text = replaced(text, heading, table)
     PAGE.write_text(text)
 
 
 def replaced(text: str, heading: str, table: str) -> str:
-    """The page with the table or list after a heading replaced; what stands before it and after it stays."""
+    """The page with the table after a heading replaced; what stands before it and after it stays."""
     lines = text.splitlines()
     start = lines.index(heading) + 1
     end = next((at for at in range(start, len(lines)) if lines[at].startswith("#")), len(lines))
-    is_made = [line.startswith(("|", "- ", "Everything is met")) for line in lines[start:end]]
+    is_made = [line.startswith("|") for line in lines[start:end]]
     first = start + is_made.index(True) if True in is_made else end
     last = start + len(is_made) - is_made[::-1].index(True) if True in is_made else end
     return "\n".join([*lines[:first], *table.rstrip("\n").split("\n"), *lines[last:]]) + "\n"

@@ -1,9 +1,12 @@
-"""Which CPUs a process runs on."""
+"""Which CPUs a process runs on, and which of its threads comes first."""
+
+import os
+import threading
 
 import pytest
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.nodes.realtime import Role, choose_cpus
+from contact_reach_ros.nodes.realtime import Role, choose_cpus, give_way
 
 
 def test_on_few_cpus_loop_and_computation_keep_apart():
@@ -34,3 +37,34 @@ def test_a_choice_of_the_user_is_kept(role):
 def test_cpus_that_there_are_not_are_refused(wanted):
     with pytest.raises(SettingsError, match=r"parameter cpus: '.*'; expected auto, all, or numbers out of \[0, 1\]"):
         choose_cpus(wanted, Role.LOOP, {0, 1})
+
+
+def in_a_thread(work) -> tuple[int, int]:
+    """Scheduling policy and priority of a thread after some work."""
+    found = []
+
+    def run():
+        work()
+        found.append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+def test_without_real_time_priority_there_is_nothing_to_give_way_with():
+    assert in_a_thread(give_way) == (os.SCHED_OTHER, 0)
+
+
+def test_who_gives_way_comes_behind_threads_of_its_own_process_only():
+    def work():
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+        give_way()
+
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+    except PermissionError:
+        pytest.skip("no real-time priority permitted")
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert in_a_thread(work) == (os.SCHED_FIFO, 4)

@@ -1,5 +1,8 @@
 """A controller that commands nothing any more, and what controller and driver do about old joint states and answers."""
 
+import time
+
+import numpy as np
 import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
@@ -9,7 +12,7 @@ from std_msgs.msg import Header
 
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.nodes.serialized import JointStateWriter
+from contact_reach_ros.nodes.serialized import CommandWriter, JointStateWriter
 from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.robot import iiwa14
 
@@ -69,3 +72,34 @@ def test_the_driver_takes_that_for_an_answer(lockstep):
     assert driver._unanswered == 1
     driver._on_horizon(Header(frame_id="controller"))
     assert driver._unanswered == 0
+
+
+@pytest.fixture
+def real_time():
+    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        yield
+    finally:
+        rclpy.shutdown()
+
+
+def test_a_late_driver_first_lets_the_controller_answer(real_time, monkeypatch):
+    driver = DriverNode()
+    driver._prepare_messages()
+    command = CommandWriter(iiwa14.N_JOINTS).write(np.arange(7.0))
+    taken = []
+    monkeypatch.setattr(driver._drive, "command", lambda torque, _: taken.append(torque.tolist()))
+    monkeypatch.setattr(driver.inbox, "wait", lambda _: driver._on_command(command))
+
+    def turn(late_ns: int) -> None:
+        driver._next_ns = time.monotonic_ns() - late_ns
+        driver._realtime_tick()
+
+    turn(-TICK_NS)
+    assert driver._unanswered == 1 and not taken
+    turn(3 * TICK_NS)
+    assert taken == [list(range(7))]
+    driver._unanswered = 0
+    turn(3 * TICK_NS)
+    assert len(taken) == 1
+    assert driver.diagnosis()[1]["missed ticks"] >= 6
