@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import struct
+from typing import NamedTuple
+
+from contact_reach_ros.units import NANOSECONDS
 
 PLAIN_CDR = b"\x00\x01\x00\x00"
 """Encapsulation header of plain CDR, little-endian. Alignment counts from its end."""
@@ -68,3 +71,51 @@ def joint_state_counts(data: bytes | bytearray) -> list[int]:
 def joint_state_starts(data: bytes | bytearray) -> list[int]:
     """Where in a serialised JointState the values of its three fields begin, if there are any."""
     return [aligned(at + 4) for at in joint_state_counts(data)[:-1]]
+
+
+class Status(NamedTuple):
+    """A DiagnosticStatus, without the hardware it belongs to."""
+
+    level: int
+    name: str
+    message: str
+    values: tuple[tuple[str, str], ...]
+
+
+def diagnostic_array(data: bytes) -> tuple[int, list[Status]]:
+    """Stamp, ns, and entries of a serialised DiagnosticArray.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or not plain CDR.
+    """
+    if not data.startswith(PLAIN_CDR):
+        raise ValueError("is not little-endian CDR")
+    unpack, end = COUNT.unpack_from, 0
+
+    def text() -> str:
+        nonlocal end
+        start = -(-end // 4) * 4 + 4
+        end = start + unpack(data, start - 4)[0]
+        if end > len(data):
+            raise ValueError("a text ends behind the message")
+        return data[start : end - 1].decode()
+
+    try:
+        seconds, nanosec = STAMP.unpack_from(data, HEADER)
+        at = after_string(data, STAMP_END)
+        (count,) = unpack(data, at)
+        end = at + COUNT.size
+        found = []
+        for _ in range(count):
+            level = data[end]
+            end += 1
+            name, message, _ = text(), text(), text()
+            at = -(-end // 4) * 4
+            (pairs,) = unpack(data, at)
+            end = at + COUNT.size
+            found.append(Status(level, name, message, tuple((text(), text()) for _ in range(pairs))))
+    except (struct.error, IndexError) as error:
+        raise ValueError("ends too early") from error
+    return seconds * NANOSECONDS + nanosec, found

@@ -180,7 +180,7 @@ def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOption
     """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
     least = functools.partial(least_duration, planning=PlanningSettings(), impedance=ImpedanceSettings())
     try:
-        episode = Episode(bag, lambda q: model.flange_pose(q)[0], least, end_ns)
+        episode = Episode(bag, least, end_ns)
     except BagError as error:
         print(f"no summary: {error}", file=sys.stderr)
         return None

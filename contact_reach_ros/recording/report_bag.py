@@ -23,7 +23,6 @@ from contact_reach_ros.recording.reexecution import reexecute
 from contact_reach_ros.recording.signals import EpisodeSignals, Event, read_signals
 from contact_reach_ros.recording.summary import ERROR_LEVEL, Episode, EpisodeSummary
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.timing import PERCENTILES
 from contact_reach_ros.units import NANOSECONDS
@@ -256,7 +255,7 @@ def _episode(reader: BagReader, signals: EpisodeSignals, end: float, notes: list
     if not len(signals.position.time) or np.isnan(signals.position.values).all():
         return None
     try:
-        return Episode(reader, lambda q: link_frames(q)[1][-1], least, end_ns, signals)
+        return Episode(reader, least, end_ns, signals)
     except BagError as error:
         notes.append(f"no verdict: {error}")
         return None

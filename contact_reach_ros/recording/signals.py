@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.cdr import COUNT, HEADER, PLAIN_CDR, after_string, text_at
+from contact_reach_ros.cdr import COUNT, HEADER, PLAIN_CDR, Status, after_string, diagnostic_array, text_at
 from contact_reach_ros.recording.bag_reader import BagMessage, BagReader, RawMessage
 from contact_reach_ros.recording.columns import Arrays, Collector, Column, JointStates, Stamps, array_numbers, read_raw
 from contact_reach_ros.recording.intake import COLUMNS, Taken
@@ -187,7 +187,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str] = JOINT_NAMES, names
     settings = {message.message.name: read_settings(message.message) for message in decoded("settings")}
     pose_ns = pose_stamps.column().stamp_ns
     torque = torques.column()
-    plans = [plan for message in decoded("plan/statistics") for plan in _plans(clock, message)]
+    plans = [plan for raw in kept["plan/statistics"] for plan in _plans(clock, *_entries(bag, raw))]
     return EpisodeSignals(
         clock.origin_ns,
         Series(state_times, joints, state.values[:, :count]),
@@ -198,7 +198,10 @@ def read_signals(bag: BagReader, joint_names: Sequence[str] = JOINT_NAMES, names
         Series(clock.of_stamps(contact), contact.names, contact.values),
         safety.changes(clock),
         tuple(_goal(clock, message) for message in decoded("goal_pose")),
-        _diagnostics(clock, decoded("diagnostics")),
+        _diagnostics(
+            clock.of_receptions(np.array([raw.log_time_ns for raw in kept["diagnostics"]], np.int64)),
+            [_entries(bag, raw)[1] for raw in kept["diagnostics"]],
+        ),
         (np.sort(pose_ns[pose_ns > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
@@ -212,7 +215,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str] = JOINT_NAMES, names
 
 def goal_distance(
     signals: EpisodeSignals,
-    flange_position: Callable[[np.ndarray], np.ndarray],
+    flange_positions: Callable[[np.ndarray], np.ndarray],
     period: float = 0.01,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance of the flange from the goal that is in force; from the first one before it is sent.
@@ -221,8 +224,8 @@ def goal_distance(
     ----------
     signals :
         The episode.
-    flange_position :
-        Forward kinematics: joint positions (7,) in rad to the position (3,) in m, in the frame of the goals.
+    flange_positions :
+        Forward kinematics: joint positions (n, 7) in rad to positions (n, 3) in m, in the frame of the goals.
     period :
         Spacing of the result, s; joint states in between are left out.
 
@@ -241,8 +244,7 @@ def goal_distance(
     sent = np.array([goal.time for goal in signals.goals])
     in_force = np.maximum(np.searchsorted(sent, time[rows], side="right") - 1, 0)
     goals = np.array([goal.position for goal in signals.goals])[in_force]
-    reached = np.array([flange_position(q) for q in positions[rows]]).reshape(-1, 3)
-    return time[rows], np.linalg.norm(reached - goals, axis=1)
+    return time[rows], np.linalg.norm(flange_positions(positions[rows]) - goals, axis=1)
 
 
 def first_below(time: np.ndarray, values: np.ndarray, limit: float, after: float = 0.0) -> float | None:
@@ -332,15 +334,40 @@ def _name_level_message(data: bytes) -> tuple[str, int, str] | None:
         return None
 
 
-def _plans(clock: _Clock, message: BagMessage) -> list[PlanStatistics]:
-    stamp = message.message.header.stamp
-    time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
+def _entries(bag: BagReader, raw: RawMessage) -> tuple[int, Sequence[Status]]:
+    """Stamp, ns, and entries of a DiagnosticArray; none if it cannot be read, which the bag's notes tell."""
+    try:
+        return diagnostic_array(raw.data)
+    except ValueError:
+        message = bag.decode(raw)
+    if message is None:
+        return 0, ()
+    stamp = message.header.stamp
+    entries = [
+        Status(
+            _level(status.level), status.name, status.message, tuple((item.key, item.value) for item in status.values)
+        )
+        for status in message.status
+    ]
+    return stamp.sec * NANOSECONDS + stamp.nanosec, entries
+
+
+def _plans(clock: _Clock, stamp_ns: int, entries: Sequence[Status]) -> list[PlanStatistics]:
+    time = (stamp_ns - clock.origin_ns) / NANOSECONDS
     plans = []
-    for status in message.message.status:
-        values = {entry.key: entry.value for entry in status.values}
-        numbers = {key: number for key, value in values.items() if (number := _number(value)) is not None}
-        plans.append(PlanStatistics(time, values.get("stop reason", status.message), numbers))
+    for status in entries:
+        reason = dict(status.values).get("stop reason", status.message)
+        plans.append(PlanStatistics(time, reason, dict(_numbers(status))))
     return plans
+
+
+def _numbers(status: Status) -> Iterator[tuple[str, float]]:
+    """The values that are numbers, by their keys."""
+    for key, value in status.values:
+        try:
+            yield key, float(value)
+        except ValueError:
+            continue
 
 
 def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
@@ -378,13 +405,6 @@ def _oddities(columns: Mapping[str, Column], commands: Column) -> tuple[str, ...
     return tuple(notes)
 
 
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
 def _level(level: Any) -> int:
     """The level as a number; it is a byte in the definition."""
     return level[0] if isinstance(level, bytes) else int(level)
@@ -400,14 +420,13 @@ def _goal(clock: _Clock, message: BagMessage) -> Goal:
     )
 
 
-def _diagnostics(clock: _Clock, messages: Sequence[BagMessage]) -> dict[str, Series]:
-    found: dict[str, list[tuple[float, float]]] = {}
-    for message in messages:
-        time = clock.of_reception(message.log_time_ns)
-        for status in message.message.status:
-            for entry in status.values:
-                number = _number(entry.value)
-                if number is None:
-                    continue
-                found.setdefault(f"{status.name}/{entry.key}", []).append((time, number))
-    return {key: Series(np.array(pairs)[:, 0], (key,), np.array(pairs)[:, 1:]) for key, pairs in found.items()}
+def _diagnostics(times: np.ndarray, messages: Sequence[Sequence[Status]]) -> dict[str, Series]:
+    """Numbers by '<status>/<key>', of messages at some times, s."""
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    for time, entries in zip(times.tolist(), messages, strict=True):
+        for status in entries:
+            for key, number in _numbers(status):
+                column = found.setdefault(f"{status.name}/{key}", ([], []))
+                column[0].append(time)
+                column[1].append(number)
+    return {key: Series(np.array(when), (key,), np.array(numbers)[:, None]) for key, (when, numbers) in found.items()}

@@ -14,6 +14,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.recording.bag_reader import BagReader
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE, EpisodeCurves, Marker, episode_plot
 from contact_reach_ros.recording.signals import EpisodeSignals, first_below, goal_distance, read_signals
+from contact_reach_ros.robot.kinematics import flange_positions
 from contact_reach_ros.units import NANOSECONDS
 
 ERROR_LEVEL = 2
@@ -83,8 +84,6 @@ class Episode:
     ----------
     bag
         Directory, file, or a reader of one.
-    flange_position
-        Forward kinematics, (7,) rad to (3,) m.
     least_duration
         Shortest time, s, from the flange's position at the start to the target's, both (3,) m.
     end_ns
@@ -101,14 +100,13 @@ class Episode:
     def __init__(
         self,
         bag: Path | BagReader,
-        flange_position: Callable[[np.ndarray], np.ndarray],
         least_duration: Callable[[np.ndarray, np.ndarray], float],
         end_ns: int | None = None,
         signals: EpisodeSignals | None = None,
     ) -> None:
         reader = bag if isinstance(bag, BagReader) else BagReader(bag)
         self._signals = read_signals(reader) if signals is None else signals
-        self._time, self._distance = goal_distance(self._signals, flange_position)
+        self._time, self._distance = goal_distance(self._signals, flange_positions)
         if not len(self._time):
             raise BagError(f"{reader.summary.path}: holds no goal with joint states; record goal_pose and joint_states")
         origin_ns = self._signals.origin_ns
@@ -117,7 +115,7 @@ class Episode:
         self._reached = first_below(self._time, self._distance, SUCCESS_DISTANCE, self._start)
         start_row = int(np.searchsorted(self._signals.position.time, self._start))
         start_row = min(start_row, len(self._signals.position.time) - 1)
-        start_position = flange_position(self._signals.position.values[start_row])
+        start_position = flange_positions(self._signals.position.values[start_row : start_row + 1])[0]
         target = self._signals.goals[0].position
         self._straight = float(np.linalg.norm(target - start_position))
         self._least_duration = least_duration(start_position, target)

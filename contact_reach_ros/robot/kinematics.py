@@ -74,6 +74,11 @@ def link_frames_of_many(q: Array) -> tuple[Array, Array]:
     return axes, origins
 
 
+def flange_positions(q: Array) -> Array:
+    """Positions (N, 3) of the flange, m, base frame, for postures `q` (N, 7), rad."""
+    return link_frames_of_many(q)[1][-1].T
+
+
 def aligned_link_frames(q: ArrayLike) -> tuple[list[Array], list[Array]]:
     """The same as `link_frames` for the second description, whose frames are parallel to the base at angle zero."""
     rotation, origin = np.eye(3), np.zeros(3)

@@ -18,7 +18,7 @@ from contact_reach_ros.recording.columns import JointStates, Stamps
 from contact_reach_ros.recording.index import BagIndex, Place, UnindexedBag
 from contact_reach_ros.recording.mcap_chunks import Block
 from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames_of_many
+from contact_reach_ros.robot.kinematics import flange_positions
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, Level, PlanPicture, Status
 from contact_reach_ros.viewer.history import JOINTS, QUANTITIES, SPAN, thinned
@@ -273,7 +273,7 @@ class Recording:
         known = np.flatnonzero(goal >= 0)
         if len(known):
             ticks = np.searchsorted(self.ticks, times[known] + 1e-9, side="right") - 1
-            flange = link_frames_of_many(self._q[ticks])[1][-1].T
+            flange = flange_positions(self._q[ticks])
             columns["distance"][known] = 1000.0 * np.linalg.norm(flange - self._goals[1][goal[known]], axis=1)
         place = np.searchsorted(times, self._contact_times)
         inside = place < len(times)

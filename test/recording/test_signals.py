@@ -141,7 +141,7 @@ def test_diagnostics_that_are_numbers(signals: EpisodeSignals) -> None:
 
 
 def test_distance_is_to_the_goal_in_force(signals: EpisodeSignals) -> None:
-    time, distance = goal_distance(signals, lambda q: np.array([q[0], 0.0, 0.0]), period=0.01)
+    time, distance = goal_distance(signals, lambda q: q[:, :1] * [1.0, 0.0, 0.0], period=0.01)
     assert np.diff(time)[:-1] == pytest.approx(0.01, abs=1e-6)
     assert time[-1] == signals.position.time[-1]
     wanted = np.where(time < 0.3 - 1e-6, 0.5, 0.7)
@@ -176,7 +176,7 @@ def test_bag_without_any_of_the_topics(tmp_path: Path) -> None:
         assert series.time.shape == (0,)
         assert series.values.shape == (0, len(series.names))
     assert signals.safety == signals.goals == ()
-    time, distance = goal_distance(signals, lambda q: np.zeros(3))
+    time, distance = goal_distance(signals, lambda q: np.zeros((len(q), 3)))
     assert time.size == distance.size == 0
 
 
