@@ -24,7 +24,7 @@ from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes import echo, topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.processes import StackOptions, processes
+from contact_reach_ros.nodes.processes import RECORDER, StackOptions, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor, end_with_parent
 from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
@@ -141,7 +141,7 @@ def _measure(bench: ControlBench, supervisor: Supervisor, watcher: Watcher) -> t
     """Samples at the beginning, after some of the time and at the end; goals that were reached; real-time priority."""
     began = time.monotonic()
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: None)
-    supervisor.wait_heard("recorder", (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
+    supervisor.wait_heard(RECORDER, (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
     watcher.wait_ready(listeners=2)
     _say(f"stack active after {time.monotonic() - began:.1f} s; {bench.seconds:g} s with {bench.load} hogs ...")
     identities = supervisor.process_ids

@@ -20,7 +20,7 @@ from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.processes import StackOptions, page_address, processes
+from contact_reach_ros.nodes.processes import RECORDER, StackOptions, page_address, processes
 from contact_reach_ros.nodes.supervisor import Supervisor
 from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.observer.budget import load_budget
@@ -134,7 +134,7 @@ def _drive_to_goal(supervisor: Supervisor, watcher: Watcher, options: DemoOption
     if options.view:
         _say(f"the page will be at {page_address(supervisor.parameter_file)}", done=True)
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    supervisor.wait_heard("recorder", _RECORDED, DISCOVERY_S)
+    supervisor.wait_heard(RECORDER, _RECORDED, DISCOVERY_S)
     # Planner and recorder have to hear goals before there is one.
     watcher.wait_ready(listeners=2)
     _say(

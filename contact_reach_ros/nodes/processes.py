@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,8 +29,20 @@ DEFAULT_PARAMETERS = "default.yaml"
 TUNABLE = ("planner", "controller", "observer", "driver")
 """Nodes whose parameters may be changed by a restart of the stack."""
 
+RECORDER = "recorder"
+
 VIEWER = "viewer"
 """The process that a restart leaves running."""
+
+
+class Wave(IntEnum):
+    """When a process is started."""
+
+    EARLY = 0
+    """Before the loops: it needs the whole machine to get ready, or must miss nothing."""
+    LOOPS = 1
+    LAST = 2
+    """When everybody hears everybody: time begins with it."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +55,15 @@ class Process:
         Of node and executable.
     parameters
         Given on its command line, after the parameter file.
-    first
-        Whether it is up before the loops are started: it needs the whole machine to get ready, or must miss nothing.
+    wave
+        It is started when those of earlier waves are up.
     essential
         Whether its end is the end of the stack.
     """
 
     name: str
     parameters: Mapping[str, ParameterValue]
-    first: bool = False
+    wave: Wave = Wave.LOOPS
     essential: bool = True
 
     @property
@@ -141,14 +154,14 @@ def processes(options: StackOptions) -> list[Process]:
     }
     table = []
     if options.bag:
-        table.append(Process("recorder", {"bag": options.bag, **_origin(options)}, first=True))
+        table.append(Process(RECORDER, {"bag": options.bag, **_origin(options)}, wave=Wave.EARLY))
     if options.driver:
-        table.append(Process("driver", simulation))
+        table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
     table.append(Process("observer", time))
     table.append(Process("controller", time))
-    table.append(Process("planner", {**time, **_obstacles(scene, options.parameter_file)}, first=True))
+    table.append(Process("planner", {**time, **_obstacles(scene, options.parameter_file)}, wave=Wave.EARLY))
     if options.view:
-        table.insert(0, Process(VIEWER, time, first=True, essential=False))
+        table.insert(0, Process(VIEWER, time, wave=Wave.EARLY, essential=False))
     changed = [Override.parse(text) for text in options.overrides]
     return [
         dataclasses.replace(

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.processes import Process
+from contact_reach_ros.nodes.processes import RECORDER, Process, Wave
 from contact_reach_ros.nodes.realtime import Inbox, prioritise_middleware
 from contact_reach_ros.nodes.topics import Topic
 
@@ -31,6 +31,10 @@ _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
 _END_TIMEOUT_S = 8.0
+_ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
+"""What a recorder misses the beginning of unless it hears it before time begins."""
+_HEARD_S = 3.0
+"""After that time begins all the same: a recorder need not record everything."""
 _WATCHDOG_S = 0.3
 """Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
 
@@ -91,10 +95,12 @@ class Supervisor:
             self._log = self._log_path.open("wb")
         prioritise_middleware()
         deadline = time.monotonic() + timeout
-        for first in (True, False):
+        for wave in Wave:
             processes = [
-                process for process in self._table if process.first is first and process.name not in self._running
+                process for process in self._table if process.wave is wave and process.name not in self._running
             ]
+            if wave is Wave.LAST and processes and RECORDER in self._running:
+                self._until_heard(RECORDER, _ANSWERS, min(deadline, time.monotonic() + _HEARD_S))
             for process in processes:
                 self._start(process)
             self._wait_active(processes, deadline, timeout, progress)
@@ -131,15 +137,19 @@ class Supervisor:
         StackError
             If a process died, or the time is over; the topics that are not heard are named.
         """
-        deadline = time.monotonic() + timeout
+        missing = self._until_heard(listener, heard, time.monotonic() + timeout)
+        if missing:
+            names = ", ".join(topic.name for topic in missing)
+            raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._see_log()}")
+
+    def _until_heard(self, listener: str, heard: Sequence[Topic], deadline: float) -> list[Topic]:
+        """Wait as `wait_heard`; the topics that are not heard until then."""
         missing = list(heard)
-        while missing:
+        while missing and time.monotonic() < deadline:
             self.check()
-            if time.monotonic() > deadline:
-                names = ", ".join(topic.name for topic in missing)
-                raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._see_log()}")
             self.spin(_POLL_S)
             missing = [topic for topic in missing if listener not in self._listeners(topic)]
+        return missing
 
     def _listeners(self, topic: Topic) -> set[str]:
         name = self._node.resolve_topic_name(topic.name)

@@ -18,8 +18,9 @@ from contact_reach_ros.recording.message_types import MessageTypes
 from contact_reach_ros.recording.topics import CDR, ROS2MSG, Topic, TypeDefinition
 
 COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
-# Larger chunks compress no better for these messages, and each stalls the writing thread for longer.
-CHUNK_BYTES = 256 * 1024
+CHUNK_BYTES = 1024 * 1024
+"""Half a second of the stack. Each chunk has an entry of 0.8 kB in memory until its file is closed. Larger ones would
+compress no better and keep the writing thread busy for longer."""
 
 
 @dataclasses.dataclass
