@@ -55,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--address", help="address to listen on; others than 127.0.0.1 need a token (default: 127.0.0.1)")
     view.add_argument("--token", help="what browsers must know, see msg_docs/viewer.md (default: none)")
     view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
+    view.add_argument("--dark", action="store_true", default=None, help="a dark page")
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
     view.set_defaults(run=_view)
 
@@ -255,7 +256,7 @@ def _demo(options: argparse.Namespace) -> int:
 def _view(options: argparse.Namespace) -> int:
     from contact_reach_ros.nodes.viewer import view
 
-    chosen = {name: getattr(options, name) for name in ("bag", "port", "address", "token", "bags")}
+    chosen = {name: getattr(options, name) for name in ("bag", "port", "address", "token", "bags", "dark")}
     return view({name: value for name, value in chosen.items() if value is not None}, options.parameters)
 
 

@@ -155,7 +155,7 @@ class ViewerNode(ManagedNode):
         )
         budget = load_budget(settings.contact_budget)
         recording = source.open_bag(bag) if settings.bag else None
-        self._page = call(self._server, lambda: Page(self._server, source, budget, settings.shadows))
+        self._page = call(self._server, lambda: Page(self._server, source, budget, settings.shadows, settings.dark))
         if recording is not None:
             call(self._server, lambda: self._page.open(recording))
         self.get_logger().info(f"open {settings.page_address(self._server.get_port())}")

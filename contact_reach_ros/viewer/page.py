@@ -111,7 +111,9 @@ class Page:
     server's own thread (`access.call`): viser's buffers are not safe in others. What takes long is done elsewhere.
     """
 
-    def __init__(self, server: viser.ViserServer, source: Source, budget: ContactBudget, shadows: bool = True) -> None:
+    def __init__(
+        self, server: viser.ViserServer, source: Source, budget: ContactBudget, shadows: bool = True, dark: bool = False
+    ) -> None:
         self._server = server
         self._source = source
         self._player: Player | None = None
@@ -119,7 +121,7 @@ class Page:
         self._plots_due = self._reach_due = self._timeline_due = 0.0
         self._asked: Array | None = None
         self._last = 0.0
-        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", dark_mode=dark)
         server.scene.configure_default_lights(cast_shadow=shadows)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(360)

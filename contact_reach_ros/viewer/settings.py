@@ -21,6 +21,7 @@ class ViewerSettings(Settings):
     rate: float = setting(MAX_RATE, "updates of the page, at most", unit="Hz", minimum=1.0, maximum=MAX_RATE)
     bags: str = setting("bags", "folder whose bags the page offers")
     bag: str = setting("", "bag to show at the start instead of the running stack")
+    dark: bool = setting(False, "dark page instead of a light one")
     shadows: bool = setting(True, "draw shadows; false is easier on browsers without a graphics card")
     contact_budget: str = setting("", "contact budget YAML; the one of the package when empty")
 
