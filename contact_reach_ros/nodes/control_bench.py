@@ -24,7 +24,7 @@ from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes import echo, topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.processes import RECORDER, StackOptions, processes
+from contact_reach_ros.nodes.processes import RECORDER, StackOptions, page_address, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor, end_with_parent
 from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
@@ -60,12 +60,15 @@ class ControlBench:
         Processes beside the stack that never sleep.
     scene, seed
         Where the arm goes to and fro between its start and the target.
+    view
+        Whether the viewer runs, too, for browsers that are opened meanwhile.
     """
 
     seconds: float = 60.0
     load: int = 2
     scene: str = "ball"
     seed: int = 0
+    view: bool = False
 
     def check(self) -> None:
         """Raise `SettingsError` for what cannot be run."""
@@ -113,10 +116,12 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         signal.signal(number, _interrupt)
     # Removed only when all went well: what a process said is there to be read when it did not.
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
+    if bench.view:
+        _say(f"the page: {page_address(StackOptions().parameter_file)}")
     _say("bare echoes ...")
     with _hogs(bench.load):
         echoes = measure_echo(float(np.clip(_ECHO_SHARE * bench.seconds, *_ECHO_S)))
-    options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"))
+    options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"), view=bench.view)
     initialise([NAME])
     node = Node(NAME)
     supervisor = Supervisor(node, processes(options), options.parameter_file, directory / "log")
@@ -218,6 +223,7 @@ def make_report(
         "seconds": bench.seconds,
         "load": bench.load,
         "scene": bench.scene,
+        "view": bench.view,
         "realtime": realtime,
         "ticks": ticks,
         "missed_fraction": missed / max(ticks, 1),

@@ -34,6 +34,7 @@ from contact_reach_ros.nodes.realtime import (
     prioritise_background,
     prioritise_middleware,
     request_realtime,
+    stand_back,
     use_cpus,
 )
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, SETTINGS, Topic
@@ -296,6 +297,8 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
         warning = prioritise_middleware()
     elif role is Role.BACKGROUND:
         warning = prioritise_background()
+    else:
+        stand_back()
     if warning:
         node.get_logger().warning(warning)
     _on_signals(lambda *_: ended.put(None))

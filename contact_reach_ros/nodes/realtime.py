@@ -37,6 +37,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 _MIDDLEWARE_PRIORITY = 30
 _BACKGROUND_PRIORITY = 20
+_ONLOOKER_NICENESS = 10
 _FEW_CPUS = 3
 
 
@@ -51,6 +52,8 @@ class Role(Enum):
     """Computes for long; its middleware's threads have priority below all loops, to pass messages on meanwhile."""
     BACKGROUND = "background"
     """Nobody waits for it, but it must not miss what comes: SCHED_FIFO priority below everything else."""
+    ONLOOKER = "onlooker"
+    """Nobody waits for it, and it may miss what comes: it takes the time that the others leave."""
 
 
 def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]:
@@ -139,6 +142,11 @@ def prioritise_background() -> str:
         Empty when granted, else a warning for the log.
     """
     return _prioritise(os.listdir("/proc/self/task"), _BACKGROUND_PRIORITY)
+
+
+def stand_back() -> None:
+    """Leave the processor to whatever else wants it, the planner above all."""
+    os.nice(_ONLOOKER_NICENESS)
 
 
 def give_way() -> None:

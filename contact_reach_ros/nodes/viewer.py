@@ -421,12 +421,12 @@ def view(chosen: Mapping[str, Any], parameters: Path | None) -> int:
     for name, value in chosen.items():
         # JSON is YAML: quoted, a text stays a text.
         arguments += ["-p", f"{name}:={json.dumps(value if isinstance(value, int) else str(value))}"]
-    return run(ViewerNode, Role.BACKGROUND, arguments)
+    return run(ViewerNode, Role.ONLOOKER, arguments)
 
 
 def main() -> None:
     """Run the viewer."""
-    sys.exit(run(ViewerNode, Role.BACKGROUND, sys.argv))
+    sys.exit(run(ViewerNode, Role.ONLOOKER, sys.argv))
 
 
 if __name__ == "__main__":

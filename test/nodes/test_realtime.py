@@ -16,7 +16,7 @@ def test_on_few_cpus_loop_and_computation_keep_apart():
         assert len(loop) == 1
         assert loop | computing == permitted
         assert not loop & computing
-        for role in (Role.MONITOR, Role.BACKGROUND):
+        for role in (Role.MONITOR, Role.BACKGROUND, Role.ONLOOKER):
             assert choose_cpus("auto", role, permitted) == permitted
 
 
