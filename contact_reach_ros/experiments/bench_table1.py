@@ -152,7 +152,7 @@ def show(report: Report, results: Path | None) -> None:
     """Print the table and write the page of results."""
     print(tables(report))
     if results is not None:
-        write_whole(results, document(report, results.parent))
+        write_whole(results, document(report, results))
 
 
 def _check(bench: Table1, file: Path | None, resume: bool) -> None:
@@ -214,7 +214,7 @@ def _header(bench: Table1, setup: Setup, scenes: dict[str, SceneFile]) -> Report
 
 
 def command(bench: Table1) -> str:
-    """The command line of a run, without what does not change its results."""
+    """The command line of a run, without what does not change its results and where they go."""
     words = ["contact-reach", "bench", "table1"]
     standard = Table1()
     for name in ("scenes", "goals", "methods"):
@@ -223,7 +223,7 @@ def command(bench: Table1) -> str:
     for name in ("targets", "repeats", "seed", "timeout", "latency"):
         if getattr(bench, name) != getattr(standard, name):
             words += [f"--{name}", f"{getattr(bench, name):g}"]
-    return shlex.join([*words, "--json", "table1.json", "--results", "docs/results.md"])
+    return shlex.join(words)
 
 
 def _refuse_to_lose(file: Path | None, resume: bool) -> None:

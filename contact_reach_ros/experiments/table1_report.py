@@ -61,8 +61,8 @@ def tables(report: Report) -> str:
     return "\n".join([*_tables(report, results), "", *_claims(report, results)])
 
 
-def document(report: Report, folder: Path) -> str:
-    """The page of results; pictures in `folder`, where the page is to be, are shown."""
+def document(report: Report, page: Path) -> str:
+    """The page of results, to be written to `page`; pictures beside it are shown."""
     results = Results(report["episodes"])
     parts = [
         "# Results",
@@ -70,7 +70,7 @@ def document(report: Report, folder: Path) -> str:
         "The paper's Table I, measured in simulation. This page is written by",
         "",
         "```",
-        report["command"],
+        f"{report['command']} --json table1.json --results docs/{page.name}",
         "```",
         "",
         *_run(report),
@@ -100,7 +100,7 @@ def document(report: Report, folder: Path) -> str:
         "",
         *_latencies(report),
         "",
-        *_pictures(folder),
+        *_pictures(page.parent),
     ]
     return "\n".join(parts).rstrip() + "\n"
 

@@ -76,7 +76,7 @@ def page(tmp_path):
         *episodes("hold", "rrt_star", [0.0, 0.0, 0.0], [16.0, 16.0, 16.0]),
         *[record(goal="free", method="rrt_star", target=target, failure=f"no path to {target}") for target in range(3)],
     ]
-    return document(report(made), tmp_path)
+    return document(report(made), tmp_path / "results.md")
 
 
 def test_measured_and_published_figures_stand_side_by_side(page):
@@ -119,7 +119,7 @@ def test_a_baseline_that_is_ahead_is_told_with_its_reason(page):
 def test_without_episodes_of_a_kind_there_is_still_a_page(tmp_path):
     alone = report(episodes("hold", "contact_reach", [0.0], [3.0]), goals=("hold",))
     alone["grid"]["methods"] = ["contact_reach"]
-    page = document(alone, tmp_path)
+    page = document(alone, tmp_path / "results.md")
     assert "Not measured: that takes contact_reach and reference_posture." in page
     assert "Nowhere, as far as the differences are certain." in page
     assert tables(alone).count("Goals:") == 1
