@@ -18,6 +18,7 @@ TYPICAL_BAG_RATE = 0.4e6
 """Of a whole stack in real time, compressed, bytes/s."""
 
 _CAP_IPC_LOCK = 14
+_MANY_CORES = 4
 _ENOUGH_MEMORY = 4 * 2**30
 _MINUTE = 60.0
 _LITTLE_DISK, _FEW_MINUTES = 1e9, 10.0
@@ -99,7 +100,7 @@ def frequency_scaling(devices: Path = Path("/sys/devices/system/cpu")) -> Findin
 
 
 def kernel(realtime: Path = Path("/sys/kernel/realtime"), version: str = "") -> Finding:
-    """Whether the kernel is a real-time one, and whether it throttles real-time threads."""
+    """Whether the kernel is a real-time one."""
     name = "kernel"
     version = version or platform.version()
     release = platform.release()
@@ -109,6 +110,23 @@ def kernel(realtime: Path = Path("/sys/kernel/realtime"), version: str = "") -> 
         "for a real arm install a PREEMPT_RT kernel (Ubuntu: sudo pro enable realtime-kernel); simulation runs without"
     )
     return warned(name, f"{release}, without PREEMPT_RT: rare late wake-ups of milliseconds are possible", fix)
+
+
+def realtime_throttling(settings: Path = Path("/proc/sys/kernel"), cores: int | None = None) -> Finding:
+    """Whether Linux stops real-time threads that take most of a CPU, which on few of them the loops may."""
+    name = "real-time throttling"
+    try:
+        runtime, period = (int((settings / f"sched_rt_{part}_us").read_text()) for part in ("runtime", "period"))
+    except (OSError, ValueError):
+        return passed(name, "not shown by this system")
+    if runtime < 0 or runtime >= period:
+        return passed(name, "off")
+    cores = len(os.sched_getaffinity(0)) if cores is None else cores
+    found = f"{(period - runtime) / 1000:.0f} ms in {period / 1000:.0f} ms are kept from real-time threads"
+    if cores >= _MANY_CORES:
+        return passed(name, f"{found}: on {cores} cores the loops never take so much of one")
+    fix = "sudo sysctl kernel.sched_rt_runtime_us=-1: all real-time threads of the stack sleep between their ticks"
+    return warned(name, f"{found}; on {cores} core(s) a slow phase of the machine then stops the arm's loops", fix)
 
 
 def disk(folder: Path, rate: float | None = None) -> Finding:

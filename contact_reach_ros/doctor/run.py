@@ -54,6 +54,7 @@ def examine(options: DoctorOptions) -> Report:
                 Check("timer at 1 kHz", lambda: timer_jitter(seconds)),
                 Check("processors", machine.processors),
                 Check("frequency scaling", machine.frequency_scaling),
+                Check("real-time throttling", machine.realtime_throttling),
                 Check("kernel", machine.kernel),
             ]
         ),

@@ -30,7 +30,7 @@ _ACTIVE = "active"
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
-_END_TIMEOUT_S = 8.0
+_END_TIMEOUT_S = 15.0
 _ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
 """What a recorder misses the beginning of unless it hears it before time begins."""
 _HEARD_S = 3.0

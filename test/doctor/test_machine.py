@@ -91,6 +91,22 @@ def test_kernel(tmp_path):
     assert machine.kernel(tmp_path / "realtime", "#1 SMP").verdict is Verdict.PASS
 
 
+@pytest.mark.parametrize(
+    ("runtime", "cores", "verdict"), [(950000, 2, "warn"), (950000, 8, "pass"), (-1, 2, "pass"), (1000000, 1, "pass")]
+)
+def test_realtime_throttling(tmp_path, runtime, cores, verdict):
+    (tmp_path / "sched_rt_runtime_us").write_text(f"{runtime}\n")
+    (tmp_path / "sched_rt_period_us").write_text("1000000\n")
+    finding = machine.realtime_throttling(tmp_path, cores)
+    assert finding.verdict.value == verdict
+    if verdict == "warn":
+        assert "50 ms in 1000 ms" in finding.found and "kernel.sched_rt_runtime_us=-1" in finding.fix
+
+
+def test_a_system_that_shows_no_throttling(tmp_path):
+    assert machine.realtime_throttling(tmp_path, 2).verdict is Verdict.PASS
+
+
 @pytest.mark.parametrize(("free", "verdict"), [(500e9, "pass"), (0.5e9, "warn"), (0.05e9, "fail")])
 def test_disk(monkeypatch, tmp_path, free, verdict):
     usage = shutil.disk_usage(tmp_path)._replace(free=free)
