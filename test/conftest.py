@@ -18,6 +18,7 @@ hypothesis.settings.load_profile("reproducible")
 
 
 def pytest_addoption(parser):
+    parser.addoption("--write-pictures", action="store_true", help="write the viewer's page to docs/viewer.png")
     parser.addoption("--write-faults", action="store_true", help="write what test/faults finds to docs/faults.md")
 
 

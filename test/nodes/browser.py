@@ -34,6 +34,7 @@ class Page:
         self._numbers = itertools.count(1)
         self.errors: list[str] = []
         """What the page's scripts threw."""
+        self.address = ""
         self.call("Page.enable")
         self.call("Runtime.enable")
 
@@ -56,6 +57,7 @@ class Page:
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
         )
         self.call("Page.navigate", url=url)
+        self.address = url
 
     def run(self, script: str) -> Any:
         """Value of an expression."""

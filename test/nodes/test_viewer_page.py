@@ -1,13 +1,27 @@
-"""The page in a real browser, against a running lockstep stack: look, send a goal, stop, play a bag."""
+"""The page in a real browser, against a running lockstep stack: look, send a goal, stop, play a bag.
+
+`pytest test/nodes/test_viewer_page.py --write-pictures` writes docs/viewer.png as well.
+"""
 
 import ctypes
 import os
+from pathlib import Path
 
 import pytest
 from browser import chromium, find_chromium
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, running, wait_for
 
+PICTURE = Path(__file__).parents[2] / "docs" / "viewer.png"
+
 _PR_CAPBSET_DROP, _CAP_SYS_NICE = 24, 23
+
+NEWEST = (
+    "(() => {{ const plots = Object.values((window.__viserTestpoints || {{}}).uplots || {{}}); "
+    "const d = plots.length > {0} ? plots[{0}].chart.data[1] : []; return d.length ? d[d.length - 1] : null; }})()"
+)
+"""The last value of the first curve of a plot."""
+DISTANCE, FORCE = NEWEST.format(0), NEWEST.format(1)
+"""To the goal, mm, and largest of a contact, N."""
 
 pytestmark = pytest.mark.skipif(
     find_chromium() is None, reason="there is no Chromium: install it as root with 'apt-get install chromium'"
@@ -55,13 +69,8 @@ def test_a_goal_is_sent_on_click_only_and_reached(page):
     page.wait_for_text("is sent")
     page.wait_for_text("tracking")
     page.click("Plots", "[role=tab]")
-    # The first curve is the distance to the goal, whose last value is that of now.
-    distance = (
-        "(() => { const plots = Object.values((window.__viserTestpoints || {}).uplots || {}); "
-        "const d = plots.length ? plots[0].chart.data[1] : []; return d.length ? d[d.length - 1] : null; })()"
-    )
-    page.wait_for(f"{distance} > 0", "the distance is plotted")
-    page.wait_for(f"{distance} !== null && {distance} <= 10", "the goal is reached", 120)
+    page.wait_for(f"{DISTANCE} > 0", "the distance is plotted")
+    page.wait_for(f"{DISTANCE} !== null && {DISTANCE} <= 10", "the goal is reached", 120)
 
 
 def test_stop_is_latched_until_reset(page):
@@ -102,3 +111,30 @@ def test_the_bag_of_the_first_run_is_opened_and_scrubbed(page):
     page.wait_for("!/bag run, 0.70/.test(document.body.innerText)", "time goes on")
     page.click("Back to live")
     page.wait_for_text("live")
+
+
+def test_a_picture_is_taken_of_an_arm_between_walls(page, request, tmp_path):
+    """Of the size of a laptop's window."""
+    wanted = request.config.getoption("--write-pictures")
+    if wanted:
+        page.click("Scene", "[role=tab]")
+        page.choose("Scene", "wall")
+        page.click("Restart episode")
+        page.wait_for_text("no joint_states for")
+        page.wait_for_text("holding", 300)
+        page.click("Goal", "[role=tab]")
+        page.click("Send goal")
+        page.wait_for_text("tracking")
+        page.click("Plots", "[role=tab]")
+        page.wait_for(f"{FORCE} > 0.5", "the arm touches a wall", 300)
+    page.open(page.address.replace("fixedDpr=0.3", "fixedDpr=1"), 1280, 800)
+    page.click("Plots", "[role=tab]")
+    page.wait_for(f"{DISTANCE} !== null", "the distance is plotted")
+    # What viser says about browsers without a graphics card lies over the safety state.
+    page.wait_for(
+        "(() => { const found = [...document.querySelectorAll('.mantine-Notification-closeButton')]; "
+        "found.forEach(e => e.click()); return !found.length; })()",
+        "the notes are closed",
+    )
+    file = page.screenshot(PICTURE if wanted else tmp_path / "viewer.png")
+    assert file.read_bytes().startswith(b"\x89PNG") and file.stat().st_size > 20_000
