@@ -46,6 +46,11 @@ class TimerTest(threading.Thread):
         self.missed = 0
         self.realtime = False
 
+    @property
+    def missed_fraction(self) -> float:
+        """Of all ticks, those that were missed."""
+        return self.missed / max(len(self.late_ns) + self.missed, 1)
+
     def run(self) -> None:
         """Take all ticks; the thread does nothing but sleep and write down the time."""
         try:
@@ -76,7 +81,7 @@ def timer_jitter(seconds: float) -> Finding:
     if enabled:
         gc.enable()
     p50, p99 = np.percentile(test.late_ns, [50, 99]) / 1000
-    most, missed = test.late_ns.max() / 1000, test.missed / (len(test.late_ns) + test.missed)
+    most, missed = test.late_ns.max() / 1000, test.missed_fraction
     how = "SCHED_FIFO" if test.realtime else "without real-time priority"
     found = (
         f"late by p50 {p50:.0f}, p99 {p99:.0f}, max {most:.0f} us; missed {test.missed} of "

@@ -20,8 +20,9 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 
+from contact_reach_ros.doctor.jitter import TimerTest
 from contact_reach_ros.errors import ContactReachError, SettingsError
-from contact_reach_ros.nodes import echo, topics
+from contact_reach_ros.nodes import driver, echo, topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.processes import RECORDER, StackOptions, page_address, processes
@@ -45,6 +46,7 @@ _ECHO_S = (3.0, 20.0)
 _ECHO_SHARE = 0.25
 _MEMORY_S = 60.0
 """Memory is compared with what it is after the first minute, or after half the time if that is shorter."""
+_TIMER_PRIORITY = driver.PRIORITY + 1
 _HOG = "while True: pass"
 
 
@@ -119,8 +121,12 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
     if bench.view:
         _say(f"the page: {page_address(StackOptions().parameter_file)}")
     _say("bare echoes ...")
+    bare_s = float(np.clip(_ECHO_SHARE * bench.seconds, *_ECHO_S))
+    timer = TimerTest(bare_s, _TIMER_PRIORITY)
     with _hogs(bench.load):
-        echoes = measure_echo(float(np.clip(_ECHO_SHARE * bench.seconds, *_ECHO_S)))
+        timer.start()
+        echoes = measure_echo(bare_s)
+        timer.join()
     options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"), view=bench.view)
     initialise([NAME])
     node = Node(NAME)
@@ -135,7 +141,7 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         node.destroy_node()
         rclpy.try_shutdown()
     shutil.rmtree(directory)
-    report = make_report(bench, echoes, first, settled, last, reached, realtime)
+    report = make_report(bench, echoes, timer.missed_fraction, first, settled, last, reached, realtime)
     _print(report)
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
@@ -206,6 +212,7 @@ def _resident_mb(process: int) -> float:
 def make_report(
     bench: ControlBench,
     echoes: Mapping[str, float],
+    timer_missed: float,
     first: Sample,
     settled: Sample,
     last: Sample,
@@ -227,6 +234,7 @@ def make_report(
         "realtime": realtime,
         "ticks": ticks,
         "missed_fraction": missed / max(ticks, 1),
+        "timer_missed_fraction": timer_missed,
         "round_trip_us": {key: trip[key] for key in ("p50", "p99", "p999")},
         "wakeup_late_us": {key: late[key] for key in ("p50", "p99")},
         "compute_us": {key: compute[key] for key in ("p50", "p99")},
@@ -244,6 +252,7 @@ def _print(report: Mapping[str, Any]) -> None:
     most = max(growth, key=growth.__getitem__)
     rows = [
         ("ticks", f"{report['ticks']}, missed {100 * report['missed_fraction']:.3f} %"),
+        ("bare timer", f"missed {100 * report['timer_missed_fraction']:.3f} % beside the bare echoes"),
         ("round trip", f"p50 {trip['p50']:.0f}, p99 {trip['p99']:.0f}, p99.9 {trip['p999']:.0f} us"),
         ("woken up late", f"p50 {late['p50']:.0f}, p99 {late['p99']:.0f} us"),
         ("controller", f"p50 {compute['p50']:.0f}, p99 {compute['p99']:.0f} us"),

@@ -123,6 +123,8 @@ class DriverNode(ManagedNode):
         self._round_trip = Histogram()
         self._wake_up_late = Histogram()
         self._missed = 0
+        self._stood_ns = 0
+        """How long the simulated robot has stood still because this process did."""
         self._peak_contact = np.zeros(len(CONTACT_BODIES))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -169,28 +171,33 @@ class DriverNode(ManagedNode):
 
     def _realtime_tick(self) -> None:
         now_ns = time.monotonic_ns()
-        if now_ns < self._next_ns:
+        was_late = now_ns >= self._next_ns
+        if not was_late:
             time.sleep((self._next_ns - now_ns) / NANOSECONDS)
             now_ns = time.monotonic_ns()
-            self.inbox.poll()
-        elif self._unanswered > 0:
+        self._wake_up_late.add(now_ns - self._next_ns)
+        self._stand_still((now_ns - self._next_ns) // _TICK_NS - _MAX_CATCH_UP)
+        if was_late and self._unanswered > 0:
             # On the same CPU the controller, which has less priority, would never get to answer while this is late.
             self.inbox.wait(_ANSWER_NS)
             now_ns = time.monotonic_ns()
         else:
             self.inbox.poll()
-        late_ns = now_ns - self._next_ns
-        self._wake_up_late.add(late_ns)
-        missed = late_ns // _TICK_NS
+        missed = (now_ns - self._next_ns) // _TICK_NS
         self._missed += missed
         # The simulated robot moves on as a real one would, whether or not this process was on time.
-        caught_up = min(missed, _MAX_CATCH_UP)
-        for _ in range(1 + caught_up):
-            self._tick(now_ns)
-        # After a longer pause the simulated robot has stood still for a while; its clock has not.
-        self._start_ns += (missed - caught_up) * _TICK_NS
+        for _ in range(1 + missed):
+            self._tick(now_ns - self._stood_ns)
         self._next_ns += (1 + missed) * _TICK_NS
         self._publish()
+
+    def _stand_still(self, ticks: int) -> None:
+        """After a long pause of this process: its robot has not moved, and hears nobody, but its stamps go on."""
+        if ticks > 0:
+            self._missed += ticks
+            self._start_ns += ticks * _TICK_NS
+            self._next_ns += ticks * _TICK_NS
+            self._stood_ns += ticks * _TICK_NS
 
     def _lockstep_tick(self) -> None:
         self._publish()
@@ -297,7 +304,7 @@ class DriverNode(ManagedNode):
         if self._faults is not None:
             self._faults.send_command(torque, self._now_ns)
         else:
-            self._command(torque, self._now_ns if self._lockstep else time.monotonic_ns())
+            self._command(torque, self._now_ns if self._lockstep else time.monotonic_ns() - self._stood_ns)
 
     def _command(self, torque: np.ndarray, clock_ns: int) -> None:
         try:

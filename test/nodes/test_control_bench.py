@@ -30,9 +30,10 @@ def test_only_what_happened_in_between_counts():
     first = sample(1000, 500, slow_start, {"driver": 80.0, "planner": 300.0})
     settled = sample(3000, 500, slow_start, {"driver": 90.0, "planner": 500.0})
     last = sample(5000, 504, slow_start + later, {"driver": 90.5, "planner": 499.0})
-    report = make_report(ControlBench(4.0, 2), ECHOES, first, settled, last, reached=3, realtime=True)
+    report = make_report(ControlBench(4.0, 2), ECHOES, 0.0005, first, settled, last, reached=3, realtime=True)
     assert report["ticks"] == 4000
     assert report["missed_fraction"] == pytest.approx(0.001)
+    assert report["timer_missed_fraction"] == 0.0005
     assert report["round_trip_us"] == pytest.approx({"p50": 300.0, "p99": 398.0, "p999": 400.0}, abs=5.0)
     assert report["wakeup_late_us"] == pytest.approx({"p50": 30.0, "p99": 40.0}, abs=5.0)
     assert report["compute_us"] == pytest.approx({"p50": 150.0, "p99": 199.0}, abs=5.0)

@@ -1,7 +1,5 @@
 """A controller that commands nothing any more, and what controller and driver do about old joint states and answers."""
 
-import time
-
 import numpy as np
 import pytest
 import rclpy
@@ -15,6 +13,7 @@ from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.serialized import CommandWriter, JointStateWriter
 from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
 
 
 class Publisher:
@@ -74,16 +73,35 @@ def test_the_driver_takes_that_for_an_answer(lockstep):
     assert driver._unanswered == 0
 
 
+class SteadyClock:
+    """Instead of the module time: goes on only when told to."""
+
+    def __init__(self) -> None:
+        self.now_ns = 1_000_000_000
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def time_ns(self) -> int:
+        return 1_700_000_000_000_000_000 + self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(1e9 * seconds)
+
+
 @pytest.fixture
-def real_time():
+def clock(monkeypatch):
+    """For a driver in real time."""
     rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    made = SteadyClock()
+    monkeypatch.setattr("contact_reach_ros.nodes.driver.time", made)
     try:
-        yield
+        yield made
     finally:
         rclpy.shutdown()
 
 
-def test_a_late_driver_first_lets_the_controller_answer(real_time, monkeypatch):
+def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
     driver = DriverNode()
     driver._prepare_messages()
     command = CommandWriter(iiwa14.N_JOINTS).write(np.arange(7.0))
@@ -92,7 +110,7 @@ def test_a_late_driver_first_lets_the_controller_answer(real_time, monkeypatch):
     monkeypatch.setattr(driver.inbox, "wait", lambda _: driver._on_command(command))
 
     def turn(late_ns: int) -> None:
-        driver._next_ns = time.monotonic_ns() - late_ns
+        driver._next_ns = clock.now_ns - late_ns
         driver._realtime_tick()
 
     turn(-TICK_NS)
@@ -102,4 +120,29 @@ def test_a_late_driver_first_lets_the_controller_answer(real_time, monkeypatch):
     driver._unanswered = 0
     turn(3 * TICK_NS)
     assert len(taken) == 1
-    assert driver.diagnosis()[1]["missed ticks"] >= 6
+    assert driver.diagnosis()[1]["missed ticks"] == 6
+
+
+def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):
+    """As when a virtual machine stands still: neither robot nor controller have done anything meanwhile."""
+    driver = DriverNode()
+    driver._prepare_messages()
+    monkeypatch.setattr(driver.inbox, "wait", lambda _: None)
+    model = RobotModel()
+    model.update(HOME, REST)
+    command = CommandWriter(iiwa14.N_JOINTS).write(model.gravity)
+    driver._next_ns = clock.now_ns
+    for _ in range(1000):
+        driver._realtime_tick()
+        driver._on_command(command)
+    assert driver.diagnosis()[1]["actuation"] == "commanded"
+    before_ns = driver._now_ns
+    clock.sleep(0.5)
+    driver._realtime_tick()
+    assert driver.diagnosis()[1]["stop reason"] == ""
+    assert driver.diagnosis()[1]["missed ticks"] == 499
+    # Stamps go on, and what there was to catch up is bounded.
+    assert driver._now_ns - before_ns == 500 * TICK_NS
+    for _ in range(100):
+        driver._realtime_tick()
+    assert driver.diagnosis()[1]["stop reason"].startswith("no command for")
