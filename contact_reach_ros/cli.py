@@ -195,6 +195,9 @@ def _parser() -> argparse.ArgumentParser:
     table1.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
     table1.add_argument("--results", type=Path, metavar="FILE", help="write a page of results, as docs/results.md")
     table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
+    table1.add_argument(
+        "--other", type=Path, metavar="FILE", help="with --report-only: a run with other goals, to compare with"
+    )
     table1.set_defaults(run=_bench_table1)
     fig4 = benches.add_parser("fig4", help="the paper's Fig. 4: where the arm goes with each method, as a picture")
     fig4.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
@@ -396,8 +399,10 @@ def _bench_table1(options: argparse.Namespace) -> int:
     if options.report_only:
         if options.json is None:
             raise SettingsError("--report-only needs --json FILE, the result of a finished run")
-        report_table1(options.json, options.results)
+        report_table1(options.json, options.results, options.other)
         return 0
+    if options.other is not None:
+        raise SettingsError("--other needs --report-only")
     standard = Table1()
     bench = Table1(
         scenes=tuple(options.scenes or standard.scenes),

@@ -135,24 +135,29 @@ def bench_table1(
     return report
 
 
-def report_table1(file: Path, results: Path | None) -> Report:
+def report_table1(file: Path, results: Path | None, other: Path | None = None) -> Report:
     """Print the table of a finished run and write the page of results, from its JSON alone.
+
+    `other`: the JSON of a run with other goals, to say on the page which condition decides.
 
     Raises
     ------
     SettingsError
-        If there is no such file, or it is not that of a finished run.
+        If there is no such file, it is not that of a finished run, or the two were run with different settings.
     """
     report = _read_report(file)
-    show(report, results)
+    second = None if other is None else _read_report(other)
+    if second is not None:
+        _check_same(report["settings"], second["settings"], str(file))
+    show(report, results, second)
     return report
 
 
-def show(report: Report, results: Path | None) -> None:
+def show(report: Report, results: Path | None, other: Report | None = None) -> None:
     """Print the table and write the page of results."""
     print(tables(report))
     if results is not None:
-        write_whole(results, document(report, results))
+        write_whole(results, document(report, results, other))
 
 
 def _check(bench: Table1, file: Path | None, resume: bool) -> None:

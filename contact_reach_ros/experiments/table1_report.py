@@ -61,16 +61,20 @@ def tables(report: Report) -> str:
     return "\n".join([*_tables(report, results), "", *_claims(report, results)])
 
 
-def document(report: Report, page: Path) -> str:
-    """The page of results, to be written to `page`; pictures beside it are shown."""
+def document(report: Report, page: Path, other: Report | None = None) -> str:
+    """The page of results, to be written to `page`; pictures beside it are shown.
+
+    `other`: a run with other goals, to say which condition decides.
+    """
     results = Results(report["episodes"])
+    both = report if other is None else _joined(report, other)
     parts = [
         "# Results",
         "",
         "The paper's Table I, measured in simulation. This page is written by",
         "",
         "```",
-        f"{report['command']} --json table1.json --results docs/{page.name}",
+        *_commands(report, page, other),
         "```",
         "",
         *_run(report),
@@ -89,7 +93,7 @@ def document(report: Report, page: Path) -> str:
         "",
         "## Which condition decides",
         "",
-        *_conditions(report, results),
+        *_conditions(both, Results(both["episodes"])),
         "",
         "## Where a baseline is ahead",
         "",
@@ -103,6 +107,23 @@ def document(report: Report, page: Path) -> str:
         *_pictures(page.parent),
     ]
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _joined(report: Report, other: Report) -> Report:
+    """The episodes of both; goals of the first that the second has as well are those of the first."""
+    own = report["grid"]["goals"]
+    added = [entry for entry in other["episodes"] if entry["goal"] not in own]
+    goals = [*own, *(goal for goal in other["grid"]["goals"] if goal not in own)]
+    return {**report, "grid": {**report["grid"], "goals": goals}, "episodes": [*report["episodes"], *added]}
+
+
+def _commands(report: Report, page: Path, other: Report | None) -> Iterator[str]:
+    if other is None:
+        yield f"{report['command']} --json table1.json --results docs/{page.name}"
+        return
+    yield f"{report['command']} --json table1.json"
+    yield f"{other['command']} --json other.json"
+    yield f"contact-reach bench table1 --report-only --json table1.json --other other.json --results docs/{page.name}"
 
 
 def _run(report: Report) -> Iterator[str]:

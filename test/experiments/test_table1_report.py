@@ -123,3 +123,22 @@ def test_without_episodes_of_a_kind_there_is_still_a_page(tmp_path):
     assert "Not measured: that takes contact_reach and reference_posture." in page
     assert "Nowhere, as far as the differences are certain." in page
     assert tables(alone).count("Goals:") == 1
+
+
+def test_another_run_tells_which_condition_decides(tmp_path):
+    held = [
+        *episodes("hold", "contact_reach", [1.0, 1.2, 0.8], [4.0, 4.1, 4.2]),
+        *episodes("hold", "reference_posture", [4.0, 5.0, 3.0], [3.0, 3.1, 3.2]),
+    ]
+    free = [
+        *episodes("free", "contact_reach", [2.0, 1.0, 3.0], [4.0, 4.1, 4.2]),
+        *episodes("free", "reference_posture", [1.0, 3.0, 2.0], [4.0, 4.1, 4.2]),
+    ]
+    one, other = report(held, goals=("hold",)), report(free, goals=("free",))
+    other["command"] = "contact-reach bench table1 --goals free"
+    page = document(one, tmp_path / "results.md", other)
+    assert "pays for certain only with goals of one kind, orientation held" in page
+    assert "contact-reach bench table1 --goals free --json other.json" in page
+    assert "--report-only --json table1.json --other other.json --results docs/results.md" in page
+    # All else is of the first run alone.
+    assert "### Goals: position only" not in page and "6 episodes" in page
