@@ -251,11 +251,13 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
 
 
 def run_measurement(name: str, measure: Callable[[Node], Any]) -> None:
-    """Have a bare node measure something and print it as JSON; exit code 2 and one line where that is not possible."""
+    """Have a bare node measure something and print it as JSON, unless it only helped; exit code 2 where it cannot."""
     try:
         initialise([name])
         node = Node(name)
-        print(json.dumps(measure(node)), flush=True)
+        result = measure(node)
+        if result is not None:
+            print(json.dumps(result), flush=True)
         node.destroy_node()
     except ContactReachError as error:
         print(f"{name}: {error}", file=sys.stderr)

@@ -41,10 +41,12 @@ def test_only_what_happened_in_between_counts():
     assert report["memory_growth_mb"] == pytest.approx(0.5)
 
 
-def test_bare_nodes_answer_each_other(monkeypatch):
+def test_bare_nodes_answer_each_other(monkeypatch, capfd):
     monkeypatch.setenv("ROS_DOMAIN_ID", environment()["ROS_DOMAIN_ID"])
     echoes = measure_echo(0.5)
     assert 0.0 < echoes["p50"] <= echoes["p99"] <= echoes["p999"]
+    # Who only answers has nothing to say.
+    assert capfd.readouterr().out == ""
 
 
 @pytest.mark.parametrize("option", [("--seconds", "0.5"), ("--load", "-1"), ("--scene", "nowhere")])
