@@ -183,7 +183,7 @@ class DriverNode(ManagedNode):
             now_ns = time.monotonic_ns()
         else:
             self.inbox.poll()
-        missed = (now_ns - self._next_ns) // _TICK_NS
+        missed = max((now_ns - self._next_ns) // _TICK_NS, 0)
         self._missed += missed
         # The simulated robot moves on as a real one would, whether or not this process was on time.
         for _ in range(1 + missed):

@@ -177,20 +177,32 @@ class OrderedChunks:
 
 
 def read_blocks(stream: BinaryIO, index: ChunkIndex, channels: Collection[int]) -> dict[int, Block]:
-    """The messages of some channels in the chunk that an index points to; its message indexes are used if it has any.
+    """The messages of some channels in the chunk that an index points to, by its message indexes if they are sound.
 
-    One of `DAMAGE` is raised where the chunk or its message indexes are not what was written.
+    One of `DAMAGE` is raised where the chunk is not what was written.
     """
     content = read_chunk(stream, index)
-    if index.message_index_offsets:
+    if not index.message_index_offsets:
+        return _walked_blocks(content, channels)
+    try:
         entries = _message_indexes(stream, index)
-        offsets = {number: np.sort(entries[number]["offset"]) for number in channels if number in entries}
-    else:
-        starts = [at - _RECORD.size for opcode, at, _ in _records(content) if opcode == Opcode.MESSAGE]
-        found = np.array(starts, np.int64)
-        owners = _heads(content, found)["channel"]
-        offsets = {number: found[owners == number] for number in channels}
-    return {number: _block(content, number, at.astype(np.int64)) for number, at in offsets.items() if len(at)}
+        return {
+            number: _block(content, number, np.sort(entries[number]["offset"]).astype(np.int64))
+            for number in channels
+            if number in index.message_index_offsets and len(entries[number])
+        }
+    except (ValueError, KeyError, struct.error):
+        # The messages are there all the same, if their index is not.
+        return _walked_blocks(content, channels)
+
+
+def _walked_blocks(content: bytes, channels: Collection[int]) -> dict[int, Block]:
+    """The same without an index, record by record."""
+    starts = [at - _RECORD.size for opcode, at, _ in _records(content) if opcode == Opcode.MESSAGE]
+    found = np.array(starts, np.int64)
+    owners = _heads(content, found)["channel"]
+    offsets = {number: found[owners == number] for number in channels}
+    return {number: _block(content, number, at) for number, at in offsets.items() if len(at)}
 
 
 def _block(content: bytes, channel: int, offsets: Numbers) -> Block:
