@@ -1,10 +1,14 @@
-"""How far the nodes can be heard: on this host only, unless somebody opens discovery to the subnet."""
+"""How far the nodes can be heard: on this host only, unless somebody opens discovery to the subnet.
+
+And how long it takes until those who can be heard are known.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import NamedTuple
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
@@ -17,6 +21,9 @@ CHOICES = ("host", "subnet")
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 OLD_SWITCH = "ROS_LOCALHOST_ONLY"
+
+_SETTLED_S, _DISCOVERY_S = 3.5, 10.0
+"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
 
 _FAST_DDS = "rmw_fastrtps"
 _PROFILE_OF = {"host": "fastdds.xml", "subnet": "fastdds_subnet.xml"}
@@ -86,3 +93,33 @@ def reach(env: Mapping[str, str]) -> Reach:
                 return Reach(choice, profile)
         return Reach("", profile)
     return Reach("subnet", f"{RANGE}={chosen}", fast_dds)
+
+
+def wait_until_settled(
+    look: Callable[[], Any],
+    pause: Callable[[], Any],
+    *,
+    complete: Callable[[Any], bool] = lambda seen: True,
+    ended: Callable[[], bool] = lambda: False,
+) -> None:
+    """Look at the graph until nothing new has been found for longer than participants announce themselves, or for 10 s.
+
+    Parameters
+    ----------
+    look :
+        Returns what is there now.
+    pause :
+        Called between two looks.
+    complete :
+        Whether what was seen may stay as it is; if not it counts as news.
+    ended :
+        Whether to leave it.
+    """
+    changed = time.monotonic()
+    deadline = changed + _DISCOVERY_S
+    seen: Any = None
+    while time.monotonic() < min(deadline, changed + _SETTLED_S) and not ended():
+        pause()
+        found = look()
+        if found != seen or not complete(found):
+            seen, changed = found, time.monotonic()

@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.discovery import wait_until_settled
 from contact_reach_ros.nodes.graph_checks import Endpoint, Graph, type_name
 from contact_reach_ros.nodes.interfaces import DOCTOR, MANAGED
 from contact_reach_ros.nodes.messages import nanoseconds
@@ -34,7 +35,7 @@ _DEEP = 2000
 _EVERYTHING = QoSProfile(depth=_DEEP, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches every publisher."""
 
-_DISCOVERY_S, _SETTLED_S = 4.0, 1.0
+_LOOK_S = 0.1
 _ANSWER_S = 1.0
 _FIRST_STATE_S = 3.0
 _DRAIN_S = 0.01
@@ -68,7 +69,7 @@ class Look:
         self._executor.add_node(node)
         self.messages: dict[str, list[Message]] = {}
         self.command_order: Sequence[str] | None = None
-        self._wait_until_settled()
+        wait_until_settled(self._seen, lambda: self._executor.spin_once(timeout_sec=_LOOK_S))
         names, states, simulated = self._nodes(), {}, {}
         if Graph(names, self._publishers()).running:
             for name in (name for name in MANAGED if f"/{name}" in names):
@@ -120,19 +121,6 @@ class Look:
             return None
         return sum(len(message.data) for heard in self.messages.values() for message in heard) / span
 
-    def _wait_until_settled(self) -> None:
-        """Until nothing new has been found for a while."""
-        seen: Any = None
-        deadline = time.monotonic() + _DISCOVERY_S
-        changed = time.monotonic()
-        while time.monotonic() < deadline:
-            self._executor.spin_once(timeout_sec=0.1)
-            now_seen = (self._nodes(), [self._node.count_publishers(self._full(topic.name)) for topic in topics.ALL])
-            if now_seen != seen:
-                seen, changed = now_seen, time.monotonic()
-            elif now_seen[0] and time.monotonic() - changed > _SETTLED_S:
-                return
-
     def _listen(self, seconds: float) -> None:
         group = LoopGroup()
         subscriptions = {}
@@ -177,6 +165,9 @@ class Look:
             status = deserialize_message(message.data, DiagnosticStatus)
             newest[status.name] = status
         return [(name, status.message, status.level >= DiagnosticStatus.ERROR) for name, status in newest.items()]
+
+    def _seen(self) -> tuple[list[str], list[int]]:
+        return self._nodes(), [self._node.count_publishers(self._full(topic.name)) for topic in topics.ALL]
 
     def _nodes(self) -> list[str]:
         found = (f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces())

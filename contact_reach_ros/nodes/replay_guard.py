@@ -18,6 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.discovery import wait_until_settled
 from contact_reach_ros.nodes.interfaces import ACTING, ALONE, COMMANDING, INTERFACES
 from contact_reach_ros.nodes.topics import Topic
 
@@ -28,9 +29,6 @@ _LEADING = (topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 _UNNAMED = "/_NODE_NAME_UNKNOWN_"
 _UNNAMED_S = 3.0
 """After this time a node without a name is taken for one that acts."""
-
-_SETTLED_S, _DISCOVERY_S = 3.5, 10.0
-"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
 
 _LOOK_S = 0.02
 
@@ -117,14 +115,14 @@ class Watch:
         InputError
             If something there would act on what is replayed.
         """
-        changed = time.monotonic()
-        deadline = changed + _DISCOVERY_S
-        seen: dict[str, Endpoints] = {}
-        while time.monotonic() < min(deadline, changed + _SETTLED_S) and not ended():
-            time.sleep(_LOOK_S)
+
+        def look() -> dict[str, Endpoints]:
             self._look_all()
-            if self._graph != seen or without_unnamed(self._graph) != self._graph:
-                seen, changed = dict(self._graph), time.monotonic()
+            return dict(self._graph)
+
+        wait_until_settled(
+            look, lambda: time.sleep(_LOOK_S), complete=lambda graph: without_unnamed(graph) == graph, ended=ended
+        )
         self._judge(self._graph)
 
     def check_next(self) -> None:
