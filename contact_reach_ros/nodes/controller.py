@@ -24,7 +24,7 @@ from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.managed import ManagedNode, run
-from contact_reach_ros.nodes.messages import set_time
+from contact_reach_ros.nodes.messages import nanoseconds, set_time
 from contact_reach_ros.nodes.observer import NAME as OBSERVER
 from contact_reach_ros.nodes.parameters import Sections
 from contact_reach_ros.nodes.realtime import Role
@@ -61,9 +61,14 @@ class ControllerNode(ManagedNode):
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
         lockstep = self.get_parameter("use_sim_time").value
-        qos = topics.EVERY if lockstep else topics.NEWEST
-        self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         self._lockstep = lockstep
+        self._horizons: dict[str, int] = {}
+        """Up to which state observer and planner have said everything, ns; those that have been heard of."""
+        if lockstep:
+            self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
+            self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY, serialized=True, ready=self._all_said)
+        else:
+            self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if lockstep else None
         self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -150,6 +155,19 @@ class ControllerNode(ManagedNode):
         self._compute.add(time.monotonic_ns() - self.inbox.handled_ns)
         if (controller.mode, controller.stop_reason) != self._published_mode:
             self._publish_safety()
+
+    def _on_horizon(self, message: Header) -> None:
+        if message.frame_id != NAME:
+            said_ns = nanoseconds(message.stamp)
+            # After the clock was set back what was said before still holds.
+            self._horizons[message.frame_id] = max(said_ns, self._horizons.get(message.frame_id, 0))
+
+    def _all_said(self) -> bool:
+        """In lockstep: whether all that the last state has led to is here, so that each run is like the other.
+
+        The driver has it before it publishes the next state, but it does not come here by the same way.
+        """
+        return not self._started or all(said_ns > self._state_ns for said_ns in self._horizons.values())
 
     def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
         try:

@@ -130,7 +130,13 @@ MANAGED = {
             topics.LOCKSTEP_HORIZON,
             topics.CONTROLLER_INTAKE,
         ],
-        [topics.JOINT_STATES, topics.SAFETY_STATE, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE],
+        [
+            topics.JOINT_STATES,
+            topics.SAFETY_STATE,
+            topics.REFERENCE_POSE,
+            topics.REFERENCE_POSTURE,
+            topics.LOCKSTEP_HORIZON,
+        ],
         _STOP,
     ),
     "observer": _managed(

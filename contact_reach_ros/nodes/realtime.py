@@ -30,6 +30,7 @@ from contact_reach_ros.recording.intake import CODES, IntakeLog
 
 _T = TypeVar("_T")
 
+_HELD_BACK_NS, _HOLD_S = 2_000_000_000, 0.0002
 _PATIENCE_S = 2.0
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
@@ -196,6 +197,8 @@ class _Listened(NamedTuple):
     """Whether there is never more than one message to take."""
     code: int
     """What the intake log calls it, 0 for what is not noted."""
+    ready: Callable[[], bool] | None
+    """Whether the next message may be handled; None where it always may."""
 
 
 class Inbox:
@@ -221,7 +224,12 @@ class Inbox:
         """Notes what is handled, where the node makes it so."""
 
     def add(
-        self, topic: Topic, handle: Callable[[Any], None], qos: QoSProfile | None = None, serialized: bool = False
+        self,
+        topic: Topic,
+        handle: Callable[[Any], None],
+        qos: QoSProfile | None = None,
+        serialized: bool = False,
+        ready: Callable[[], bool] | None = None,
     ) -> None:
         """Subscribe; `handle` is called in the loop thread.
 
@@ -235,13 +243,17 @@ class Inbox:
             Instead of the topic's own when given.
         serialized
             Whether `handle` gets the bytes instead of a message object, which takes most of the time to make.
+        ready
+            Asked before each message, which is held back for up to two seconds until it says so; those of other topics
+            are handled meanwhile.
         """
         qos = qos or topic.qos
         subscription = self._node.create_subscription(
             topic.type, topic.name, handle, qos, callback_group=self._group, raw=serialized
         )
         code = int(CODES.get(topic.name, 0))
-        self._subscriptions.append(_Listened(subscription, topic.type, serialized, handle, qos.depth == 1, code))
+        listened = _Listened(subscription, topic.type, serialized, handle, qos.depth == 1, code, ready)
+        self._subscriptions.append(listened)
         self._wait_set = None
 
     def wait(self, timeout_ns: int) -> None:
@@ -313,8 +325,19 @@ class Inbox:
             if listened.single:
                 break
         for message, information in taken:
+            if listened.ready is not None:
+                self._hold_back(listened.ready)
             self.received_ns = information["received_timestamp"]
             self.handled_ns = time.monotonic_ns()
             if intake is not None and listened.code:
                 intake.add(listened.code, information["source_timestamp"], self.handled_ns)
             listened.handle(message)
+
+    def _hold_back(self, ready: Callable[[], bool]) -> None:
+        """Handle what else comes until the next message may be handled."""
+        others = [other for other in self._subscriptions if other.ready is None]
+        deadline_ns = time.monotonic_ns() + _HELD_BACK_NS
+        while not ready() and time.monotonic_ns() < deadline_ns:
+            time.sleep(_HOLD_S)
+            for other in others:
+                self._handle_all(other)

@@ -1,5 +1,8 @@
 """A controller that commands nothing any more, and what controller and driver do about old joint states and answers."""
 
+import threading
+import time
+
 import numpy as np
 import pytest
 import rclpy
@@ -8,12 +11,18 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from stack_helpers import environment
 from std_msgs.msg import Header
 
+from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
+from contact_reach_ros.nodes.messages import set_time
 from contact_reach_ros.nodes.serialized import CommandWriter, JointStateWriter
 from contact_reach_ros.observer.safety import DISTRUST
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.units import NANOSECONDS
+
+_HEARD = (topics.JOINT_STATES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
 
 
 class Publisher:
@@ -34,6 +43,53 @@ def lockstep():
         yield
     finally:
         rclpy.shutdown()
+
+
+class Others:
+    """Driver and observer, for a controller whose loop runs when told to."""
+
+    def __init__(self, controller: ControllerNode) -> None:
+        self._node = rclpy.create_node("others")
+        self._publishers = {
+            topic.name: self._node.create_publisher(topic.type, topic.name, topic.qos) for topic in _HEARD
+        }
+        self._writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity"])
+        self._controller = controller
+        while not all(publisher.get_subscription_count() for publisher in self._publishers.values()):
+            time.sleep(0.01)
+
+    def show(self, tick: int) -> None:
+        """Publish a joint state, and have the controller handle what there is until it has seen it."""
+        self._publishers[topics.JOINT_STATES.name].publish(self._writer.write(tick * TICK_NS, HOME, REST))
+        while self._controller._state_ns < tick * TICK_NS:
+            self._controller.inbox.wait(NANOSECONDS // 10)
+
+    def say(self, done: int, stop: str = "") -> None:
+        """The observer has seen the states up to a tick, and perhaps wants a stop."""
+        level = DiagnosticStatus.ERROR if stop else DiagnosticStatus.OK
+        self._publishers[topics.SAFETY_STATE.name].publish(DiagnosticStatus(level=level, name="observer", message=stop))
+        header = Header(frame_id="observer")
+        set_time(header.stamp, (done + 1) * TICK_NS)
+        self._publishers[topics.LOCKSTEP_HORIZON.name].publish(header)
+
+
+def test_in_lockstep_the_next_state_waits_for_what_the_observer_says_of_the_last(lockstep):
+    node = ControllerNode()
+    node._look_around()
+    others = Others(node)
+    others.show(1)
+    others.say(done=1)
+    others.show(2)
+    assert node._controller.mode is Mode.HOLDING
+    threading.Timer(0.5, lambda: others.say(done=2, stop="too much torque")).start()
+    others.show(3)
+    assert node._controller.stop_reason == "too much torque"
+    others.say(done=3, stop="too much torque")
+    # One that has nothing to say any more holds it up for a while only.
+    others.show(4)
+    started = time.monotonic()
+    others.show(5)
+    assert time.monotonic() - started > 1.0
 
 
 def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
