@@ -108,7 +108,9 @@ def _parser() -> argparse.ArgumentParser:
     control.add_argument("--seconds", type=float, help="run the stack in real time for so long instead")
     control.add_argument("--load", type=int, default=0, help="with so many processes that never sleep (default: 0)")
     control.add_argument("--scene", default="ball", help="a name or a YAML file (default: ball)")
-    control.add_argument("--view", action="store_true", help="with the viewer, for browsers opened meanwhile")
+    control.add_argument(
+        "--pages", type=int, default=0, help="compare with so many pages of the viewer open (default: 0, no viewer)"
+    )
     control.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     control.set_defaults(run=_bench_control)
     bags = benches.add_parser("bags", help="lost messages, and what recording, replaying and analysing bags costs")
@@ -326,7 +328,7 @@ def _bench_control(options: argparse.Namespace) -> int:
     if options.seconds is not None:
         from contact_reach_ros.nodes.control_bench import ControlBench, bench_control_stack
 
-        bench = ControlBench(options.seconds, options.load, options.scene, view=options.view)
+        bench = ControlBench(options.seconds, options.load, options.scene, pages=options.pages)
         bench_control_stack(bench, options.json)
         return 0
     from contact_reach_ros.experiments.bench_control import bench_control

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -25,7 +25,7 @@ from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes import driver, echo, topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.nodes.processes import RECORDER, StackOptions, page_address, processes
+from contact_reach_ros.nodes.processes import RECORDER, VIEWER, StackOptions, page_address, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor, end_with_parent
 from contact_reach_ros.nodes.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
@@ -33,6 +33,7 @@ from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.timing import counts_between, percentiles_us, read_counts
+from contact_reach_ros.viewer import pages
 
 NAME = "bench_control"
 
@@ -46,6 +47,10 @@ _ECHO_S = (3.0, 20.0)
 _ECHO_SHARE = 0.25
 _MEMORY_S = 60.0
 """Memory is compared with what it is after the first minute, or after half the time if that is shorter."""
+_TURN_S = 20.0
+"""Without pages, and then with them."""
+_PAGES_S = 30.0
+"""For pages to open."""
 _TIMER_PRIORITY = driver.PRIORITY + 1
 _HOG = "while True: pass"
 
@@ -62,15 +67,15 @@ class ControlBench:
         Processes beside the stack that never sleep.
     scene, seed
         Where the arm goes to and fro between its start and the target.
-    view
-        Whether the viewer runs, too, for browsers that are opened meanwhile.
+    pages
+        The viewer runs, too, and half of the time, in turns, serves so many pages.
     """
 
     seconds: float = 60.0
     load: int = 2
     scene: str = "ball"
     seed: int = 0
-    view: bool = False
+    pages: int = 0
 
     def check(self) -> None:
         """Raise `SettingsError` for what cannot be run."""
@@ -78,6 +83,17 @@ class ControlBench:
             raise SettingsError(f"--seconds {self.seconds:g}: expected 2 to 86400 s")
         if not 0 <= self.load <= 64:
             raise SettingsError(f"--load {self.load}: expected 0 to 64 processes")
+        if not 0 <= self.pages <= 8:
+            raise SettingsError(f"--pages {self.pages}: expected 0 to 8 pages")
+
+    @property
+    def parts(self) -> list[tuple[float, int]]:
+        """What the time is divided into: seconds, and how many pages are open."""
+        if not self.pages:
+            settled = min(_MEMORY_S, 0.5 * self.seconds)
+            return [(settled, 0), (self.seconds - settled, 0)]
+        turns = max(round(self.seconds / (2.0 * _TURN_S)), 1)
+        return [(self.seconds / (2.0 * turns), count) for _ in range(turns) for count in (0, self.pages)]
 
 
 @dataclass(frozen=True)
@@ -104,6 +120,43 @@ class Sample:
         return read_counts(self.diagnostics[node][f"{name} counts"])
 
 
+class Part(NamedTuple):
+    """Some of the time: how many pages were open, and what was known when it began and ended."""
+
+    pages: int
+    first: Sample
+    last: Sample
+
+    @property
+    def ticks(self) -> int:
+        """So many were due."""
+        return self.last.number("ticks") - self.first.number("ticks")
+
+    @property
+    def missed_fraction(self) -> float:
+        """Share of the ticks that were missed."""
+        return (self.last.number("missed ticks") - self.first.number("missed ticks")) / max(self.ticks, 1)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was seen of the stack.
+
+    Attributes
+    ----------
+    parts
+        In order.
+    reached
+        How many goals were.
+    realtime
+        Whether the loops had real-time priority.
+    """
+
+    parts: Sequence[Part]
+    reached: int
+    realtime: bool
+
+
 def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any]:
     """Measure bare echoes, then the stack, under the same load; print a table and write JSON to `file`.
 
@@ -118,8 +171,6 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         signal.signal(number, _interrupt)
     # Removed only when all went well: what a process said is there to be read when it did not.
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
-    if bench.view:
-        _say(f"the page: {page_address(StackOptions().parameter_file)}")
     _say("bare echoes ...")
     bare_s = float(np.clip(_ECHO_SHARE * bench.seconds, *_ECHO_S))
     timer = TimerTest(bare_s, _TIMER_PRIORITY)
@@ -127,13 +178,13 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         timer.start()
         echoes = measure_echo(bare_s)
         timer.join()
-    options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"), view=bench.view)
+    options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"), view=bench.pages > 0)
     initialise([NAME])
     node = Node(NAME)
     supervisor = Supervisor(node, processes(options), options.parameter_file, directory / "log")
     watcher = Watcher(node, supervisor, RobotModel(), scene.target)
     try:
-        first, settled, last, reached, realtime = _measure(bench, supervisor, watcher)
+        run = _measure(bench, supervisor, watcher)
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
@@ -141,19 +192,18 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         node.destroy_node()
         rclpy.try_shutdown()
     shutil.rmtree(directory)
-    report = make_report(bench, echoes, timer.missed_fraction, first, settled, last, reached, realtime)
+    report = make_report(bench, echoes, timer.missed_fraction, run)
     _print(report)
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return report
 
 
-def _measure(bench: ControlBench, supervisor: Supervisor, watcher: Watcher) -> tuple[Sample, Sample, Sample, int, bool]:
-    """Samples at the beginning, after some of the time and at the end; goals that were reached; real-time priority."""
+def _measure(bench: ControlBench, supervisor: Supervisor, watcher: Watcher) -> Run:
     began = time.monotonic()
     supervisor.bring_up(STARTUP_TIMEOUT_S, lambda line: None)
     supervisor.wait_heard(RECORDER, (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
-    watcher.wait_ready(listeners=2)
+    watcher.wait_ready(listeners=3 if bench.pages else 2)
     _say(f"stack active after {time.monotonic() - began:.1f} s; {bench.seconds:g} s with {bench.load} hogs ...")
     identities = supervisor.process_ids
     realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (_DRIVER, _CONTROLLER))
@@ -161,14 +211,41 @@ def _measure(bench: ControlBench, supervisor: Supervisor, watcher: Watcher) -> t
     with _hogs(bench.load):
         trips = _go_to_and_fro(supervisor, watcher, goals)
         _until(time.monotonic() + _SETTLE_S, trips)
-        first = _sample(supervisor, watcher)
-        begin = time.monotonic()
-        _until(begin + min(_MEMORY_S, 0.5 * bench.seconds), trips)
-        settled = _sample(supervisor, watcher)
-        _until(begin + bench.seconds, trips)
+        parts = []
+        for seconds, count in bench.parts:
+            with _pages(count):
+                if bench.pages:
+                    _wait_pages(count, watcher, trips)
+                first = _sample(supervisor, watcher)
+                _until(time.monotonic() + seconds, trips)
+                parts.append(Part(count, first, _sample(supervisor, watcher)))
         reached = next(trips)
-        last = _sample(supervisor, watcher)
-    return first, settled, last, reached, realtime
+    return Run(parts, reached, realtime)
+
+
+@contextmanager
+def _pages(count: int) -> Iterator[None]:
+    """So many pages of the viewer."""
+    if not count:
+        yield
+        return
+    command = [sys.executable, "-m", pages.__name__, page_address(StackOptions().parameter_file), str(count)]
+    process = subprocess.Popen(command, preexec_fn=end_with_parent, start_new_session=True)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _wait_pages(count: int, watcher: Watcher, trips: Iterator[int]) -> None:
+    """Until the viewer serves at least so many, and a moment longer."""
+    deadline = time.monotonic() + _PAGES_S
+    while (served := int(watcher.diagnostics.get(VIEWER, {}).get("browsers", "0"))) < count:
+        if time.monotonic() > deadline:
+            raise StackError(f"{count} pages were opened, and after {_PAGES_S:g} s the viewer serves {served}")
+        next(trips)
+    _until(time.monotonic() + _SETTLE_S, trips)
 
 
 def _go_to_and_fro(supervisor: Supervisor, watcher: Watcher, goals: Sequence[np.ndarray]) -> Iterator[int]:
@@ -209,19 +286,10 @@ def _resident_mb(process: int) -> float:
     return float("nan")
 
 
-def make_report(
-    bench: ControlBench,
-    echoes: Mapping[str, float],
-    timer_missed: float,
-    first: Sample,
-    settled: Sample,
-    last: Sample,
-    reached: int,
-    realtime: bool,
-) -> dict[str, Any]:
-    """The result as JSON has it, from samples at the beginning, when memory has settled, and at the end."""
-    missed = last.number("missed ticks") - first.number("missed ticks")
-    ticks = last.number("ticks") - first.number("ticks")
+def make_report(bench: ControlBench, echoes: Mapping[str, float], timer_missed: float, run: Run) -> dict[str, Any]:
+    """The result as JSON has it."""
+    whole = Part(bench.pages, run.parts[0].first, run.parts[-1].last)
+    first, settled, last = whole.first, run.parts[0].last, whole.last
     trip = percentiles_us(counts_between(first.counts(_DRIVER, "round trip"), last.counts(_DRIVER, "round trip")))
     late = percentiles_us(counts_between(first.counts(_DRIVER, "wake-up late"), last.counts(_DRIVER, "wake-up late")))
     compute = percentiles_us(counts_between(first.counts(_CONTROLLER, "compute"), last.counts(_CONTROLLER, "compute")))
@@ -230,10 +298,9 @@ def make_report(
         "seconds": bench.seconds,
         "load": bench.load,
         "scene": bench.scene,
-        "view": bench.view,
-        "realtime": realtime,
-        "ticks": ticks,
-        "missed_fraction": missed / max(ticks, 1),
+        "realtime": run.realtime,
+        "ticks": whole.ticks,
+        "missed_fraction": whole.missed_fraction,
         "timer_missed_fraction": timer_missed,
         "round_trip_us": {key: trip[key] for key in ("p50", "p99", "p999")},
         "wakeup_late_us": {key: late[key] for key in ("p50", "p99")},
@@ -242,7 +309,23 @@ def make_report(
         "ratio_to_echo": trip["p50"] / echoes["p50"],
         "memory_growth_mb": max(growth.values()),
         "memory_growth_mb_by_process": growth,
-        "goals_reached": reached,
+        "goals_reached": run.reached,
+        "pages": _compare_pages(run.parts) if bench.pages else None,
+    }
+
+
+def _compare_pages(parts: Sequence[Part]) -> dict[str, Any]:
+    """Missed ticks with pages and without, from turns next to each other."""
+    closed, opened = ([part.missed_fraction for part in parts[first::2]] for first in (0, 1))
+    differences = np.subtract(opened, closed)
+    spread = float(differences.std(ddof=1) / np.sqrt(len(differences))) if len(differences) > 1 else float("nan")
+    return {
+        "count": parts[1].pages,
+        "missed_fraction_closed": closed,
+        "missed_fraction_open": opened,
+        "difference_mean": float(differences.mean()),
+        "difference_standard_error": spread,
+        "difference_median": float(np.median(differences)),
     }
 
 
@@ -261,6 +344,12 @@ def _print(report: Mapping[str, Any]) -> None:
         ("goals reached", f"{report['goals_reached']}"),
         ("real time", "SCHED_FIFO" if report["realtime"] else "no: not permitted"),
     ]
+    compared = report["pages"]
+    if compared is not None:
+        means = [100.0 * np.mean(compared[f"missed_fraction_{kind}"]) for kind in ("open", "closed")]
+        difference, error = (100.0 * compared[f"difference_{kind}"] for kind in ("mean", "standard_error"))
+        text = f"{means[0]:.3f} % missed with {compared['count']} open, {means[1]:.3f} % without"
+        rows.append(("pages", f"{text}: {difference:+.3f} ± {error:.3f} %"))
     for label, text in rows:
         print(f"  {label:16}{text}")
 

@@ -30,11 +30,11 @@ from contact_reach_ros.nodes.realtime import (
     Inbox,
     Role,
     choose_cpus,
+    come_first,
     give_way,
     prioritise_background,
     prioritise_middleware,
     request_realtime,
-    stand_back,
     use_cpus,
 )
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, SETTINGS, Topic
@@ -296,11 +296,10 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     if role in (Role.LOOP, Role.MONITOR):
         warning = request_realtime(priority)
     elif role is Role.COMPUTING:
+        come_first()
         warning = prioritise_middleware()
     elif role is Role.BACKGROUND:
         warning = prioritise_background()
-    else:
-        stand_back()
     if warning:
         node.get_logger().warning(warning)
     _on_signals(lambda *_: ended.put(None))

@@ -12,6 +12,7 @@ import contextlib
 import hmac
 import http
 import io
+import logging
 import re
 import socket
 import threading
@@ -39,6 +40,10 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]+")
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 _patching = threading.Lock()
+
+_QUIET = logging.getLogger(__name__)
+"""For the server, which has a traceback for each connection that somebody opens and closes without a word."""
+_QUIET.setLevel(logging.CRITICAL)
 
 
 def check_access(address: str, token: str) -> None:
@@ -192,7 +197,7 @@ def _guarded(guard: Guard) -> Iterator[list[bool]]:
             return guard.check(request) or answer(connection, request)
 
         used.append(True)
-        return original(*arguments, **{**options, "process_request": process})
+        return original(*arguments, **{**options, "process_request": process, "logger": _QUIET})
 
     # viser has no option for it.
     with _patching:

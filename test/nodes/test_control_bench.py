@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stack_helpers import environment, module
 
-from contact_reach_ros.nodes.control_bench import ControlBench, Sample, make_report, measure_echo
+from contact_reach_ros.nodes.control_bench import ControlBench, Part, Run, Sample, make_report, measure_echo
 from contact_reach_ros.timing import Histogram, write_counts
 
 ECHOES = {"p50": 200.0, "p95": 250.0, "p99": 300.0, "p999": 400.0}
@@ -30,7 +30,8 @@ def test_only_what_happened_in_between_counts():
     first = sample(1000, 500, slow_start, {"driver": 80.0, "planner": 300.0})
     settled = sample(3000, 500, slow_start, {"driver": 90.0, "planner": 500.0})
     last = sample(5000, 504, slow_start + later, {"driver": 90.5, "planner": 499.0})
-    report = make_report(ControlBench(4.0, 2), ECHOES, 0.0005, first, settled, last, reached=3, realtime=True)
+    run = Run([Part(0, first, settled), Part(0, settled, last)], reached=3, realtime=True)
+    report = make_report(ControlBench(4.0, 2), ECHOES, 0.0005, run)
     assert report["ticks"] == 4000
     assert report["missed_fraction"] == pytest.approx(0.001)
     assert report["timer_missed_fraction"] == 0.0005
@@ -41,6 +42,21 @@ def test_only_what_happened_in_between_counts():
     assert report["memory_growth_mb"] == pytest.approx(0.5)
 
 
+def test_pages_are_compared_in_turns():
+    bench = ControlBench(80.0, pages=2)
+    assert bench.parts == [(20.0, 0), (20.0, 2)] * 2
+    missed = iter([0, 10, 100, 130, 400, 420, 500, 540])
+    parts = [
+        Part(count, *(sample(20000 * (2 * turn + end), next(missed), [200.0], {"driver": 90.0}) for end in (0, 1)))
+        for turn, count in enumerate((0, 2, 0, 2))
+    ]
+    found = make_report(bench, ECHOES, 0.0, Run(parts, reached=3, realtime=True))["pages"]
+    assert found["missed_fraction_closed"] == pytest.approx([10 / 20000, 20 / 20000])
+    assert found["missed_fraction_open"] == pytest.approx([30 / 20000, 40 / 20000])
+    assert found["difference_mean"] == found["difference_median"] == pytest.approx(0.001)
+    assert found["difference_standard_error"] == pytest.approx(0.0, abs=1e-12)
+
+
 def test_bare_nodes_answer_each_other(monkeypatch, capfd):
     monkeypatch.setenv("ROS_DOMAIN_ID", environment()["ROS_DOMAIN_ID"])
     echoes = measure_echo(0.5)
@@ -49,7 +65,7 @@ def test_bare_nodes_answer_each_other(monkeypatch, capfd):
     assert capfd.readouterr().out == ""
 
 
-@pytest.mark.parametrize("option", [("--seconds", "0.5"), ("--load", "-1"), ("--scene", "nowhere")])
+@pytest.mark.parametrize("option", [("--seconds", "0.5"), ("--load", "-1"), ("--scene", "nowhere"), ("--pages", "-2")])
 def test_what_cannot_be_run_is_refused_at_once(option):
     command = [*module("cli"), "bench", "control", "--seconds", "5", *option]
     done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, timeout=60)
