@@ -35,6 +35,7 @@ from contact_reach_ros.nodes.realtime import (
     prioritise_background,
     prioritise_middleware,
     request_realtime,
+    share_heap,
     use_cpus,
 )
 from contact_reach_ros.nodes.topics import DIAGNOSTICS, SETTINGS, Topic
@@ -214,6 +215,9 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
     sys.setswitchinterval(2e-4)
+    if role in (Role.COMPUTING, Role.BACKGROUND):
+        # Not where the loop would wait for another thread's allocation.
+        share_heap()
     node: ManagedNode | None = None
     try:
         initialise(arguments)

@@ -37,6 +37,9 @@ _PATIENCE_S = 2.0
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
+_M_ARENA_MAX = -8
+"""Parameter of mallopt(3)."""
+
 _MIDDLEWARE_PRIORITY = 30
 _BACKGROUND_PRIORITY = 20
 _COMPUTING_NICENESS = -5
@@ -144,6 +147,17 @@ def prioritise_background() -> str:
         Empty when granted, else a warning for the log.
     """
     return _prioritise(os.listdir("/proc/self/task"), _BACKGROUND_PRIORITY)
+
+
+def share_heap() -> None:
+    """Have all threads of this process allocate from one heap; to be called before there are any.
+
+    glibc gives each thread its own, and what one has freed the others cannot use: they grow for minutes beside tens of
+    megabytes that compiling has left. Where there is no glibc this does nothing.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_ARENA_MAX, 1)
 
 
 def come_first() -> None:

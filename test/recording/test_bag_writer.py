@@ -1,6 +1,7 @@
 import os
 import resource
 import shutil
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -366,3 +367,27 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     writer.close()
+
+
+def test_what_is_kept_of_each_chunk_is_small_and_complete(tmp_path: Path) -> None:
+    topics = [Topic(f"/text{number}", "std_msgs/msg/String") for number in range(20)]
+    chunks = 300
+    with BagWriter(tmp_path / "bag", topics) as writer:
+        for chunk in range(chunks):
+            for topic in topics:
+                writer.write(topic.name, text(), START_NS + chunk)
+            writer.flush()
+            if chunk == 99:
+                tracemalloc.start()
+        kept = tracemalloc.get_traced_memory()[0] / (chunks - 100)
+        tracemalloc.stop()
+        file = writer.file
+    # mcap's own entries take 1,700 bytes.
+    assert kept < 800.0
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert [len(chunk.message_index_offsets) for chunk in summary.chunk_indexes] == [20] * chunks
+        found = [message.log_time for _, _, message in reader.iter_messages(topics=["/text7"])]
+    assert found == [START_NS + chunk for chunk in range(chunks)]
