@@ -54,6 +54,7 @@ setup(
         "matplotlib",
         "mcap",
         "mcap-ros2-support",
+        "msgspec",
         "mujoco",
         "numpy",
         "pillow",

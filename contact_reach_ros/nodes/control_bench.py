@@ -318,13 +318,13 @@ def _compare_pages(parts: Sequence[Part]) -> dict[str, Any]:
     """Missed ticks with pages and without, from turns next to each other."""
     closed, opened = ([part.missed_fraction for part in parts[first::2]] for first in (0, 1))
     differences = np.subtract(opened, closed)
-    spread = float(differences.std(ddof=1) / np.sqrt(len(differences))) if len(differences) > 1 else float("nan")
+    error = float(differences.std(ddof=1) / np.sqrt(len(differences))) if len(differences) > 1 else None
     return {
         "count": parts[1].pages,
         "missed_fraction_closed": closed,
         "missed_fraction_open": opened,
         "difference_mean": float(differences.mean()),
-        "difference_standard_error": spread,
+        "difference_standard_error": error,
         "difference_median": float(np.median(differences)),
     }
 
@@ -347,9 +347,10 @@ def _print(report: Mapping[str, Any]) -> None:
     compared = report["pages"]
     if compared is not None:
         means = [100.0 * np.mean(compared[f"missed_fraction_{kind}"]) for kind in ("open", "closed")]
-        difference, error = (100.0 * compared[f"difference_{kind}"] for kind in ("mean", "standard_error"))
+        error = compared["difference_standard_error"]
         text = f"{means[0]:.3f} % missed with {compared['count']} open, {means[1]:.3f} % without"
-        rows.append(("pages", f"{text}: {difference:+.3f} ± {error:.3f} %"))
+        text += f": {100.0 * compared['difference_mean']:+.3f} %"
+        rows.append(("pages", text if error is None else f"{text}, standard error {100.0 * error:.3f} %"))
     for label, text in rows:
         print(f"  {label:16}{text}")
 

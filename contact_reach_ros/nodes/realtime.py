@@ -31,8 +31,8 @@ from contact_reach_ros.recording.intake import CODES, IntakeLog
 
 _T = TypeVar("_T")
 
-_HELD_BACK_NS, _HOLD_S = 2_000_000_000, 0.0002
 _PATIENCE_S = 2.0
+_HOLD_S = 0.0002
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
@@ -359,8 +359,8 @@ class Inbox:
     def _hold_back(self, ready: Callable[[], bool]) -> None:
         """Handle what else comes until the next message may be handled."""
         others = [other for other in self._subscriptions if other.ready is None]
-        deadline_ns = time.monotonic_ns() + _HELD_BACK_NS
-        while not ready() and time.monotonic_ns() < deadline_ns:
+        deadline = time.monotonic() + _PATIENCE_S
+        while not ready() and time.monotonic() < deadline:
             time.sleep(_HOLD_S)
             for other in others:
                 self._handle_all(other)

@@ -327,8 +327,10 @@ class StackActions:
         response = self._try(GetParameters, f"{BRINGUP}/get_parameters", GetParameters.Request(names=["overrides"]))
         if isinstance(response, str):
             return response
-        for text in parameter_value_to_python(response.values[0]) or []:
-            kept[text.partition("=")[0]] = text
+        # A list that nobody has set has no value.
+        for value in response.values:
+            for text in value.string_array_value:
+                kept[text.partition("=")[0]] = text
         for name, value in values.items():
             text = yaml.safe_dump(value, default_flow_style=True).removesuffix("\n...\n").strip()
             kept[f"{node}:{name}"] = f"{node}:{name}={text}"

@@ -27,7 +27,7 @@ _CHUNK_INDEX = "_Writer__chunk_indices"
 
 
 class _Offsets(Mapping[int, int]):
-    """Where a chunk's index of each channel is, in a sixth of the memory that a dictionary takes.
+    """Where a chunk's index of each channel is, in a fifth of the memory that a dictionary takes.
 
     Parameters
     ----------

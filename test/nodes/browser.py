@@ -20,6 +20,14 @@ from websockets.sync.client import connect
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 _START_S, _ANSWER_S = 60.0, 60.0
 
+_FIND_INPUT = (
+    "(() => {{ const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === {0}); "
+    "for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
+    "const e = n.querySelector('input:not([type=hidden])'); if (e) {{ {1} }} n = n.parentElement; }} }} "
+    "return null; }})()"
+)
+"""Does something with the first input next to a label."""
+
 
 def find_chromium() -> str | None:
     """Its path; None where there is none."""
@@ -123,14 +131,26 @@ class Page:
         self.press(*self._input(label))
         self.click(option, "[role=option]")
 
+    def close_notes(self) -> None:
+        """Close what viser says, about browsers without a graphics card for one: it lies over the page."""
+        self.wait_for(
+            "(() => { const found = [...document.querySelectorAll('.mantine-Notification-closeButton')]; "
+            "found.forEach(e => e.click()); return !found.length; })()",
+            "the notes are closed",
+        )
+
+    def value(self, label: str) -> str:
+        """What the first input next to a label holds."""
+        return self.wait_for(_FIND_INPUT.format(json.dumps(label), "return e.value;"), f"input '{label}'")
+
     def _input(self, label: str) -> tuple[float, float]:
         """Where the first input next to a label is that takes text."""
         place = self.wait_for(
-            "(() => { const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === "
-            f"{json.dumps(label)}); for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
-            "const e = n.querySelector('input:not([type=hidden])'); if (e) { e.scrollIntoView({block: 'center'}); "
-            "const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; } "
-            "n = n.parentElement; } } return null; })()",
+            _FIND_INPUT.format(
+                json.dumps(label),
+                "e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect(); "
+                "return [r.x + r.width / 2, r.y + r.height / 2];",
+            ),
             f"input '{label}'",
         )
         return place[0], place[1]

@@ -55,6 +55,8 @@ def test_pages_are_compared_in_turns():
     assert found["missed_fraction_open"] == pytest.approx([30 / 20000, 40 / 20000])
     assert found["difference_mean"] == found["difference_median"] == pytest.approx(0.001)
     assert found["difference_standard_error"] == pytest.approx(0.0, abs=1e-12)
+    # One turn says nothing of the spread.
+    assert make_report(bench, ECHOES, 0.0, Run(parts[:2], 3, True))["pages"]["difference_standard_error"] is None
 
 
 def test_bare_nodes_answer_each_other(monkeypatch, capfd):

@@ -4,6 +4,7 @@
 """
 
 import ctypes
+import json
 import os
 from pathlib import Path
 
@@ -22,6 +23,8 @@ NEWEST = (
 """The last value of the first curve of a plot."""
 DISTANCE, FORCE = NEWEST.format(0), NEWEST.format(1)
 """To the goal, mm, and largest of a contact, N."""
+
+TUNED = "supervision.observer_timeout"
 
 pytestmark = pytest.mark.skipif(
     find_chromium() is None, reason="there is no Chromium: install it as root with 'apt-get install chromium'"
@@ -54,6 +57,7 @@ def page(tmp_path_factory):
         with chromium(folder) as browser:
             browser.open(f"{address}/?fixedDpr=0.3", 800, 600)
             browser.wait_for_text("holding", 120)
+            browser.close_notes()
             yield browser
             assert browser.errors == []
 
@@ -113,6 +117,24 @@ def test_the_bag_of_the_first_run_is_opened_and_scrubbed(page):
     page.wait_for_text("live")
 
 
+def test_a_changed_parameter_is_what_the_restarted_node_has(page):
+    page.click("Tune", "[role=tab]")
+    page.choose("Node", "controller")
+    page.click("Show parameters")
+    page.fill(TUNED, "0.08")
+    assert "no joint_states for" not in page.text(), "nothing is applied before it is confirmed"
+    page.click("Apply and restart")
+    page.wait_for_text("no joint_states for")
+    page.wait_for_text("holding", 300)
+    # The page asks the node itself again.
+    page.choose("Node", "observer")
+    page.click("Show parameters")
+    page.wait_for(f"!document.body.innerText.includes({json.dumps(TUNED)})", "the parameters of the observer")
+    page.choose("Node", "controller")
+    page.click("Show parameters")
+    assert page.value(TUNED) == "0.08"
+
+
 def test_a_picture_is_taken_of_an_arm_between_walls(page, request, tmp_path):
     """Of the size of a laptop's window."""
     wanted = request.config.getoption("--write-pictures")
@@ -130,11 +152,6 @@ def test_a_picture_is_taken_of_an_arm_between_walls(page, request, tmp_path):
     page.open(page.address.replace("fixedDpr=0.3", "fixedDpr=1"), 1280, 800)
     page.click("Plots", "[role=tab]")
     page.wait_for(f"{DISTANCE} !== null", "the distance is plotted")
-    # What viser says about browsers without a graphics card lies over the safety state.
-    page.wait_for(
-        "(() => { const found = [...document.querySelectorAll('.mantine-Notification-closeButton')]; "
-        "found.forEach(e => e.click()); return !found.length; })()",
-        "the notes are closed",
-    )
+    page.close_notes()
     file = page.screenshot(PICTURE if wanted else tmp_path / "viewer.png")
     assert file.read_bytes().startswith(b"\x89PNG") and file.stat().st_size > 20_000
