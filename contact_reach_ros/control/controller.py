@@ -116,14 +116,16 @@ class Controller:
         else:
             reference = self._reference(q, now_ns)
             self.error = pose_error(self.model.position, self.model.rotation, reference)
-            torque = self.law.torque(self.model, v, q - reference.posture, self.error)
-            torque += self.model.bias - self.model.gravity
-            brake = self.speed_limiter.torque(v, self.model.mass_matrix)
-            if brake is not None:
-                torque += brake
+            brake = self.speed_limiter.null_torque(v, self.model.mass_matrix)
+            torque = self.law.torque(self.model, v, q - reference.posture, self.error, brake)
             repulsion = self.repulsion.torque(q, v)
             if repulsion is not None:
                 torque += repulsion
+            if brake is not None:
+                excess = self.speed_limiter.torque(v, self.model.mass_matrix, torque)
+                if excess is not None:
+                    torque += excess
+            torque += self.model.bias - self.model.gravity
             since_start = (now_ns - self._started_ns) / NANOSECONDS
             if since_start < supervision.start_ramp:
                 torque *= since_start / supervision.start_ramp

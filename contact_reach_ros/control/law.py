@@ -81,7 +81,9 @@ class ImpedanceLaw:
         """Λ of the last call, (6, 6)."""
         self._inverse_mass_jacobian = np.zeros((7, 6))
 
-    def torque(self, model: RobotModel, v: Array, posture_error: Array, error: Array) -> Array:
+    def torque(
+        self, model: RobotModel, v: Array, posture_error: Array, error: Array, brake: Array | None = None
+    ) -> Array:
         """τ of law (3) without the C + g of law (1), (7,), N m.
 
         Parameters
@@ -94,6 +96,8 @@ class ImpedanceLaw:
             Δq = q − q_d, (7,), rad.
         error
             Δx, (6,), from `pose_error`.
+        brake
+            More of τ₀, (7,), N m.
         """
         gains = self.settings
         jacobian = model.jacobian
@@ -104,6 +108,8 @@ class ImpedanceLaw:
         self._inverse_mass_jacobian = solution
         self.task_inertia = bounded_inverse(jacobian.dot(solution), gains.singularity_floor)
         posture_torque = -gains.null_stiffness * posture_error - gains.null_damping * v
+        if brake is not None:
+            posture_torque += brake
         task_acceleration = -gains.task_stiffness * error - gains.task_damping * model.twist - model.drift
         # (1) + (2) with one product: Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
         wrench = self.task_inertia.dot(task_acceleration - posture_torque.dot(solution))

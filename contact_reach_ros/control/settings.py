@@ -25,7 +25,13 @@ class LimitSettings(Settings):
     """Limits on torques and joints."""
 
     torque_share: float = setting(0.9, "torque cap as a share of the data sheet's", minimum=0.05, maximum=1.0)
-    torque_rate: float = setting(1000.0, "greatest change of a torque", unit="Nm/s", minimum=1.0, maximum=1000.0)
+    torque_rate: float = setting(
+        4000.0,
+        "greatest change of A1's torque; that of the others is in proportion to their torque limits",
+        unit="Nm/s",
+        minimum=1.0,
+        maximum=20000.0,
+    )
     joint_limit_margin: float = setting(
         0.1, "distance to a position limit at which repulsion begins", unit="rad", minimum=0.01, maximum=0.5
     )
@@ -39,11 +45,24 @@ class LimitSettings(Settings):
         minimum=0.0,
         maximum=50.0,
     )
+    null_velocity_share: float = setting(
+        0.3,
+        "joint speed beyond which motion in the null space is braked, as a share of the data sheet's limit",
+        minimum=0.05,
+        maximum=1.0,
+    )
     velocity_limit_share: float = setting(
-        0.6, "joint speed at which braking begins, as a share of the data sheet's limit", minimum=0.05, maximum=1.0
+        0.9,
+        "joint speed beyond which no joint is driven, as a share of the data sheet's limit",
+        minimum=0.05,
+        maximum=1.0,
     )
     velocity_limit_rate: float = setting(
-        100.0, "deceleration per speed beyond that", unit="1/s", minimum=0.0, maximum=500.0
+        100.0,
+        "greatest acceleration per speed below that, and deceleration above",
+        unit="1/s",
+        minimum=1.0,
+        maximum=500.0,
     )
 
 

@@ -40,6 +40,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _M_ARENA_MAX = -8
 """Parameter of mallopt(3)."""
 
+_SERVICES_PRIORITY = 50
 _MIDDLEWARE_PRIORITY = 30
 _BACKGROUND_PRIORITY = 20
 _COMPUTING_NICENESS = -5
@@ -174,14 +175,14 @@ def come_first() -> None:
 
 
 def give_way() -> None:
-    """Lower the calling thread's SCHED_FIFO priority by one, if it has any: still above or below the same processes.
+    """Lower the calling thread's SCHED_FIFO priority, if it has any, below that of every loop of the stack.
 
-    For what a process does beside its loop: Linux lets threads of one priority finish, so that on the same CPU the loop
-    would wait until diagnostics are written.
+    For what a process does beside its loop: on the same CPU each loop, not only its own, would wait until diagnostics
+    are written or the graph is looked at. Linux lets threads of one priority finish, too.
     """
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        priority = os.sched_getparam(0).sched_priority
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority - 1))
+        priority = min(os.sched_getparam(0).sched_priority - 1, _SERVICES_PRIORITY)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def _prioritise(threads: Sequence[str], priority: int) -> str:

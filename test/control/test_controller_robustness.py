@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.limits import torque_rates
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
@@ -14,7 +15,7 @@ from contact_reach_ros.robot.model import RobotModel
 
 SETTINGS = ControllerSettings()
 CAP = SETTINGS.limits.torque_share * TORQUE_LIMITS
-STEP = SETTINGS.limits.torque_rate * TICK_NS / SECOND_NS
+STEP = torque_rates(SETTINGS.limits) * TICK_NS / SECOND_NS
 
 numbers = st.one_of(st.floats(-3.0, 3.0), st.floats(), st.sampled_from([0.0, 1e-300, 1e308, -1e160]))
 small_changes = st.lists(st.floats(-0.5, 0.5), min_size=7, max_size=7).map(np.array)

@@ -8,6 +8,7 @@ from arm_simulation import (
     REST,
     TICK_NS,
     TORQUE_LIMITS,
+    VELOCITY_LIMITS,
     ClosedLoop,
     ideal_plant,
     offer_plan,
@@ -15,8 +16,9 @@ from arm_simulation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.limits import JointLimitRepulsion, SpeedLimiter, TorqueLimiter
+from contact_reach_ros.control.limits import JointLimitRepulsion, SpeedLimiter, TorqueLimiter, torque_rates
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.robot import iiwa14
 
@@ -91,12 +93,17 @@ def test_limiter_keeps_cap_and_rate(first, requests):
     for torque, period in requests:
         limited = limiter.limit(torque, period)
         assert (np.abs(limited) <= cap).all()
-        assert (np.abs(limited - previous) <= SETTINGS.torque_rate * period + 1e-9).all()
+        step = torque_rates(SETTINGS) * period
+        assert (np.abs(limited - previous) <= step + 1e-9).all()
         # No further from the request than it has to be.
         wanted = np.clip(torque, -cap, cap)
-        step = SETTINGS.torque_rate * period
         np.testing.assert_allclose(limited, np.clip(wanted, previous - step, previous + step), rtol=0, atol=1e-9)
         previous = limited
+
+
+def test_the_torque_of_a_weaker_joint_changes_as_much_slower():
+    rates = torque_rates(LimitSettings(torque_rate=3200.0))
+    np.testing.assert_allclose(rates, 10.0 * TORQUE_LIMITS)
 
 
 def greedy_reference(loop: ClosedLoop, joint: int, side: float) -> Reference:
@@ -137,19 +144,80 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
 
 class TestSpeedLimiter:
     MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
-    LIMITS = np.array(iiwa14.VELOCITY_LIMITS)
+    SETTINGS = LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
+
+    def acceleration(self, torque: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(self.MASS, torque)
 
     def test_slow_joints_are_left_alone(self):
-        limiter = SpeedLimiter(LimitSettings(velocity_limit_share=0.6))
-        assert limiter.torque(0.6 * self.LIMITS, self.MASS) is None
-        assert limiter.torque(-0.6 * self.LIMITS, self.MASS) is None
+        limiter = SpeedLimiter(self.SETTINGS)
+        assert limiter.null_torque(0.4 * VELOCITY_LIMITS, self.MASS) is None
+        assert limiter.null_torque(-0.4 * VELOCITY_LIMITS, self.MASS) is None
 
     @pytest.mark.parametrize("side", [-1.0, 1.0])
-    def test_a_fast_joint_alone_is_decelerated_in_proportion_to_its_excess(self, side):
-        limiter = SpeedLimiter(LimitSettings(velocity_limit_share=0.6, velocity_limit_rate=100.0))
-        v = 0.1 * self.LIMITS
-        v[2] = side * 0.9 * self.LIMITS[2]
-        acceleration = np.linalg.solve(self.MASS, limiter.torque(v, self.MASS))
+    def test_in_the_null_space_a_fast_joint_is_decelerated_in_proportion_to_its_excess(self, side):
+        v = 0.1 * VELOCITY_LIMITS
+        v[2] = side * 0.7 * VELOCITY_LIMITS[2]
+        braked = self.acceleration(SpeedLimiter(self.SETTINGS).null_torque(v, self.MASS))
         expected = np.zeros(7)
-        expected[2] = -side * 100.0 * 0.3 * self.LIMITS[2]
-        np.testing.assert_allclose(acceleration, expected, rtol=0, atol=1e-9)
+        expected[2] = -side * 100.0 * 0.3 * VELOCITY_LIMITS[2]
+        np.testing.assert_allclose(braked, expected, rtol=0, atol=1e-9)
+
+    @given(st.lists(st.floats(-1.2, 1.2), min_size=7, max_size=7).map(np.array), torques)
+    def test_no_joint_is_driven_beyond_the_limit_and_the_others_accelerate_as_before(self, shares, torque):
+        v = shares * VELOCITY_LIMITS
+        change = SpeedLimiter(self.SETTINGS).torque(v, self.MASS, torque)
+        before = self.acceleration(torque)
+        after = before if change is None else self.acceleration(torque + change)
+        fast = np.abs(shares) > 0.4
+        most = 100.0 * (0.8 - np.abs(shares)) * VELOCITY_LIMITS
+        outwards = np.sign(v) * before
+        expected = np.where(fast & (outwards > most), np.sign(v) * most, before)
+        np.testing.assert_allclose(after, expected, rtol=1e-9, atol=1e-6)
+
+
+def null_direction(loop: ClosedLoop) -> np.ndarray:
+    """How the joints move, (7,) of length 1, while the flange rests: A1 outwards."""
+    model = loop.controller.model
+    model.update(loop.q, loop.v)
+    direction = np.linalg.svd(model.jacobian)[2][-1]
+    return direction * np.sign(direction[0])
+
+
+POSTURE_PULL, TASK_PULL = "posture", "task"
+
+
+def pulled(kind: str, settings: LimitSettings) -> tuple[ClosedLoop, float, float]:
+    """The arm, its greatest speed as a share of the limits, and the flange's greatest error, m, after a strong pull.
+
+    The references move with the flange and stay far ahead of the posture, or stay far ahead of the flange.
+    """
+    loop = ClosedLoop(ideal_plant(), ControllerSettings(limits=settings))
+    start = loop.reference()
+    fastest = farthest = 0.0
+
+    def replan() -> None:
+        if loop.now_ns % (40 * TICK_NS) == 0:
+            if kind == POSTURE_PULL:
+                ahead = Reference(start.position, start.rotation, loop.q + 0.2 * null_direction(loop))
+            else:
+                ahead = Reference(loop.reference().position + np.array([0.0, 0.12, 0.0]), start.rotation, loop.q)
+            offer_plan(loop.controller, [ahead], loop.now_ns, (100 * TICK_NS,), loop.now_ns)
+
+    for _ in loop.run(0.5, replan):
+        fastest = max(fastest, float((np.abs(loop.v) / VELOCITY_LIMITS).max()))
+        farthest = max(farthest, float(np.linalg.norm(loop.reference().position - start.position)))
+    return loop, fastest, farthest
+
+
+def test_a_fast_null_space_is_braked_without_the_task_feeling_it():
+    loop, fastest, farthest = pulled(POSTURE_PULL, LimitSettings())
+    assert not loop.controller.stop_reason
+    assert 0.3 < fastest < 0.6
+    assert farthest < 2e-3
+
+
+def test_a_pull_that_would_be_too_fast_does_not_stop_the_arm():
+    loop, fastest, _ = pulled(TASK_PULL, LimitSettings())
+    assert not loop.controller.stop_reason
+    assert 0.8 < fastest < 0.95
