@@ -6,6 +6,7 @@ import threading
 import pytest
 
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.nodes import controller, driver, observer
 from contact_reach_ros.nodes.realtime import Role, choose_cpus, give_way
 
 
@@ -57,14 +58,16 @@ def test_without_real_time_priority_there_is_nothing_to_give_way_with():
     assert in_a_thread(give_way) == (os.SCHED_OTHER, 0)
 
 
-def test_who_gives_way_comes_behind_threads_of_its_own_process_only():
+@pytest.mark.parametrize(("priority", "left"), [(driver.PRIORITY, 50), (observer.PRIORITY, 50), (20, 19)])
+def test_who_gives_way_comes_behind_every_loop(priority, left):
     def work():
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         give_way()
 
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         pytest.skip("no real-time priority permitted")
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    assert in_a_thread(work) == (os.SCHED_FIFO, 4)
+    assert in_a_thread(work) == (os.SCHED_FIFO, left)
+    assert left < min(driver.PRIORITY, controller.PRIORITY, observer.PRIORITY)
