@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 _BUCKETS = 20000
@@ -83,7 +84,7 @@ class Histogram:
         if self.count == 0:
             return float("nan")
         wanted, seen = percent / 100.0 * self.count, 0
-        for bucket, count in enumerate(self._counts[:-1]):
+        for bucket, count in enumerate(itertools.islice(self._counts, _BUCKETS)):
             seen += count
             if seen >= wanted:
                 return min(float(self._bucket_us * (bucket + 1)), self.maximum_ns / 1000)

@@ -43,7 +43,8 @@ def to_point(position: Sequence[float]) -> Point:
 
 def to_quaternion(rotation: Array) -> Quaternion:
     """Quaternion message of a rotation matrix (3, 3)."""
-    x, y, z, w = pin.Quaternion(rotation).coeffs().tolist()
+    # Of a matrix stored row by row Pinocchio's bindings make a copy and never free it.
+    x, y, z, w = pin.Quaternion(np.asfortranarray(rotation)).coeffs().tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
