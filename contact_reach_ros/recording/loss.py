@@ -25,7 +25,8 @@ class LossCounter:
     def __init__(self) -> None:
         self.lost = 0
         self.known = True
-        self._expected: set[int] = set()
+        # A list: two publishers may have come equally far.
+        self._expected: list[int] = []
 
     def count(self, sequence: int | None, publishers: Callable[[], int]) -> None:
         """Account for one message, in the order of arrival.
@@ -49,4 +50,4 @@ class LossCounter:
                 self.lost += sequence - max(earlier)
             if self._expected:
                 self._expected.remove(max(earlier, default=min(self._expected)))
-        self._expected.add(sequence + 1)
+        self._expected.append(sequence + 1)

@@ -44,3 +44,11 @@ def test_messages_without_numbers_make_the_count_unknown() -> None:
     counter = LossCounter()
     counter.count(None, lambda: 1)
     assert not counter.known
+
+
+def test_publishers_that_end_lose_nothing() -> None:
+    """The last messages of two that have come equally far are taken when both are gone already."""
+    counter = LossCounter()
+    for number, publishers in ((2, 3), (5, 3), (5, 3), (6, 3), (6, 3), (7, 1), (7, 1), (3, 1)):
+        counter.count(number, lambda present=publishers: present)
+    assert counter.lost == 0
