@@ -54,7 +54,7 @@ def test_other_libraries_read_it(reader: BagReader) -> None:
     with file.open("rb") as stream:
         decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/goal_pose"])
         (goal,) = [item[3] for item in decoded]
-    assert goal.pose.position.x == pytest.approx(0.5)
+    assert goal.pose.position.x == pytest.approx(0.51)
 
 
 def test_it_can_be_replayed(reader: BagReader) -> None:
