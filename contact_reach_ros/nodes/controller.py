@@ -54,13 +54,14 @@ class ControllerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         self._shadow: bool = self.settings["supervision"].shadow
-        self._commands = self.make_publisher(topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS)
+        lockstep = self.get_parameter("use_sim_time").value
+        commands = topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS
+        self._commands = self.make_publisher(commands.kept(lockstep))
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         # Plans and safety before joint states: a tick uses all that came before it.
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
-        lockstep = self.get_parameter("use_sim_time").value
         self._lockstep = lockstep
         self._horizons: dict[str, int] = {}
         """Up to which state observer and planner have said everything, ns; those that have been heard of."""

@@ -87,7 +87,7 @@ class DriverNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         self._lockstep: bool = self.settings[""].lockstep
-        self._joint_states = self.make_publisher(topics.JOINT_STATES)
+        self._joint_states = self.make_publisher(topics.JOINT_STATES.kept(self._lockstep))
         self._contacts = self.make_publisher(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)

@@ -17,6 +17,11 @@ from visualization_msgs.msg import MarkerArray
 STREAM = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """What publishers offer: reliable and deep, so that recorders and lockstep lose nothing even when they are late."""
 
+KEPT_STREAM = QoSProfile(
+    depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""The same, and the last second is given to whoever comes later: in lockstep, where time begins without them."""
+
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The last message is given to whoever comes later."""
 
@@ -31,7 +36,7 @@ ALL_EVENTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE, dura
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """What real-time subscribers ask for: only the last message counts."""
 
-EVERY = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+EVERY = STREAM
 """What lockstep subscribers ask for."""
 
 
@@ -47,6 +52,10 @@ class Topic(NamedTuple):
     name: str
     type: Any
     qos: QoSProfile = STREAM
+
+    def kept(self, keep: bool) -> Topic:
+        """The same topic; if asked for, with publishers that give those who come late the last second, too."""
+        return self._replace(qos=KEPT_STREAM) if keep else self
 
 
 JOINT_STATES = Topic("joint_states", JointState)

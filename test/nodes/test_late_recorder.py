@@ -1,0 +1,64 @@
+"""A recorder that comes after the loops have begun, as on a busy machine: in lockstep its bag is whole all the same."""
+
+import signal
+import time
+from contextlib import ExitStack
+
+import pytest
+import rclpy
+from mcap.reader import make_reader
+from stack_helpers import environment, module, running, wait_for
+
+from contact_reach_ros.nodes import topics
+
+LOOPS = ("observer", "controller", "driver")
+LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "scene:=free")
+KEPT = 1000
+"""Messages of a topic that wait for those who come late."""
+
+
+@pytest.fixture
+def domain():
+    env = environment()
+    rclpy.init(domain_id=int(env["ROS_DOMAIN_ID"]))
+    try:
+        yield env
+    finally:
+        rclpy.shutdown()
+
+
+def test_the_first_messages_are_in_the_bag(domain, tmp_path):
+    """Without a planner time does not begin: what is said to the first state is said once."""
+    look = rclpy.create_node("look")
+    spoke = set()
+    look.create_subscription(
+        topics.SAFETY_STATE.type, topics.SAFETY_STATE.name, lambda status: spoke.add(status.name), topics.ALL_EVENTS
+    )
+
+    def answered() -> bool:
+        rclpy.spin_once(look, timeout_sec=0.1)
+        return {"controller", "observer"} <= spoke
+
+    bag = tmp_path / "bag"
+    with ExitStack() as stack:
+        for name in LOOPS:
+            wanted = LOCKSTEP if name == "driver" else LOCKSTEP[:2]
+            command = [*module(f"nodes.{name}"), "--ros-args", *wanted]
+            stack.enter_context(running(command, domain, tmp_path / f"{name}.log"))
+        wait_for(answered, 60, "controller and observer answer the first state")
+        command = [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={bag}"]
+        with running(command, domain, tmp_path / "recorder.log") as recorder:
+            names = [look.resolve_topic_name(topic.name) for topic in (topics.JOINT_STATES, topics.COMMANDS)]
+            wait_for(lambda: all(look.count_subscribers(name) >= 2 for name in names), 60, "the recorder subscribes")
+            # What the publishers have kept comes at once.
+            time.sleep(1.0)
+            recorder.send_signal(signal.SIGINT)
+            assert recorder.wait(30) == 0, (tmp_path / "recorder.log").read_text()
+    (file,) = bag.glob("*.mcap")
+    sequences: dict[str, list[int]] = {}
+    with file.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            sequences.setdefault(channel.topic, []).append(message.sequence)
+    for name in ("/joint_states", "/effort_controller/commands", "/external_torque"):
+        found = sequences.get(name, [0])
+        assert found[0] == 1 or len(found) >= KEPT, f"{name}: {found[0]} to {found[-1]}"
