@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import resource
 import shutil
 import threading
@@ -21,6 +22,10 @@ _CAP_IPC_LOCK = 14
 _MANY_CORES = 4
 _ENOUGH_MEMORY = 4 * 2**30
 _MINUTE = 60.0
+_FAIR_SERVER = (6, 12)
+_SERVERS = Path("/sys/kernel/debug/sched/fair_server")
+_SERVED_BY_DEFAULT = (50.0, 1000.0)
+"""Time of a fair server and its period, ms."""
 _LITTLE_DISK, _FEW_MINUTES = 1e9, 10.0
 
 _CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
@@ -112,21 +117,62 @@ def kernel(realtime: Path = Path("/sys/kernel/realtime"), version: str = "") -> 
     return warned(name, f"{release}, without PREEMPT_RT: rare late wake-ups of milliseconds are possible", fix)
 
 
-def realtime_throttling(settings: Path = Path("/proc/sys/kernel"), cores: int | None = None) -> Finding:
-    """Whether Linux stops real-time threads that take most of a CPU, which on few of them the loops may."""
+def realtime_throttling(
+    settings: Path = Path("/proc/sys/kernel"), cores: int | None = None, release: str = "", servers: Path = _SERVERS
+) -> Finding:
+    """Whether Linux stops real-time threads that take most of a CPU, which on few of them the loops may.
+
+    Up to Linux 6.11 a sysctl says how much of each CPU they may take; from 6.12 on a fair server on each CPU gives that
+    time to ordinary programs that wait, and the sysctl does nothing any more.
+    """
     name = "real-time throttling"
-    try:
-        runtime, period = (int((settings / f"sched_rt_{part}_us").read_text()) for part in ("runtime", "period"))
-    except (OSError, ValueError):
+    release = release or platform.release()
+    served = _version(release) >= _FAIR_SERVER
+    times = _fair_server_times(servers) if served else _throttling_times(settings)
+    if times is None and not served:
         return passed(name, "not shown by this system")
-    if runtime < 0 or runtime >= period:
+    if times is not None and times[0] <= 0.0:
         return passed(name, "off")
     cores = len(os.sched_getaffinity(0)) if cores is None else cores
-    found = f"{(period - runtime) / 1000:.0f} ms in {period / 1000:.0f} ms are kept from real-time threads"
+    kept, period = times or _SERVED_BY_DEFAULT
+    found = f"{kept:.0f} ms in {period:.0f} ms are kept from real-time threads"
+    if served:
+        found += " where ordinary programs wait" if times else " where ordinary programs wait, unless that is changed"
     if cores >= _MANY_CORES:
         return passed(name, f"{found}: on {cores} cores the loops never take so much of one")
     fix = "sudo sysctl kernel.sched_rt_runtime_us=-1: all real-time threads of the stack sleep between their ticks"
+    if served:
+        fix = (
+            f"sudo sh -c 'for f in {servers}/cpu*/runtime; do echo 0 > $f; done'; where the kernel is locked down, "
+            f"boot with isolcpus={cores - 1}: the loops have that CPU to themselves then"
+        )
     return warned(name, f"{found}; on {cores} core(s) a slow phase of the machine then stops the arm's loops", fix)
+
+
+def _version(release: str) -> tuple[int, int]:
+    found = re.match(r"(\d+)\.(\d+)", release)
+    return (int(found[1]), int(found[2])) if found else (0, 0)
+
+
+def _throttling_times(settings: Path) -> tuple[float, float] | None:
+    """What the sysctl keeps from real-time threads, ms, and in which time; None where it is not shown."""
+    try:
+        runtime, period = (int((settings / f"sched_rt_{part}_us").read_text()) for part in ("runtime", "period"))
+    except (OSError, ValueError):
+        return None
+    return (0.0 if runtime < 0 else (period - runtime) / 1e3), period / 1e3
+
+
+def _fair_server_times(servers: Path) -> tuple[float, float] | None:
+    """The most that a CPU's fair server takes, ms, and in which time; None where only root may look."""
+    try:
+        times = [
+            (int((server / "runtime").read_text()) / 1e6, int((server / "period").read_text()) / 1e6)
+            for server in servers.iterdir()
+        ]
+    except (OSError, ValueError):
+        return None
+    return max(times, default=None)
 
 
 def disk(folder: Path, rate: float | None = None) -> Finding:

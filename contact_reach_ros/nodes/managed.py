@@ -32,6 +32,7 @@ from contact_reach_ros.nodes.realtime import (
     choose_cpus,
     come_first,
     give_way,
+    isolated_cpus,
     prioritise_background,
     prioritise_middleware,
     request_realtime,
@@ -288,7 +289,7 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
             failures.append(error)
         ended.put(None)
 
-    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0))
+    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0), isolated_cpus())
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     _on_signals(signal.SIG_DFL)
     if node.autostart and not _start(node):

@@ -62,12 +62,15 @@ class Role(Enum):
     """Nobody waits for it, and it may miss what comes: it has no priority."""
 
 
-def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]:
+def choose_cpus(
+    wanted: str, role: Role, permitted: Collection[int], isolated: Collection[int] = frozenset()
+) -> set[int]:
     """CPUs for the threads of a process.
 
     On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
     another CPU, and whoever computes has the others, so that its threads are not stuck behind the loop while another
-    CPU is free. Monitors and what runs in the background go wherever there is time: one CPU would be too full of all.
+    CPU is free. Where the kernel keeps CPUs free of all else, the control loop has the last one of these. Monitors and
+    what runs in the background go wherever there is time: one CPU would be too full of all.
 
     Parameters
     ----------
@@ -77,12 +80,16 @@ def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]
         Of the process.
     permitted
         CPUs that the process may use.
+    isolated
+        CPUs that the kernel keeps free of all that does not ask for them.
 
     Raises
     ------
     SettingsError
         If it is none of these, or names a CPU that may not be used.
     """
+    if wanted == "auto" and role is Role.LOOP and isolated:
+        return {max(isolated)}
     if wanted == "auto" and 2 <= len(permitted) <= _FEW_CPUS:
         last = max(permitted)
         return {Role.LOOP: {last}, Role.COMPUTING: set(permitted) - {last}}.get(role, set(permitted))
@@ -92,9 +99,19 @@ def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]
         chosen = {int(number) for number in wanted.split(",")}
     except ValueError:
         chosen = set()
-    if not chosen or not chosen <= set(permitted):
-        raise SettingsError(f"parameter cpus: '{wanted}'; expected auto, all, or numbers out of {sorted(permitted)}")
+    possible = {*permitted, *isolated}
+    if not chosen or not chosen <= possible:
+        raise SettingsError(f"parameter cpus: '{wanted}'; expected auto, all, or numbers out of {sorted(possible)}")
     return chosen
+
+
+def isolated_cpus(file: Path = Path("/sys/devices/system/cpu/isolated")) -> set[int]:
+    """CPUs that the kernel was told to keep free, by isolcpus on its command line."""
+    try:
+        ranges = [part.split("-") for part in file.read_text().strip().split(",") if part]
+    except OSError:
+        return set()
+    return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
 
 
 def use_cpus(cpus: Collection[int]) -> None:

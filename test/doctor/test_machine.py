@@ -97,14 +97,39 @@ def test_kernel(tmp_path):
 def test_realtime_throttling(tmp_path, runtime, cores, verdict):
     (tmp_path / "sched_rt_runtime_us").write_text(f"{runtime}\n")
     (tmp_path / "sched_rt_period_us").write_text("1000000\n")
-    finding = machine.realtime_throttling(tmp_path, cores)
+    finding = machine.realtime_throttling(tmp_path, cores, "6.8.0-generic", tmp_path / "none")
     assert finding.verdict.value == verdict
     if verdict == "warn":
         assert "50 ms in 1000 ms" in finding.found and "kernel.sched_rt_runtime_us=-1" in finding.fix
 
 
+@pytest.mark.parametrize(
+    ("runtimes", "cores", "verdict", "found"),
+    [
+        ([50_000_000, 50_000_000], 2, "warn", "50 ms in 1000 ms"),
+        ([0, 20_000_000], 2, "warn", "20 ms in 1000 ms"),
+        ([50_000_000] * 8, 8, "pass", "8 cores"),
+        ([0, 0], 2, "pass", "off"),
+        ([], 2, "warn", "unless that is changed"),
+    ],
+)
+def test_from_linux_6_12_on_the_fair_servers_count_and_the_sysctl_does_not(tmp_path, runtimes, cores, verdict, found):
+    (tmp_path / "sched_rt_runtime_us").write_text("-1\n")
+    (tmp_path / "sched_rt_period_us").write_text("1000000\n")
+    servers = tmp_path / "fair_server"
+    for number, runtime in enumerate(runtimes):
+        server = servers / f"cpu{number}"
+        server.mkdir(parents=True)
+        (server / "runtime").write_text(f"{runtime}\n")
+        (server / "period").write_text("1000000000\n")
+    finding = machine.realtime_throttling(tmp_path, cores, "6.12.3-rt", servers)
+    assert finding.verdict.value == verdict and found in finding.found
+    if verdict == "warn":
+        assert f"{servers}/cpu*/runtime" in finding.fix and "isolcpus=1" in finding.fix
+
+
 def test_a_system_that_shows_no_throttling(tmp_path):
-    assert machine.realtime_throttling(tmp_path, 2).verdict is Verdict.PASS
+    assert machine.realtime_throttling(tmp_path, 2, "6.8.0", tmp_path / "none").verdict is Verdict.PASS
 
 
 @pytest.mark.parametrize(("free", "verdict"), [(500e9, "pass"), (0.5e9, "warn"), (0.05e9, "fail")])

@@ -7,7 +7,7 @@ import pytest
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes import controller, driver, observer
-from contact_reach_ros.nodes.realtime import Role, choose_cpus, give_way
+from contact_reach_ros.nodes.realtime import Role, choose_cpus, give_way, isolated_cpus
 
 
 def test_on_few_cpus_loop_and_computation_keep_apart():
@@ -38,6 +38,21 @@ def test_a_choice_of_the_user_is_kept(role):
 def test_cpus_that_there_are_not_are_refused(wanted):
     with pytest.raises(SettingsError, match=r"parameter cpus: '.*'; expected auto, all, or numbers out of \[0, 1\]"):
         choose_cpus(wanted, Role.LOOP, {0, 1})
+
+
+def test_isolated_cpus_are_the_loops(tmp_path):
+    file = tmp_path / "isolated"
+    for text, isolated in (("\n", set()), ("3\n", {3}), ("1,4-6\n", {1, 4, 5, 6})):
+        file.write_text(text)
+        assert isolated_cpus(file) == isolated
+    assert isolated_cpus(tmp_path / "none") == set()
+    assert choose_cpus("auto", Role.LOOP, {0}, {1}) == {1}
+    assert choose_cpus("auto", Role.LOOP, {0, 1, 2, 3}, {4, 5}) == {5}
+    for role in set(Role) - {Role.LOOP}:
+        assert choose_cpus("auto", role, {0}, {1}) == {0}
+    assert choose_cpus("1", Role.MONITOR, {0}, {1}) == {1}
+    with pytest.raises(SettingsError, match=r"numbers out of \[0, 1\]"):
+        choose_cpus("2", Role.LOOP, {0}, {1})
 
 
 def in_a_thread(work) -> tuple[int, int]:
