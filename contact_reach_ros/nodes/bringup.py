@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -21,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes.discovery import CHOICES, reach
+from contact_reach_ros.nodes.interruption import Interruption
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.parameters import check_arguments, declare, early_value
 from contact_reach_ros.nodes.processes import VIEWER, Override, StackOptions, processes
@@ -68,9 +68,7 @@ def main() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+    interruption = Interruption()
     node: Node | None = None
     supervisor: Supervisor | None = None
     try:
@@ -80,8 +78,8 @@ def _run(arguments: list[str]) -> int:
         node = Node(NAME)
         stack = _Stack(node, _options(vars(declare(node, SECTIONS, CHANGEABLE)[""])))
         _say_discovery(node, stack.options.discovery)
-        supervisor = Supervisor(node, processes(stack.options), stack.options.parameter_file)
-        _supervise(stack, supervisor, ended)
+        supervisor = Supervisor(node, processes(stack.options), stack.options.parameter_file, interruption)
+        _supervise(stack, supervisor)
         return 0
     except StackError as error:
         print(f"{NAME}: {error}; ending the stack", file=sys.stderr)
@@ -164,14 +162,12 @@ def _next_bag(bag: str) -> str:
     return next(name for number in numbers if not Path(name := f"{bag}_{number}").exists())
 
 
-def _supervise(stack: _Stack, supervisor: Supervisor, ended: threading.Event) -> None:
+def _supervise(stack: _Stack, supervisor: Supervisor) -> None:
     log = stack.node.get_logger()
     said = ""
 
     def progress(line: str) -> None:
         nonlocal said
-        if ended.is_set():
-            raise KeyboardInterrupt
         if line != said:
             log.info(line)
             said = line
@@ -179,7 +175,7 @@ def _supervise(stack: _Stack, supervisor: Supervisor, ended: threading.Event) ->
     try:
         supervisor.bring_up(STARTUP_TIMEOUT_S, progress)
         log.info("all nodes are active; send a goal to goal_pose")
-        while not ended.is_set():
+        while True:
             supervisor.check()
             supervisor.spin(0.1)
             if stack.restarting.is_set():

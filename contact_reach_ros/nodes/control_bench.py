@@ -24,6 +24,7 @@ from contact_reach_ros.doctor.jitter import TimerTest
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes import driver, echo, topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.nodes.interruption import Interruption
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.processes import RECORDER, VIEWER, StackOptions, page_address, processes
 from contact_reach_ros.nodes.supervisor import StackError, Supervisor, end_with_parent
@@ -179,15 +180,15 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         echoes = measure_echo(bare_s)
         timer.join()
     options = StackOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"), view=bench.pages > 0)
+    interruption = Interruption()
     initialise([NAME])
     node = Node(NAME)
-    supervisor = Supervisor(node, processes(options), options.parameter_file, directory / "log")
+    supervisor = Supervisor(node, processes(options), options.parameter_file, interruption, directory / "log")
     watcher = Watcher(node, supervisor, RobotModel(), scene.target)
     try:
         run = _measure(bench, supervisor, watcher)
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        interruption.ignore()
         supervisor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.nodes.interruption import Interruption
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.processes import RECORDER, StackOptions, page_address, processes
 from contact_reach_ros.nodes.supervisor import Supervisor
@@ -95,11 +95,10 @@ def run_demo(options: DemoOptions) -> int:
         parameters=options.parameters,
         view=options.view,
     )
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    interruption = Interruption()
     initialise(["demo"])
     node = Node("demo")
-    supervisor = Supervisor(node, processes(stack), stack.parameter_file, bag.with_suffix(".log"))
+    supervisor = Supervisor(node, processes(stack), stack.parameter_file, interruption, bag.with_suffix(".log"))
     model = RobotModel()
     interrupted, failure = False, ""
     end_ns: int | None = None
@@ -113,9 +112,7 @@ def run_demo(options: DemoOptions) -> int:
     except ContactReachError as error:
         failure = str(error)
     finally:
-        # A second Ctrl-C must not leave processes behind.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        interruption.ignore()
         _say("ending the stack", done=True)
         supervisor.shutdown()
         node.destroy_node()
@@ -223,7 +220,3 @@ def _say(line: str, done: bool = False) -> None:
         print(f"\r\033[K{line}", end="\n" if done else "", flush=True)
     elif done:
         print(line, flush=True)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

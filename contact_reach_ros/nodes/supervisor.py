@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.interruption import Interruption
 from contact_reach_ros.nodes.processes import RECORDER, Process, Wave
 from contact_reach_ros.nodes.realtime import Inbox, prioritise_middleware
 from contact_reach_ros.nodes.topics import Topic
@@ -56,12 +57,22 @@ class Supervisor:
         From `processes`.
     parameter_file
         Given to every process.
+    interruption
+        Looked at by `check`, and so wherever something is waited for.
     log
         File for the output of the processes; their own terminal when None.
     """
 
-    def __init__(self, node: Node, table: Sequence[Process], parameter_file: Path, log: Path | None = None) -> None:
+    def __init__(
+        self,
+        node: Node,
+        table: Sequence[Process],
+        parameter_file: Path,
+        interruption: Interruption,
+        log: Path | None = None,
+    ) -> None:
         self._node = node
+        self._interruption = interruption
         self._table = list(table)
         self.parameter_file = parameter_file
         self._log_path = log
@@ -84,12 +95,14 @@ class Supervisor:
         timeout
             For the whole, s.
         progress
-            Called over and over with a line that says what is waited for; may raise to give up.
+            Called over and over with a line that says what is waited for.
 
         Raises
         ------
         StackError
             If a process died, or the time is over; the missing ones are named with their last state.
+        KeyboardInterrupt
+            If it was interrupted.
         """
         if self._log_path is not None and self._log is None:
             self._log = self._log_path.open("wb")
@@ -122,7 +135,7 @@ class Supervisor:
 
         Raises
         ------
-        StackError
+        StackError, KeyboardInterrupt
             As `bring_up`.
         """
         self._end_all(keep)
@@ -136,6 +149,8 @@ class Supervisor:
         ------
         StackError
             If a process died, or the time is over; the topics that are not heard are named.
+        KeyboardInterrupt
+            If it was interrupted.
         """
         missing = self._until_heard(listener, heard, time.monotonic() + timeout)
         if missing:
@@ -199,7 +214,14 @@ class Supervisor:
         self.inbox.wait(0)
 
     def check(self) -> None:
-        """Raise `StackError` naming a process that died, and how; one that is not essential is only told."""
+        """Raise `StackError` naming a process that died, and how; one that is not essential is only told.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If there was an interruption.
+        """
+        self._interruption.check()
         for name, process in list(self._running.items()):
             code = process.poll()
             if code is not None:

@@ -31,6 +31,8 @@ T = TypeVar("T")
 
 _PLOT_PERIOD = 0.2
 _REACH_PERIOD = 0.15
+_MOVED = 0.02
+"""So far a joint has to turn before the goal is looked at again, rad."""
 _TIMELINE_PERIOD = 0.2
 _MARKS = 30
 
@@ -119,7 +121,7 @@ class Page:
         self._player: Player | None = None
         self._frame: Frame | None = None
         self._plots_due = self._reach_due = self._timeline_due = 0.0
-        self._asked: Array | None = None
+        self._asked: tuple[Array, Array] | None = None
         self._last = 0.0
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", dark_mode=dark)
         server.scene.configure_default_lights(cast_shadow=shadows)
@@ -272,11 +274,13 @@ class Page:
             return
         if self._asked is None:
             self._place_wish()
-        if self._asked is not None and np.array_equal(self._asked, wish.position):
-            return
+        if self._asked is not None:
+            position, q = self._asked
+            if np.array_equal(position, wish.position) and np.abs(frame.q - q).max() < _MOVED:
+                return
         self._reach_due = clock + _REACH_PERIOD
-        self._asked = wish.position.copy()
-        answer = reach(self._asked, frame.q)
+        self._asked = wish.position.copy(), frame.q.copy()
+        answer = reach(*self._asked)
         wish.mark(answer.reachable)
         self._reach_text.content = f"{'✔' if answer.reachable else '✘'} {answer.text}"
 

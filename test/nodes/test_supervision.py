@@ -20,17 +20,26 @@ REST = 0.1
 """Joint speed that counts as rest, sensor noise included, rad/s."""
 
 
+ATTEMPTS = 3
+"""On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
+
+
 @pytest.fixture
 def moving_demo(tmp_path):
     """A demo in real time whose arm is on its way: environment, process, output file and folder."""
-    env = environment()
     parameters = parameter_file(tmp_path / "small.yaml", planner=PATIENT_PLANNER)
-    output = tmp_path / "output.txt"
-    command = [*module("cli"), "demo", "--scene", "free", "--output", str(tmp_path), "--parameters", str(parameters)]
-    with running(command, env, output) as process:
-        wait_for(lambda: moved(output) or process.poll() is not None, 300, "the arm moves")
-        assert process.poll() is None, output.read_text()
-        yield env, process, output, tmp_path
+    outputs = []
+    for attempt in range(ATTEMPTS):
+        env, folder = environment(), tmp_path / str(attempt)
+        folder.mkdir()
+        outputs.append(folder / "output.txt")
+        command = [*module("cli"), "demo", "--scene", "free", "--output", str(folder), "--parameters", str(parameters)]
+        with running(command, env, outputs[-1]) as process:
+            wait_for(lambda: moved(outputs[-1]) or process.poll() is not None, 300, "the arm moves")
+            if process.poll() is None:
+                yield env, process, outputs[-1], folder
+                return
+    pytest.fail(f"the arm did not move in {ATTEMPTS} demos; the last one said: {outputs[-1].read_text()}")
 
 
 def moved(output: Path) -> bool:

@@ -75,6 +75,9 @@ def test_a_goal_is_sent_on_click_only_and_reached(page):
     page.click("Plots", "[role=tab]")
     page.wait_for(f"{DISTANCE} > 0", "the distance is plotted")
     page.wait_for(f"{DISTANCE} !== null && {DISTANCE} <= 10", "the goal is reached", 120)
+    # The distance that was shown before it was sent is that of the arm then.
+    page.click("Goal", "[role=tab]")
+    page.wait_for(r"/reachable, 0\.0[01] m away/.test(document.body.innerText)", "the arm is at the goal")
 
 
 def test_stop_is_latched_until_reset(page):
