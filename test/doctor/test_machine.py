@@ -2,11 +2,13 @@
 
 import json
 import shutil
+import subprocess
+import sys
 
 import pytest
 from rich.console import Console
 
-from contact_reach_ros.doctor import machine, software
+from contact_reach_ros.doctor import jitter, machine, software
 from contact_reach_ros.doctor.findings import Check, Verdict, failed, passed, warned
 from contact_reach_ros.doctor.jitter import timer_jitter
 from contact_reach_ros.doctor.planner import planner_speed
@@ -176,3 +178,14 @@ def test_a_planner_is_timed():
     finding = planner_speed({**parameters, "latency": 1000.0})
     assert finding.verdict is Verdict.PASS and finding.values["spheres"] == 0
     assert finding.values["compile_s"] > 0.0 and finding.values["solve_ms"] > 0.0
+
+
+def test_the_timer_of_a_process_tells_how_far_it_is():
+    command = [sys.executable, "-m", jitter.__name__, "81"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        first, second = ([int(number) for number in process.stdout.readline().split()] for _ in range(2))
+        process.kill()
+    # A thousand wake-ups each, and the ticks that were over before one.
+    assert first[0] == 1000 + first[1]
+    assert second[0] == 2000 + second[1]
+    assert 0 <= first[1] <= second[1]
