@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from array import array
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 from contact_reach_ros.errors import BagError
@@ -22,40 +24,29 @@ COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zs
 CHUNK_BYTES = 2 * 1024 * 1024
 """More than a second of the stack, so that only `flush` ends a chunk: each has an entry in memory, see below."""
 
-_CHUNK_INDEX = "_Writer__chunk_indices"
-"""Of mcap's writer: an entry for each chunk, in memory until the file is closed."""
+_CHUNK_INDICES = "_Writer__chunk_indices"
+"""Of mcap's writer: a list with an entry for each chunk, in memory until the file is closed."""
 
 
-class _Offsets(Mapping[int, int]):
-    """Where a chunk's index of each channel is, in a fifth of the memory that a dictionary takes.
+class _ChunkIndices:
+    """Takes the place of that list; keeps the entries as the file will, which takes a sixth of the memory."""
 
-    Parameters
-    ----------
-    places :
-        The dictionary.
-    like :
-        Of another chunk, probably with the same channels, which then are kept once for both.
-    """
+    def __init__(self) -> None:
+        self._records = bytearray()
 
-    __slots__ = ("_channels", "_places")
+    def append(self, entry: ChunkIndex) -> None:
+        """Take an entry that is complete."""
+        builder = RecordBuilder()
+        entry.write(builder)
+        self._records += builder.end()
 
-    def __init__(self, places: Mapping[int, int], like: _Offsets | None) -> None:
-        channels = list(places)
-        self._channels: list[int] = like._channels if like is not None and like._channels == channels else channels
-        # From a list, of which the array knows the length.
-        self._places = array("Q", list(places.values()))
-
-    def __getitem__(self, channel: int) -> int:
-        try:
-            return self._places[self._channels.index(channel)]
-        except ValueError:
-            raise KeyError(channel) from None
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._channels)
-
-    def __len__(self) -> int:
-        return len(self._channels)
+    def __iter__(self) -> Iterator[ChunkIndex]:
+        stream = ReadDataStream(BytesIO(self._records))
+        while stream.count < len(self._records):
+            # Opcode and length.
+            stream.read1()
+            stream.read8()
+            yield ChunkIndex.read(stream)
 
 
 @dataclasses.dataclass
@@ -118,10 +109,6 @@ class BagWriter:
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
         self._files: list[bag_metadata.FileSpan] = []
-        self._compacted = 0
-        """Entries of the index that are done."""
-        self._offsets: _Offsets | None = None
-        """Of the newest one."""
         self._closed = False
         # One thread, since a disk may keep a caller waiting for long.
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
@@ -255,7 +242,6 @@ class BagWriter:
             if not self._custom_data_written:
                 self._add_information()
             self._writer.flush()
-            self._compact_index()
             if durable and (self._syncing is None or self._syncing.done()):
                 self._wait_for_disk()
                 self._syncing = self._disk.submit(os.fdatasync, self._stream.fileno())
@@ -294,8 +280,9 @@ class BagWriter:
         self._stream = (self._directory / name).open("xb")
         bag_metadata.sync_directory(self._directory)
         self._files.append(bag_metadata.FileSpan(name))
-        self._compacted = 0
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=self._compression)
+        if hasattr(self._writer, _CHUNK_INDICES):
+            setattr(self._writer, _CHUNK_INDICES, _ChunkIndices())
         self._writer.start(profile="ros2", library="contact_reach_ros")
         # A first copy, so that scene and seed are known even if the recording is cut.
         self._add_information()
@@ -310,14 +297,6 @@ class BagWriter:
             self._writer.finish()
             self._stream.flush()
             os.fdatasync(self._stream.fileno())
-
-    def _compact_index(self) -> None:
-        """Have the index take less memory, by four megabytes an hour."""
-        entries = getattr(self._writer, _CHUNK_INDEX, ())
-        for entry in entries[self._compacted :]:
-            self._offsets = _Offsets(entry.message_index_offsets, self._offsets)
-            entry.message_index_offsets = self._offsets
-        self._compacted = len(entries)
 
     def _is_full(self, time_ns: int) -> bool:
         file = self._files[-1]
