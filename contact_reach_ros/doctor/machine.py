@@ -8,8 +8,10 @@ import re
 import resource
 import shutil
 import threading
+from collections.abc import Collection
 from pathlib import Path
 
+from contact_reach_ros.cpus import isolated_cpus
 from contact_reach_ros.doctor.findings import Finding, failed, passed, warned
 
 PRIORITY = 80
@@ -118,7 +120,11 @@ def kernel(realtime: Path = Path("/sys/kernel/realtime"), version: str = "") -> 
 
 
 def realtime_throttling(
-    settings: Path = Path("/proc/sys/kernel"), cores: int | None = None, release: str = "", servers: Path = _SERVERS
+    settings: Path = Path("/proc/sys/kernel"),
+    cores: int | None = None,
+    release: str = "",
+    servers: Path = _SERVERS,
+    isolated: Collection[int] | None = None,
 ) -> Finding:
     """Whether Linux stops real-time threads that take most of a CPU, which on few of them the loops may.
 
@@ -133,6 +139,9 @@ def realtime_throttling(
         return passed(name, "not shown by this system")
     if times is not None and times[0] <= 0.0:
         return passed(name, "off")
+    isolated = isolated_cpus() if isolated is None else isolated
+    if served and isolated:
+        return passed(name, f"none on CPU {max(isolated)}, which isolcpus keeps for driver and controller")
     cores = len(os.sched_getaffinity(0)) if cores is None else cores
     kept, period = times or _SERVED_BY_DEFAULT
     found = f"{kept:.0f} ms in {period:.0f} ms are kept from real-time threads"
@@ -142,10 +151,12 @@ def realtime_throttling(
         return passed(name, f"{found}: on {cores} cores the loops never take so much of one")
     fix = "sudo sysctl kernel.sched_rt_runtime_us=-1: all real-time threads of the stack sleep between their ticks"
     if served:
-        fix = (
-            f"sudo sh -c 'for f in {servers}/cpu*/runtime; do echo 0 > $f; done'; where the kernel is locked down, "
-            f"boot with isolcpus={cores - 1}: the loops have that CPU to themselves then"
-        )
+        fix = f"sudo sh -c 'for f in {servers}/cpu*/runtime; do echo 0 > $f; done'"
+        if cores > 1:
+            fix += (
+                f"; where the kernel is locked down, boot with isolcpus={cores - 1}: "
+                "driver and controller have that CPU to themselves then"
+            )
     return warned(name, f"{found}; on {cores} core(s) a slow phase of the machine then stops the arm's loops", fix)
 
 

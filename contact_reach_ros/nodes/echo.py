@@ -19,6 +19,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from contact_reach_ros.cpus import isolated_cpus
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.nodes import controller, driver, topics
 from contact_reach_ros.nodes.managed import run_measurement
@@ -106,7 +107,7 @@ def _pong(node: Node, ended: list[int]) -> None:
 
 
 def _in_real_time(priority: int) -> None:
-    use_cpus(choose_cpus("auto", Role.LOOP, os.sched_getaffinity(0)))
+    use_cpus(choose_cpus("auto", Role.LOOP, os.sched_getaffinity(0), isolated_cpus()))
     request_realtime(priority)
 
 

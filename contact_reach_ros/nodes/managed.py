@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros import __version__
+from contact_reach_ros.cpus import isolated_cpus
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.discovery import choose_discovery
 from contact_reach_ros.nodes.parameters import Sections, check_arguments, declare
@@ -32,7 +33,6 @@ from contact_reach_ros.nodes.realtime import (
     choose_cpus,
     come_first,
     give_way,
-    isolated_cpus,
     prioritise_background,
     prioritise_middleware,
     request_realtime,

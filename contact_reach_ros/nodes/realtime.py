@@ -105,15 +105,6 @@ def choose_cpus(
     return chosen
 
 
-def isolated_cpus(file: Path = Path("/sys/devices/system/cpu/isolated")) -> set[int]:
-    """CPUs that the kernel was told to keep free, by isolcpus on its command line."""
-    try:
-        ranges = [part.split("-") for part in file.read_text().strip().split(",") if part]
-    except OSError:
-        return set()
-    return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
-
-
 def use_cpus(cpus: Collection[int]) -> None:
     """Let all threads of this process, and those started later, run on these CPUs only."""
     for thread in os.listdir("/proc/self/task"):

@@ -124,10 +124,13 @@ def test_from_linux_6_12_on_the_fair_servers_count_and_the_sysctl_does_not(tmp_p
         server.mkdir(parents=True)
         (server / "runtime").write_text(f"{runtime}\n")
         (server / "period").write_text("1000000000\n")
-    finding = machine.realtime_throttling(tmp_path, cores, "6.12.3-rt", servers)
+    finding = machine.realtime_throttling(tmp_path, cores, "6.12.3-rt", servers, set())
     assert finding.verdict.value == verdict and found in finding.found
     if verdict == "warn":
         assert f"{servers}/cpu*/runtime" in finding.fix and "isolcpus=1" in finding.fix
+        # Who has done so is told that it helped, and a single CPU cannot be kept free.
+        assert machine.realtime_throttling(tmp_path, 1, "6.12.3-rt", servers, {1}).verdict is Verdict.PASS
+        assert "isolcpus" not in machine.realtime_throttling(tmp_path, 1, "6.12.3-rt", servers, set()).fix
 
 
 def test_a_system_that_shows_no_throttling(tmp_path):

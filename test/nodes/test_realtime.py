@@ -5,9 +5,10 @@ import threading
 
 import pytest
 
+from contact_reach_ros.cpus import isolated_cpus
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes import controller, driver, observer
-from contact_reach_ros.nodes.realtime import Role, choose_cpus, give_way, isolated_cpus
+from contact_reach_ros.nodes.realtime import Role, choose_cpus, give_way
 
 
 def test_on_few_cpus_loop_and_computation_keep_apart():
