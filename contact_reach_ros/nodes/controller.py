@@ -54,23 +54,21 @@ class ControllerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         self._shadow: bool = self.settings["supervision"].shadow
-        lockstep = self.get_parameter("use_sim_time").value
         commands = topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS
-        self._commands = self.make_publisher(commands.kept(lockstep))
+        self._commands = self.make_publisher(commands.kept(self.lockstep))
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         # Plans and safety before joint states: a tick uses all that came before it.
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
-        self._lockstep = lockstep
         self._horizons: dict[str, int] = {}
         """Up to which state observer and planner have said everything, ns; those that have been heard of."""
-        if lockstep:
+        if self.lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
             self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY, serialized=True, ready=self._all_said)
         else:
             self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
-        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if lockstep else None
+        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
         self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -125,7 +123,7 @@ class ControllerNode(ManagedNode):
 
     def _clock_ns(self) -> int:
         """Clock of the watchdogs: the steady one, or simulated time in lockstep, where real time means nothing."""
-        return self._state_ns if self._lockstep else self.inbox.handled_ns
+        return self._state_ns if self.lockstep else self.inbox.handled_ns
 
     def _on_state(self, data: bytes) -> None:
         controller = self._controller

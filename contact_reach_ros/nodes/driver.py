@@ -86,21 +86,21 @@ class DriverNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self._lockstep: bool = self.settings[""].lockstep
-        self._joint_states = self.make_publisher(topics.JOINT_STATES.kept(self._lockstep))
+        self.lockstep = self.settings[""].lockstep
+        self._joint_states = self.make_publisher(topics.JOINT_STATES.kept(self.lockstep))
         self._contacts = self.make_publisher(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         self._published_safety: tuple[str, str] | None = None
         self._description = self.make_publisher(topics.ROBOT_DESCRIPTION)
-        self._clock_publisher = self.make_publisher(topics.CLOCK) if self._lockstep else None
+        self._clock_publisher = self.make_publisher(topics.CLOCK) if self.lockstep else None
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/stop", self._on_stop)
-        qos = topics.EVERY if self._lockstep else topics.NEWEST
+        qos = topics.EVERY if self.lockstep else topics.NEWEST
         self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)
         self.create_subscription(topics.SIM_FAULTS.type, topics.SIM_FAULTS.name, self._on_faults, topics.SIM_FAULTS.qos)
         self._horizons = {"observer": 0, "planner": 0}
-        if self._lockstep:
+        if self.lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
         settings = self.settings
         chosen: DriverSettings = settings[""]
@@ -140,7 +140,7 @@ class DriverNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to tick."""
         self._description.publish(String(data=build_urdf()))
-        self._start_ns = _LOCKSTEP_START_NS if self._lockstep else time.time_ns()
+        self._start_ns = _LOCKSTEP_START_NS if self.lockstep else time.time_ns()
         self._start_ns -= self._plant.steps * _TICK_NS
         self._next_ns = time.monotonic_ns() + _TICK_NS
         if self._faults is not None:
@@ -149,7 +149,7 @@ class DriverNode(ManagedNode):
 
     def turn(self) -> None:
         """One tick."""
-        if self._lockstep:
+        if self.lockstep:
             self._lockstep_tick()
         else:
             self._realtime_tick()
@@ -304,7 +304,7 @@ class DriverNode(ManagedNode):
         if self._faults is not None:
             self._faults.send_command(torque, self._now_ns)
         else:
-            self._command(torque, self._now_ns if self._lockstep else time.monotonic_ns() - self._stood_ns)
+            self._command(torque, self._now_ns if self.lockstep else time.monotonic_ns() - self._stood_ns)
 
     def _command(self, torque: np.ndarray, clock_ns: int) -> None:
         try:

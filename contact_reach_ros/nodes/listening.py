@@ -36,7 +36,7 @@ _EVERYTHING = QoSProfile(depth=_DEEP, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches every publisher."""
 
 _LOOK_S = 0.1
-_ANSWER_S = 1.0
+_ANSWER_S = 3.0
 _FIRST_STATE_S = 3.0
 _DRAIN_S = 0.01
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
@@ -74,7 +74,8 @@ class Look:
         if Graph(names, self._publishers()).running:
             for name in (name for name in MANAGED if f"/{name}" in names):
                 states[name] = self._state(name)
-                value = self._parameter(name, "use_sim_time")
+                # One that is silent is asked no more.
+                value = self._parameter(name, "use_sim_time") if states[name] else None
                 if value is not None:
                     simulated[name] = bool(value.bool_value)
             if f"/{EFFORT_CONTROLLER}" in names:

@@ -58,6 +58,8 @@ class ManagedNode(LifecycleNode):
         The settings objects by parameter prefix.
     running
         Whether the node is active.
+    lockstep
+        Whether time is simulated and waits for every node: each is busy then, and none is late.
     """
 
     NAME: ClassVar[str]
@@ -68,6 +70,7 @@ class ManagedNode(LifecycleNode):
         autostart = self.declare_parameter("autostart", True)
         self.autostart = bool(autostart.value)
         self.cpus = str(self.declare_parameter("cpus", "auto").value)
+        self.lockstep = bool(self.get_parameter("use_sim_time").value)
         self.settings = declare(self, self.SECTIONS)
         self.inbox = Inbox(self)
         self.running = False
@@ -297,14 +300,8 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     # Also the first use of the logger, which takes long.
     node.get_logger().info("active" if node.running else "waiting to be configured")
     use_cpus(cpus)
-    warning = ""
-    if role in (Role.LOOP, Role.MONITOR):
-        warning = request_realtime(priority)
-    elif role is Role.COMPUTING:
-        come_first()
-        warning = prioritise_middleware()
-    elif role is Role.BACKGROUND:
-        warning = prioritise_background()
+    # Loops that never sleep would keep everything of lower priority from running, first of all their own services.
+    warning = "" if node.lockstep else _prioritise(role, priority)
     if warning:
         node.get_logger().warning(warning)
     _on_signals(lambda *_: ended.put(None))
@@ -332,6 +329,16 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
         node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
     return 0
+
+
+def _prioritise(role: Role, priority: int) -> str:
+    """Priorities of a process that keeps real time; a warning for the log where they are not permitted."""
+    if role in (Role.LOOP, Role.MONITOR):
+        return request_realtime(priority)
+    if role is Role.COMPUTING:
+        come_first()
+        return prioritise_middleware()
+    return prioritise_background() if role is Role.BACKGROUND else ""
 
 
 def _on_signals(handler: Any) -> None:

@@ -104,12 +104,11 @@ class ObserverNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self._lockstep: bool = self.get_parameter("use_sim_time").value
-        self._torque = self.make_publisher(topics.EXTERNAL_TORQUE.kept(self._lockstep))
+        self._torque = self.make_publisher(topics.EXTERNAL_TORQUE.kept(self.lockstep))
         self._wrench = self.make_publisher(topics.EXTERNAL_WRENCH)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
-        qos = topics.EVERY if self._lockstep else topics.NEWEST
+        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
+        qos = topics.EVERY if self.lockstep else topics.NEWEST
         self._commanded: np.ndarray | None = None
         if self.settings[""].torque_source == "commanded":
             self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)

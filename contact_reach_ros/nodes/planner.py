@@ -127,12 +127,11 @@ class PlannerNode(ManagedNode):
         self._statistics = self.make_publisher(topics.PLAN_STATISTICS)
         self._solutions = self.make_publisher(topics.PLAN_SOLUTION)
         self._intake = self.log_intake(topics.PLANNER_INTAKE)
-        self._lockstep: bool = self.get_parameter("use_sim_time").value
-        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self._lockstep else None
+        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True)
         self.inbox.add(topics.GOAL_POSE, self._on_goal)
-        qos = topics.EVERY if self._lockstep else topics.NEWEST
+        qos = topics.EVERY if self.lockstep else topics.NEWEST
         self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
         settings = self.settings[""]
         self._period_ns = int(settings.period * NANOSECONDS)
@@ -174,7 +173,7 @@ class PlannerNode(ManagedNode):
         try:
             self._budget = budget = load_budget(settings.contact_budget)
             planning = self.settings["planning"]
-            if self._lockstep:
+            if self.lockstep:
                 # A deadline on the wall clock would let the result depend on how busy the machine is.
                 planning = dataclasses.replace(planning, deadline=0.0)
             self._markers = PlanMarkers(budget.permitted_force)
@@ -227,7 +226,7 @@ class PlannerNode(ManagedNode):
 
     def turn(self) -> None:
         """Handle what arrived; `_on_state` plans when a plan is due."""
-        if not self._lockstep:
+        if not self.lockstep:
             # States come much faster than plans are made; looking at each would only take time from the loops.
             self._stop.wait(_POLL_S)
         self.inbox.wait(_IDLE_NS)
@@ -259,7 +258,7 @@ class PlannerNode(ManagedNode):
 
     def _latency_ns(self) -> int:
         """Time until a plan begun now can take effect: what the last ones took, on a machine that may be busy."""
-        if self._lockstep or not self._recent_ns:
+        if self.lockstep or not self._recent_ns:
             return self._min_latency_ns
         return max(self._min_latency_ns, min(max(self._recent_ns), _MAX_LATENCY_NS))
 

@@ -7,7 +7,15 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, running, wait_for
+from stack_helpers import (
+    SMALL_PLANNER,
+    environment,
+    module,
+    parameter_file,
+    processes_of_domain,
+    running,
+    wait_for,
+)
 
 from contact_reach_ros.doctor.findings import Verdict
 from contact_reach_ros.nodes import discovery, doctor, topics
@@ -162,6 +170,13 @@ def stack(tmp_path_factory):
         assert process.poll() is None, output.read_text()
         # The brakes open after half a second of simulated time.
         yield env
+
+
+def test_in_lockstep_nobody_keeps_others_from_running(stack):
+    processes = processes_of_domain(stack["ROS_DOMAIN_ID"])
+    for name in ("driver", "controller", "observer", "planner"):
+        threads = [int(thread) for thread in os.listdir(f"/proc/{processes[name]}/task")]
+        assert {os.sched_getscheduler(thread) for thread in threads} == {os.SCHED_OTHER}, name
 
 
 def test_a_good_stack_passes(stack, tmp_path):

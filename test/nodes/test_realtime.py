@@ -4,6 +4,7 @@ import os
 import threading
 
 import pytest
+from stack_helpers import environment, module, running, wait_for
 
 from contact_reach_ros.cpus import isolated_cpus
 from contact_reach_ros.errors import SettingsError
@@ -87,3 +88,13 @@ def test_who_gives_way_comes_behind_every_loop(priority, left):
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     assert in_a_thread(work) == (os.SCHED_FIFO, left)
     assert left < min(driver.PRIORITY, controller.PRIORITY, observer.PRIORITY)
+
+
+def test_in_real_time_a_loop_has_the_priority_that_the_system_permits(tmp_path):
+    def policies() -> set[int]:
+        return {os.sched_getscheduler(int(thread)) for thread in os.listdir(f"/proc/{process.pid}/task")}
+
+    output = tmp_path / "observer.txt"
+    with running(module("nodes.observer"), environment(), output) as process:
+        wait_for(lambda: "active" in output.read_text() or process.poll() is not None, 60, "the observer is active")
+        wait_for(lambda: os.SCHED_FIFO in policies() or "no real-time priority" in output.read_text(), 10, "priority")
