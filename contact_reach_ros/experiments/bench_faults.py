@@ -29,7 +29,8 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.plant.drive import WatchdogSettings
-from contact_reach_ros.plant.faults import Schedule, parse_faults
+from contact_reach_ros.plant.fault_kinds import Schedule
+from contact_reach_ros.plant.fault_schedules import parse_faults
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.files import read_scene

@@ -23,16 +23,15 @@ from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
-from contact_reach_ros.plant.faults import (
+from contact_reach_ros.plant.fault_kinds import (
     ControllerSilent,
-    Faults,
     LatePlans,
     ObserverSilent,
     Obstacle,
     PlannerSilent,
     Schedule,
-    State,
 )
+from contact_reach_ros.plant.faults import Faults, State
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant, Reading
 from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14

@@ -32,7 +32,9 @@ from contact_reach_ros.nodes.realtime import Role
 from contact_reach_ros.nodes.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.nodes.serialized import JointStateWriter, read_command
 from contact_reach_ros.plant.drive import Drive, WatchdogSettings
-from contact_reach_ros.plant.faults import Faults, Schedule, Seam, State, parse_faults
+from contact_reach_ros.plant.fault_kinds import Schedule, Seam
+from contact_reach_ros.plant.fault_schedules import parse_faults
+from contact_reach_ros.plant.faults import Faults, State
 from contact_reach_ros.plant.plant import CONTACT_BODIES, TICK, Plant
 from contact_reach_ros.plant.settings import JointSettings, SensorSettings
 from contact_reach_ros.robot import iiwa14

@@ -30,7 +30,7 @@ from contact_reach_ros.nodes.driver import driver_faults
 from contact_reach_ros.nodes.managed import initialise
 from contact_reach_ros.nodes.messages import to_time
 from contact_reach_ros.nodes.processes import PACKAGE
-from contact_reach_ros.plant.faults import kinds_table
+from contact_reach_ros.plant.fault_kinds import kinds_table
 from contact_reach_ros.robot import iiwa14
 
 NAME = "faults"

@@ -11,7 +11,7 @@ from contact_reach_ros.experiments import bench_faults, fault_checks
 from contact_reach_ros.experiments.bench_faults import DRAWS, random_schedule
 from contact_reach_ros.experiments.episode import EpisodeResult
 from contact_reach_ros.experiments.fault_checks import End, end_of, force_violations, speed_share, torque_violations
-from contact_reach_ros.plant.faults import KINDS
+from contact_reach_ros.plant.fault_kinds import KINDS
 from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene

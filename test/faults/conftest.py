@@ -15,7 +15,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.plant.drive import WatchdogSettings
-from contact_reach_ros.plant.faults import parse_faults
+from contact_reach_ros.plant.fault_schedules import parse_faults
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.spheres import sphere_capacity

@@ -7,7 +7,7 @@ from pathlib import Path
 from cases import CASES, Case
 
 from contact_reach_ros.experiments.fault_checks import end_of, speed_share
-from contact_reach_ros.plant.faults import kinds_table
+from contact_reach_ros.plant.fault_kinds import kinds_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
 KINDS_HEADING, MATRIX_HEADING = "## Kinds", "## Matrix"

@@ -8,7 +8,8 @@ from cases import CASES
 from conftest import run_case
 from page import KINDS_HEADING, PAGE, replaced, row_head
 
-from contact_reach_ros.plant.faults import KINDS, kinds_table, parse_faults
+from contact_reach_ros.plant.fault_kinds import KINDS, kinds_table
+from contact_reach_ros.plant.fault_schedules import parse_faults
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])

@@ -10,7 +10,7 @@ from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
 from contact_reach_ros.plant.drive import WatchdogSettings
-from contact_reach_ros.plant.faults import parse_faults
+from contact_reach_ros.plant.fault_schedules import parse_faults
 
 
 @functools.cache

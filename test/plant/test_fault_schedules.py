@@ -8,17 +8,17 @@ from arm_simulation import IDEAL_SENSORS, NO_FRICTION
 from arm_simulation import TICK_NS as MS
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.plant.faults import (
+from contact_reach_ros.plant.fault_kinds import (
     KINDS,
     ControllerSilent,
     DropCommands,
     ExternalPush,
     Fault,
-    Faults,
     ObserverSilent,
     Seam,
-    parse_faults,
 )
+from contact_reach_ros.plant.fault_schedules import parse_faults
+from contact_reach_ros.plant.faults import Faults
 from contact_reach_ros.plant.plant import Actuation, Plant, Push, Reading
 from contact_reach_ros.plant.settings import JointSettings
 from contact_reach_ros.robot.model import RobotModel
