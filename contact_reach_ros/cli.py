@@ -326,7 +326,8 @@ def _fault(options: argparse.Namespace) -> int:
 
 def _bench_control(options: argparse.Namespace) -> int:
     if options.seconds is not None:
-        from contact_reach_ros.nodes.control_bench import ControlBench, bench_control_stack
+        from contact_reach_ros.experiments.control_report import ControlBench
+        from contact_reach_ros.nodes.control_bench import bench_control_stack
 
         bench = ControlBench(options.seconds, options.load, options.scene, pages=options.pages)
         bench_control_stack(bench, options.json)

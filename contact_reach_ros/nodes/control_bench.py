@@ -10,18 +10,27 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.node import Node
 
 from contact_reach_ros.doctor import jitter
-from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.experiments.control_report import (
+    CONTROLLER,
+    DRIVER,
+    ControlBench,
+    Part,
+    Run,
+    Sample,
+    make_report,
+    print_report,
+)
 from contact_reach_ros.nodes import driver, echo, topics
 from contact_reach_ros.nodes.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.nodes.interruption import Interruption
@@ -33,12 +42,10 @@ from contact_reach_ros.recording.plot import SUCCESS_DISTANCE
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.timing import counts_between, percentiles_us, read_counts
 from contact_reach_ros.viewer import pages
 
 NAME = "bench_control"
 
-_DRIVER, _CONTROLLER = "driver", "controller"
 _LOOK_S = 0.1
 _GOAL_S = 8.0
 """A goal that takes longer is given up for the next one."""
@@ -46,125 +53,10 @@ _SETTLE_S = 3.0
 """After bring-up, before anything counts."""
 _ECHO_S = (3.0, 20.0)
 _ECHO_SHARE = 0.25
-_MEMORY_S = 60.0
-"""Memory is compared with what it is after the first minute, or after half the time if that is shorter."""
-_TURN_S = 20.0
-"""Without pages, and then with them."""
 _PAGES_S = 30.0
 """For pages to open."""
 _TIMER_PRIORITY = driver.PRIORITY + 1
 _HOG = "while True: pass"
-
-
-@dataclass(frozen=True)
-class ControlBench:
-    """What is run.
-
-    Attributes
-    ----------
-    seconds
-        Time that is measured, s.
-    load
-        Processes beside the stack that never sleep.
-    scene, seed
-        Where the arm goes to and fro between its start and the target.
-    pages
-        The viewer runs, too, and half of the time, in turns, serves so many pages.
-    """
-
-    seconds: float = 60.0
-    load: int = 2
-    scene: str = "ball"
-    seed: int = 0
-    pages: int = 0
-
-    def check(self) -> None:
-        """Raise `SettingsError` for what cannot be run."""
-        if not 2.0 <= self.seconds <= 86400.0:
-            raise SettingsError(f"--seconds {self.seconds:g}: expected 2 to 86400 s")
-        if not 0 <= self.load <= 64:
-            raise SettingsError(f"--load {self.load}: expected 0 to 64 processes")
-        if not 0 <= self.pages <= 8:
-            raise SettingsError(f"--pages {self.pages}: expected 0 to 8 pages")
-
-    @property
-    def parts(self) -> list[tuple[float, int]]:
-        """What the time is divided into: seconds, and how many pages are open."""
-        if not self.pages:
-            settled = min(_MEMORY_S, 0.5 * self.seconds)
-            return [(settled, 0), (self.seconds - settled, 0)]
-        turns = max(round(self.seconds / (2.0 * _TURN_S)), 1)
-        return [(self.seconds / (2.0 * turns), count) for _ in range(turns) for count in (0, self.pages)]
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What was known at one time.
-
-    Attributes
-    ----------
-    diagnostics
-        Newest values of driver and controller, by name.
-    memory
-        By process, MB.
-    timer
-        Ticks of the bare timer that were due, and those of them that were missed.
-    """
-
-    diagnostics: Mapping[str, Mapping[str, str]]
-    memory: Mapping[str, float]
-    timer: tuple[int, int]
-
-    def number(self, key: str) -> int:
-        """One of the driver's counters."""
-        return int(self.diagnostics[_DRIVER][key])
-
-    def counts(self, node: str, name: str) -> dict[int, int]:
-        """One of a node's histograms: counts by upper edge in µs."""
-        return read_counts(self.diagnostics[node][f"{name} counts"])
-
-
-class Part(NamedTuple):
-    """Some of the time: how many pages were open, and what was known when it began and ended."""
-
-    pages: int
-    first: Sample
-    last: Sample
-
-    @property
-    def ticks(self) -> int:
-        """So many were due."""
-        return self.last.number("ticks") - self.first.number("ticks")
-
-    @property
-    def missed_fraction(self) -> float:
-        """Share of the ticks that were missed."""
-        return (self.last.number("missed ticks") - self.first.number("missed ticks")) / max(self.ticks, 1)
-
-    @property
-    def timer_missed_fraction(self) -> float:
-        """The same of the bare timer."""
-        due, missed = np.subtract(self.last.timer, self.first.timer).tolist()
-        return float(missed / max(due, 1))
-
-
-@dataclass(frozen=True)
-class Run:
-    """What was seen of the stack.
-
-    Attributes
-    ----------
-    parts
-        In order.
-    reached
-        How many goals were.
-    realtime
-        Whether the loops had real-time priority.
-    """
-
-    parts: Sequence[Part]
-    reached: int
-    realtime: bool
 
 
 def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any]:
@@ -199,7 +91,7 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
         rclpy.try_shutdown()
     shutil.rmtree(directory)
     report = make_report(bench, echoes, run)
-    _print(report)
+    print_report(report)
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return report
@@ -212,7 +104,7 @@ def _measure(bench: ControlBench, supervisor: Supervisor, watcher: Watcher) -> R
     watcher.wait_ready(listeners=3 if bench.pages else 2)
     _say(f"stack active after {time.monotonic() - began:.1f} s; {bench.seconds:g} s with {bench.load} hogs ...")
     identities = supervisor.process_ids
-    realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (_DRIVER, _CONTROLLER))
+    realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (DRIVER, CONTROLLER))
     goals = [watcher.target, watcher.position.copy()]
     with _hogs(bench.load), _BareTimer() as timer:
         trips = _go_to_and_fro(supervisor, watcher, goals)
@@ -317,7 +209,7 @@ class _BareTimer:
 
 def _sample(supervisor: Supervisor, watcher: Watcher, timer: _BareTimer) -> Sample:
     memory = {name: _resident_mb(identity) for name, identity in supervisor.process_ids.items()}
-    diagnostics = {name: watcher.diagnostics[name] for name in (_DRIVER, _CONTROLLER)}
+    diagnostics = {name: watcher.diagnostics[name] for name in (DRIVER, CONTROLLER)}
     return Sample(diagnostics, memory, timer.counts())
 
 
@@ -327,78 +219,6 @@ def _resident_mb(process: int) -> float:
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1000.0
     return float("nan")
-
-
-def make_report(bench: ControlBench, echoes: Mapping[str, float], run: Run) -> dict[str, Any]:
-    """The result as JSON has it."""
-    whole = Part(bench.pages, run.parts[0].first, run.parts[-1].last)
-    first, settled, last = whole.first, run.parts[0].last, whole.last
-    trip = percentiles_us(counts_between(first.counts(_DRIVER, "round trip"), last.counts(_DRIVER, "round trip")))
-    late = percentiles_us(counts_between(first.counts(_DRIVER, "wake-up late"), last.counts(_DRIVER, "wake-up late")))
-    compute = percentiles_us(counts_between(first.counts(_CONTROLLER, "compute"), last.counts(_CONTROLLER, "compute")))
-    growth = {name: last.memory[name] - settled.memory[name] for name in last.memory}
-    return {
-        "seconds": bench.seconds,
-        "load": bench.load,
-        "scene": bench.scene,
-        "realtime": run.realtime,
-        "ticks": whole.ticks,
-        "missed_fraction": whole.missed_fraction,
-        "timer_missed_fraction": whole.timer_missed_fraction,
-        "round_trip_us": {key: trip[key] for key in ("p50", "p99", "p999")},
-        "wakeup_late_us": {key: late[key] for key in ("p50", "p99")},
-        "compute_us": {key: compute[key] for key in ("p50", "p99")},
-        "echo_us": dict(echoes),
-        "ratio_to_echo": trip["p50"] / echoes["p50"],
-        "memory_growth_mb": max(growth.values()),
-        "memory_growth_mb_by_process": growth,
-        "goals_reached": run.reached,
-        "pages": _compare_pages(run.parts) if bench.pages else None,
-    }
-
-
-def _compare_pages(parts: Sequence[Part]) -> dict[str, Any]:
-    """Missed ticks with pages and without, from turns next to each other, and the same of the bare timer."""
-    closed, opened = ([part.missed_fraction for part in parts[first::2]] for first in (0, 1))
-    timers = [np.array([part.timer_missed_fraction for part in parts[first::2]]) for first in (0, 1)]
-    differences = np.subtract(opened, closed)
-    error = float(differences.std(ddof=1) / np.sqrt(len(differences))) if len(differences) > 1 else None
-    return {
-        "count": parts[1].pages,
-        "missed_fraction_closed": closed,
-        "missed_fraction_open": opened,
-        "difference_mean": float(differences.mean()),
-        "difference_standard_error": error,
-        "difference_median": float(np.median(differences)),
-        "timer_difference_mean": float((timers[1] - timers[0]).mean()),
-    }
-
-
-def _print(report: Mapping[str, Any]) -> None:
-    trip, late, compute, echoes = (report[key] for key in ("round_trip_us", "wakeup_late_us", "compute_us", "echo_us"))
-    growth = report["memory_growth_mb_by_process"]
-    most = max(growth, key=growth.__getitem__)
-    rows = [
-        ("ticks", f"{report['ticks']}, missed {100 * report['missed_fraction']:.3f} %"),
-        ("bare timer", f"missed {100 * report['timer_missed_fraction']:.3f} % in the same time"),
-        ("round trip", f"p50 {trip['p50']:.0f}, p99 {trip['p99']:.0f}, p99.9 {trip['p999']:.0f} us"),
-        ("woken up late", f"p50 {late['p50']:.0f}, p99 {late['p99']:.0f} us"),
-        ("controller", f"p50 {compute['p50']:.0f}, p99 {compute['p99']:.0f} us"),
-        ("bare echo", f"p50 {echoes['p50']:.0f} us; the loop takes {report['ratio_to_echo']:.2f} times as long"),
-        ("memory", f"{report['memory_growth_mb']:+.2f} MB at most, {most}"),
-        ("goals reached", f"{report['goals_reached']}"),
-        ("real time", "SCHED_FIFO" if report["realtime"] else "no: not permitted"),
-    ]
-    compared = report["pages"]
-    if compared is not None:
-        means = [100.0 * np.mean(compared[f"missed_fraction_{kind}"]) for kind in ("open", "closed")]
-        error = compared["difference_standard_error"]
-        text = f"{means[0]:.3f} % missed with {compared['count']} open, {means[1]:.3f} % without"
-        text += f": {100.0 * compared['difference_mean']:+.3f} %"
-        text += "" if error is None else f", standard error {100.0 * error:.3f} %"
-        rows.append(("pages", f"{text}; bare timer {100.0 * compared['timer_difference_mean']:+.3f} %"))
-    for label, text in rows:
-        print(f"  {label:16}{text}")
 
 
 def measure_echo(seconds: float) -> dict[str, float]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from stack_helpers import environment, module
 
-from contact_reach_ros.nodes.control_bench import ControlBench, Part, Run, Sample, make_report, measure_echo
+from contact_reach_ros.experiments.control_report import ControlBench, Part, Run, Sample, make_report
+from contact_reach_ros.nodes.control_bench import measure_echo
 from contact_reach_ros.timing import Histogram, write_counts
 
 ECHOES = {"p50": 200.0, "p95": 250.0, "p99": 300.0, "p999": 400.0}
