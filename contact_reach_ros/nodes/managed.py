@@ -36,6 +36,7 @@ from contact_reach_ros.nodes.realtime import (
     prioritise_background,
     prioritise_middleware,
     request_realtime,
+    return_large_blocks,
     share_heap,
     use_cpus,
 )
@@ -222,6 +223,8 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
     if role in (Role.COMPUTING, Role.BACKGROUND):
         # Not where the loop would wait for another thread's allocation.
         share_heap()
+    if role is Role.BACKGROUND:
+        return_large_blocks()
     node: ManagedNode | None = None
     try:
         initialise(arguments)

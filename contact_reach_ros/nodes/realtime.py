@@ -37,8 +37,10 @@ _HOLD_S = 0.0002
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
-_M_ARENA_MAX = -8
-"""Parameter of mallopt(3)."""
+_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3
+"""Parameters of mallopt(3)."""
+_LARGE_BLOCK = 128 * 1024
+"""Bytes, glibc's own first choice."""
 
 _SERVICES_PRIORITY = 50
 _MIDDLEWARE_PRIORITY = 30
@@ -167,6 +169,17 @@ def share_heap() -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(_M_ARENA_MAX, 1)
+
+
+def return_large_blocks() -> None:
+    """Have this process give memory back as soon as it needs it no more; not where there is no glibc.
+
+    Once a block of a size has been freed, glibc keeps the next ones of that size, in a heap that never gets smaller:
+    buffers whose size changes, like those of a recorder, leave ever larger holes in it. It is slower, for page faults.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
 
 
 def come_first() -> None:

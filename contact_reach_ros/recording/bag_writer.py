@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from io import BytesIO
+from contextlib import closing
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -22,27 +23,33 @@ from contact_reach_ros.recording.topics import CDR, ROS2MSG, Topic, TypeDefiniti
 
 COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
 CHUNK_BYTES = 2 * 1024 * 1024
-"""More than a second of the stack, so that only `flush` ends a chunk: each has an entry in memory, see below."""
+"""More than a second of the stack, so that only `flush` ends a chunk."""
 
 _CHUNK_INDICES = "_Writer__chunk_indices"
-"""Of mcap's writer: a list with an entry for each chunk, in memory until the file is closed."""
+"""Of mcap's writer: a list with an entry for each chunk, which it keeps until the file is closed."""
 
 
 class _ChunkIndices:
-    """Takes the place of that list; keeps the entries as the file will, which takes a sixth of the memory."""
+    """Takes the place of that list; the entries are kept on the disk, in a file without a name in `directory`."""
 
-    def __init__(self) -> None:
-        self._records = bytearray()
+    def __init__(self, directory: Path) -> None:
+        self._records = tempfile.TemporaryFile(dir=directory)  # noqa: SIM115 -- `close` closes it
 
     def append(self, entry: ChunkIndex) -> None:
         """Take an entry that is complete."""
         builder = RecordBuilder()
         entry.write(builder)
-        self._records += builder.end()
+        self._records.write(builder.end())
+
+    def close(self) -> None:
+        """Forget all entries."""
+        self._records.close()
 
     def __iter__(self) -> Iterator[ChunkIndex]:
-        stream = ReadDataStream(BytesIO(self._records))
-        while stream.count < len(self._records):
+        size = self._records.tell()
+        self._records.seek(0)
+        stream = ReadDataStream(self._records)
+        while stream.count < size:
             # Opcode and length.
             stream.read1()
             stream.read8()
@@ -115,6 +122,7 @@ class BagWriter:
         self._syncing: Future[None] | None = None
         self._stream: BinaryIO
         self._writer: Writer
+        self._chunk_indices: _ChunkIndices
         try:
             self._directory.mkdir(parents=True)
             self._open_file()
@@ -280,9 +288,10 @@ class BagWriter:
         self._stream = (self._directory / name).open("xb")
         bag_metadata.sync_directory(self._directory)
         self._files.append(bag_metadata.FileSpan(name))
+        self._chunk_indices = _ChunkIndices(self._directory)
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=self._compression)
         if hasattr(self._writer, _CHUNK_INDICES):
-            setattr(self._writer, _CHUNK_INDICES, _ChunkIndices())
+            setattr(self._writer, _CHUNK_INDICES, self._chunk_indices)
         self._writer.start(profile="ros2", library="contact_reach_ros")
         # A first copy, so that scene and seed are known even if the recording is cut.
         self._add_information()
@@ -291,7 +300,7 @@ class BagWriter:
             self._register(channel)
 
     def _finish_file(self) -> None:
-        with self._stream:
+        with self._stream, closing(self._chunk_indices):
             self._wait_for_disk()
             self._add_information()
             self._writer.finish()

@@ -372,7 +372,7 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_what_is_kept_of_each_chunk_is_small_and_complete(tmp_path: Path) -> None:
+def test_of_chunks_that_are_written_nothing_is_kept_in_memory(tmp_path: Path) -> None:
     topics = [Topic(f"/text{number}", "std_msgs/msg/String") for number in range(20)]
     chunks = 300
     # What other threads of the tests do meanwhile is left out.
@@ -389,7 +389,7 @@ def test_what_is_kept_of_each_chunk_is_small_and_complete(tmp_path: Path) -> Non
         file = writer.file
     tracemalloc.stop()
     # mcap's own entries take 1,700 bytes.
-    assert 200.0 < (kept[1] - kept[0]) / (chunks - 100) < 400.0
+    assert (kept[1] - kept[0]) / (chunks - 100) < 20.0
     with file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -397,3 +397,4 @@ def test_what_is_kept_of_each_chunk_is_small_and_complete(tmp_path: Path) -> Non
         assert [len(chunk.message_index_offsets) for chunk in summary.chunk_indexes] == [20] * chunks
         found = [message.log_time for _, _, message in reader.iter_messages(topics=["/text7"])]
     assert found == [START_NS + chunk for chunk in range(chunks)]
+    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
