@@ -88,6 +88,7 @@ class DriverNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
+        # This node is the clock, and does not use one.
         self.lockstep = self.settings[""].lockstep
         self._joint_states = self.make_publisher(topics.JOINT_STATES.kept(self.lockstep))
         self._contacts = self.make_publisher(topics.SIM_CONTACTS)

@@ -166,9 +166,7 @@ def share_heap() -> None:
     glibc gives each thread its own, and what one has freed the others cannot use: they grow for minutes beside tens of
     megabytes that compiling has left. Where there is no glibc this does nothing.
     """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_M_ARENA_MAX, 1)
+    _mallopt(_M_ARENA_MAX, 1)
 
 
 def return_large_blocks() -> None:
@@ -177,9 +175,13 @@ def return_large_blocks() -> None:
     Once a block of a size has been freed, glibc keeps the next ones of that size, in a heap that never gets smaller:
     buffers whose size changes, like those of a recorder, leave ever larger holes in it. It is slower, for page faults.
     """
+    _mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
+
+
+def _mallopt(parameter: int, value: int) -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
+        mallopt(parameter, value)
 
 
 def come_first() -> None:
