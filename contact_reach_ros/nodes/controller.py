@@ -57,10 +57,11 @@ class ControllerNode(ManagedNode):
         commands = topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS
         self._commands = self.make_publisher(commands.kept(self.lockstep))
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        # Plans and safety before joint states: a tick uses all that came before it.
+        # Safety before joint states: a tick uses all that came before it. Plans, which take effect later and take as
+        # long to read as a tick, come after it; not in lockstep, where a tick uses them, too, and nothing is late.
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        self.inbox.add(topics.REFERENCE_POSE, self._on_poses)
-        self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures)
+        self.inbox.add(topics.REFERENCE_POSE, self._on_poses, hurried=self.lockstep)
+        self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures, hurried=self.lockstep)
         self._horizons: dict[str, int] = {}
         """Up to which state observer and planner have said everything, ns; those that have been heard of."""
         if self.lockstep:

@@ -70,9 +70,9 @@ def choose_cpus(
     """CPUs for the threads of a process.
 
     On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
-    another CPU, and whoever computes has the others, so that its threads are not stuck behind the loop while another
-    CPU is free. Where the kernel keeps CPUs free of all else, the control loop has the last one of these. Monitors and
-    what runs in the background go wherever there is time: one CPU would be too full of all.
+    another CPU. All else but onlookers has the others: what the loop needs stays in its CPU's caches, and the threads
+    of whoever computes are not stuck behind the loop while another CPU is free. Where the kernel keeps CPUs free of all
+    else, the control loop has the last one of these.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def choose_cpus(
         return {max(isolated)}
     if wanted == "auto" and 2 <= len(permitted) <= _FEW_CPUS:
         last = max(permitted)
-        return {Role.LOOP: {last}, Role.COMPUTING: set(permitted) - {last}}.get(role, set(permitted))
+        return {Role.LOOP: {last}, Role.ONLOOKER: set(permitted)}.get(role, set(permitted) - {last})
     if wanted in ("auto", "all"):
         return set(permitted)
     try:
@@ -252,13 +252,14 @@ class Inbox:
     """Subscriptions whose messages one loop thread waits for and handles.
 
     The wait set is built of the same few handles each time, which costs a fraction of an executor's turn. Messages that
-    are ready together are handled in the order in which their topics were added.
+    are ready together are handled in the order in which their topics were added, those that nobody hurries for last.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._group = LoopGroup()
         self._subscriptions: list[_Listened] = []
+        self._unhurried: list[_Listened] = []
         self._wake = node.create_guard_condition(lambda: None, callback_group=self._group)
         self._wait_set: Any = None
         self._tasks: deque[Callable[[], None]] = deque()
@@ -277,6 +278,7 @@ class Inbox:
         qos: QoSProfile | None = None,
         serialized: bool = False,
         ready: Callable[[], bool] | None = None,
+        hurried: bool = True,
     ) -> None:
         """Subscribe; `handle` is called in the loop thread.
 
@@ -293,6 +295,9 @@ class Inbox:
         ready
             Asked before each message, which is held back for up to two seconds until it says so; those of other topics
             are handled meanwhile.
+        hurried
+            Whether the thread wakes up for a message. Else it waits for one of another topic, or the end of the wait,
+            and is handled after it: one that takes long to handle does not delay the others.
         """
         qos = qos or topic.qos
         subscription = self._node.create_subscription(
@@ -300,7 +305,7 @@ class Inbox:
         )
         code = int(CODES.get(topic.name, 0))
         listened = _Listened(subscription, topic.type, serialized, handle, qos.depth == 1, code, ready)
-        self._subscriptions.append(listened)
+        (self._subscriptions if hurried else self._unhurried).append(listened)
         self._wait_set = None
 
     def wait(self, timeout_ns: int) -> None:
@@ -319,11 +324,13 @@ class Inbox:
         for index, listened in enumerate(self._subscriptions):
             if wait_set.is_ready("subscription", index):
                 self._handle_all(listened)
+        self._handle_unhurried()
 
     def poll(self) -> None:
         """Handle all messages that are there, without a wait: cheaper where the thread sleeps by the clock anyway."""
         for listened in self._subscriptions:
             self._handle_all(listened)
+        self._handle_unhurried()
 
     def post(self, task: Callable[[], None]) -> None:
         """Have the loop thread do something between two messages; may be called from any thread."""
@@ -362,6 +369,13 @@ class Inbox:
     def wake(self) -> None:
         """End a wait in the loop thread; may be called from any thread."""
         self._wake.trigger()
+
+    def _handle_unhurried(self) -> None:
+        """What can wait until everything else is done."""
+        for listened in self._unhurried:
+            self._handle_all(listened)
+        if self.intake is not None:
+            self.intake.publish_full()
 
     def _handle_all(self, listened: _Listened) -> None:
         """Take all messages, then handle them: those that come meanwhile have to wait, or a slow handler never ends."""

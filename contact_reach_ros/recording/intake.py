@@ -23,6 +23,9 @@ commands, external torques or plans the node had published before."""
 BATCH = 128
 """Rows of a full batch: a tenth of a second of a 1 kHz loop."""
 
+_SPARE = 16
+"""Rows that a batch may have beyond that, until there is a good moment to publish it."""
+
 
 class Taken(IntEnum):
     """What was taken in: a message of a topic, or a call."""
@@ -58,10 +61,13 @@ CODES = {name: code for code, name in TOPICS.items()}
 _ROW = struct.Struct("<4q")
 _FIRST = struct.Struct("<q")
 _ROWS_START = ARRAY_START + _FIRST.size
+_BATCH_END = _ROWS_START + BATCH * _ROW.size
 
 
 class IntakeLog:
-    """Gathers rows in a serialised message that is patched in place, and publishes it when it is full.
+    """Gathers rows in a serialised message that is patched in place.
+
+    To publish a batch takes longer than a row: it waits for `publish_full`, or until there is no room left.
 
     Attributes
     ----------
@@ -73,7 +79,7 @@ class IntakeLog:
         """`publish` gets each batch, a serialised Int64MultiArray."""
         self.outputs = 0
         self._publish = publish
-        self._buffer = bytearray(_ROWS_START + BATCH * _ROW.size)
+        self._buffer = bytearray(_ROWS_START + (BATCH + _SPARE) * _ROW.size)
         self._buffer[: len(PLAIN_CDR)] = PLAIN_CDR
         self._at = _ROWS_START
         self._first = 0
@@ -83,6 +89,11 @@ class IntakeLog:
         _ROW.pack_into(self._buffer, self._at, what, sent_ns, clock_ns, self.outputs)
         self._at += _ROW.size
         if self._at == len(self._buffer):
+            self.flush()
+
+    def publish_full(self) -> None:
+        """Publish a full batch, if there is one; for a moment when nothing waits to be handled."""
+        if self._at >= _BATCH_END:
             self.flush()
 
     def flush(self) -> None:

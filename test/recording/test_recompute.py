@@ -125,6 +125,7 @@ def test_intake_comes_in_numbered_batches() -> None:
     for number in range(BATCH + 2):
         log.add(Taken.JOINT_STATES, 1000 + number, 2000 + number)
         log.outputs += 1
+        log.publish_full()
     assert len(batches) == 1
     log.flush()
     log.flush()
@@ -132,6 +133,23 @@ def test_intake_comes_in_numbered_batches() -> None:
     width = len(COLUMNS)
     assert first[0] == 0 and len(first) == 1 + width * BATCH
     assert second == [BATCH, 1, 1000 + BATCH, 2000 + BATCH, BATCH, 1, 1001 + BATCH, 2001 + BATCH, BATCH + 1]
+
+
+def test_a_full_batch_waits_for_a_good_moment_but_nothing_is_lost() -> None:
+    batches: list[bytes] = []
+    log = IntakeLog(batches.append)
+    for number in range(BATCH):
+        log.add(Taken.JOINT_STATES, number, number)
+    assert not batches
+    for number in range(BATCH, 3 * BATCH):
+        log.add(Taken.JOINT_STATES, number, number)
+    log.flush()
+    firsts, sent = [], []
+    for first, *values in rows(batches):
+        firsts.append(first)
+        sent += values[1 :: len(COLUMNS)]
+    assert firsts[0] == 0 and len(firsts) == 3
+    assert sent == list(range(3 * BATCH))
 
 
 def test_rows_after_a_gap_are_left_out(tmp_path: Path) -> None:

@@ -1,0 +1,55 @@
+"""What a loop thread wakes up for, and in which order it handles what has come."""
+
+import time
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from rclpy.node import Node
+from stack_helpers import environment, wait_for
+from std_msgs.msg import String
+
+from contact_reach_ros.nodes.realtime import Inbox
+from contact_reach_ros.nodes.topics import Topic
+
+HURRIED, UNHURRIED = Topic("hurried", String), Topic("unhurried", String)
+WAIT_NS = 300_000_000
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    node = rclpy.create_node("inbox")
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_what_nobody_hurries_for_does_not_wake_the_loop_and_comes_last(node: Node) -> None:
+    handled: list[str] = []
+    inbox = Inbox(node)
+    for topic, hurried in ((UNHURRIED, False), (HURRIED, True)):
+        inbox.add(topic, lambda message: handled.append(message.data), hurried=hurried)
+    hurried, unhurried = (node.create_publisher(topic.type, topic.name, topic.qos) for topic in (HURRIED, UNHURRIED))
+    wait_for(lambda: hurried.get_subscription_count() and unhurried.get_subscription_count(), 10, "both are heard")
+
+    def wait_for_message() -> float:
+        began = time.monotonic_ns()
+        inbox.wait(WAIT_NS)
+        return (time.monotonic_ns() - began) / WAIT_NS
+
+    hurried.publish(String(data="first"))
+    assert wait_for_message() < 0.9
+    unhurried.publish(String(data="second"))
+    assert wait_for_message() > 0.9
+    assert handled == ["first", "second"]
+    # Sent the other way round, and both there when the loop looks.
+    unhurried.publish(String(data="fourth"))
+    hurried.publish(String(data="third"))
+    time.sleep(0.1)
+    inbox.wait(WAIT_NS)
+    assert handled == ["first", "second", "third", "fourth"]
+    unhurried.publish(String(data="fifth"))
+    time.sleep(0.1)
+    inbox.poll()
+    assert handled[-1] == "fifth"
