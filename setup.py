@@ -56,6 +56,7 @@ setup(
         "mcap-ros2-support",
         "msgspec",
         "mujoco",
+        "numba",
         "numpy",
         "pillow",
         "pin",

@@ -7,7 +7,7 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-_PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numpy", "pin", "mcap", "ros-rclpy")
+_PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numba", "numpy", "pin", "mcap", "ros-rclpy")
 """`ros-rclpy` where rclpy comes as a wheel."""
 _PATIENCE_S = 5.0
 

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.baselines.method import ControlledMethod
-from contact_reach_ros.control.controller import ControllerSettings, stop_damping
+from contact_reach_ros.control.constants import make_constants, stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.kernels import repulsion_torque
 from contact_reach_ros.control.law import ImpedanceLaw
-from contact_reach_ros.control.limits import JointLimitRepulsion
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, Problem, Rollout
 from contact_reach_ros.planning.objectives import action_bounds, make_objective
@@ -225,7 +226,7 @@ class JointTorqueMethod(ControlledMethod):
     def __init__(self, planner: TorquePlanner, settings: ControllerSettings) -> None:
         super().__init__(planner, settings)
         self._model = RobotModel()
-        self._repulsion = JointLimitRepulsion(settings.limits)
+        self._constants = make_constants(limits=settings.limits)
         self._damping = stop_damping(settings.supervision)
         self._plans: list[Plan] = []
 
@@ -250,8 +251,6 @@ class JointTorqueMethod(ControlledMethod):
         held = reference_at(self._plans, now_ns + 1)
         torque = self._model.bias.copy()
         torque += held.torque if isinstance(held, HeldTorque) else -self._damping * v
-        repulsion = self._repulsion.torque(q, v)
-        if repulsion is not None:
-            torque += repulsion
+        torque += repulsion_torque(self._constants, q, v)
         limits = np.array(iiwa14.TORQUE_LIMITS)
         return np.clip(torque, -limits, limits)

@@ -8,7 +8,8 @@ from contact_reach_ros.baselines.collision_free import CollisionFreePlanner
 from contact_reach_ros.baselines.joint_torque import SIGMA, JointTorqueMethod, TorquePlanner
 from contact_reach_ros.baselines.method import Method, ReferenceMethod
 from contact_reach_ros.baselines.rrt_star import PathSettings
-from contact_reach_ros.control.controller import ControllerSettings, stop_damping
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings

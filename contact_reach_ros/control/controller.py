@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
-from contact_reach_ros.control.limits import JointLimitRepulsion, SpeedLimiter, TorqueLimiter
+from contact_reach_ros.control.constants import make_constants
+from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
+from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.reference import ReferenceQueue, blend
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
@@ -44,21 +45,19 @@ class Controller:
     def __init__(self, settings: ControllerSettings, model: RobotModel) -> None:
         self.settings = settings
         self.model = model
-        self.law = ImpedanceLaw(settings.impedance)
-        self.repulsion = JointLimitRepulsion(settings.limits)
-        self.speed_limiter = SpeedLimiter(settings.limits)
-        self.limiter = TorqueLimiter(settings.limits)
         self.references = ReferenceQueue(settings.supervision.max_plan_lead)
         self.supervisor = Supervisor(settings.supervision)
         self.error = np.zeros(6)
         """Δx of the last tick, (6,), m and rad."""
+        self._constants = make_constants(settings.impedance, settings.limits, settings.supervision)
+        self._sent = np.zeros(iiwa14.N_JOINTS)
+        """The last torque, which the next one may differ from by so much."""
         self._started = False
         self._hold = self._blend_from = self._last_reference = _NOWHERE
         self._hold_since_ns = 0
         self._started_ns = 0
         self._last_ns = 0
         self._had_plan = False
-        self._stop_damping = stop_damping(settings.supervision)
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin to hold the arm at the state at hand; the first command is the torque that holds it.
@@ -72,7 +71,7 @@ class Controller:
         """
         check_start(q, v)
         self.model.update(q, v)
-        self.limiter.start(self._hold_torque())
+        self.continue_from(self._hold_torque())
         self._last_ns = now_ns
         self._restart(q, now_ns)
         self.supervisor.happens(Event.START)
@@ -110,32 +109,23 @@ class Controller:
             # The clock was set back: what has been going on for a while still has.
             self._started_ns -= self._last_ns - now_ns
             self._hold_since_ns -= self._last_ns - now_ns
-        supervision = self.settings.supervision
-        if self.mode is Mode.STOPPED:
-            torque = self.model.bias - self.model.gravity - self._stop_damping * v
-        else:
-            reference = self._reference(q, now_ns)
-            self.error = pose_error(self.model.position, self.model.rotation, reference)
-            brake = self.speed_limiter.null_torque(v, self.model.mass_matrix)
-            torque = self.law.torque(self.model, v, q - reference.posture, self.error, brake)
-            repulsion = self.repulsion.torque(q, v)
-            if repulsion is not None:
-                torque += repulsion
-            if brake is not None:
-                excess = self.speed_limiter.torque(v, self.model.mass_matrix, torque)
-                if excess is not None:
-                    torque += excess
-            torque += self.model.bias - self.model.gravity
-            since_start = (now_ns - self._started_ns) / NANOSECONDS
-            if since_start < supervision.start_ramp:
-                torque *= since_start / supervision.start_ramp
-        torque += self._hold_torque()
-        if not math.isfinite(sum(torque.tolist())):
-            raise InputError(f"joint_states: no finite torque for velocity = {v.tolist()}; expected a possible state")
         # A late tick may not make up for the change that the ticks before it missed.
         period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), 0.001) or 0.001
+        if self.mode is Mode.STOPPED:
+            model = self.model
+            torque = stopping_torque(self._constants, model.bias, model.gravity, v, self._sent, period)
+        else:
+            torque = self._track(q, v, now_ns, period)
+        if math.isnan(torque[0]):
+            raise InputError(f"joint_states: no finite torque for velocity = {v.tolist()}; expected a possible state")
         self._last_ns = now_ns
-        return self.limiter.limit(torque, period)
+        self._sent = torque
+        return torque
+
+    def continue_from(self, torque: Array) -> None:
+        """Take a torque (7,) in N m as the last one sent, from which the next one differs only so much."""
+        cap = self._constants[Constant.TORQUE_CAP]
+        self._sent = np.clip(torque, -cap, cap)
 
     @property
     def mode(self) -> Mode:
@@ -169,9 +159,9 @@ class Controller:
         was_silent = self.mode is Mode.SILENT
         self.supervisor.happens(Event.RESET)
         self.model.update(q, v)
-        # Unless nothing was sent the limiter goes on from the last torque, so that the release brings no step.
+        # Unless nothing was sent it goes on from the last torque, so that the release brings no step.
         if was_silent:
-            self.limiter.start(self._hold_torque())
+            self.continue_from(self._hold_torque())
         self._restart(q, now_ns)
 
     def _restart(self, q: Array, now_ns: int) -> None:
@@ -186,10 +176,38 @@ class Controller:
             return self.model.gravity
         return np.zeros(iiwa14.N_JOINTS)
 
+    def _track(self, q: Array, v: Array, now_ns: int, period: float) -> Array:
+        """The torque (7,) towards the reference in force, N m; NaN if it is not finite."""
+        model = self.model
+        reference = self._reference(q, now_ns)
+        ramp = self.settings.supervision.start_ramp
+        since_start = (now_ns - self._started_ns) / NANOSECONDS
+        return tracking_torque(
+            self._constants,
+            model.mass_matrix,
+            model.bias,
+            model.gravity,
+            model.position,
+            model.rotation,
+            model.jacobian,
+            model.twist,
+            model.drift,
+            reference.position,
+            reference.rotation,
+            reference.posture,
+            q,
+            v,
+            since_start / ramp if since_start < ramp else 1.0,
+            self._sent,
+            period,
+            self.error,
+        )
+
     def _reference(self, q: Array, now_ns: int) -> Reference:
         reference = self.references.select(now_ns)
         if reference is not None:
-            self.supervisor.happens(Event.PLAN)
+            if self.mode is not Mode.TRACKING:
+                self.supervisor.happens(Event.PLAN)
             self._had_plan = True
             self._last_reference = reference
             return reference
@@ -210,10 +228,3 @@ class Controller:
         if held_for < supervision.hold_blend:
             return blend(self._blend_from, self._hold, held_for / supervision.hold_blend)
         return self._hold
-
-
-def stop_damping(settings: SupervisionSettings) -> Array:
-    """Damping (7,) of each joint in the compliant stop, N m s/rad."""
-    limits = np.array(iiwa14.TORQUE_LIMITS)
-    # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
-    return settings.stop_damping * limits / limits.max()

@@ -175,7 +175,8 @@ class ReferenceQueue:
         poses, postures = self._poses.pop(stamp_ns), self._postures.pop(stamp_ns)
         if poses.ends_ns != postures.ends_ns:
             raise InputError("reference/pose and reference/posture of one stamp have different time_from_start")
-        references = tuple(map(Reference, poses.positions, poses.rotations, postures.postures))
+        knots = (np.asarray(values, float) for values in (poses.positions, poses.rotations, postures.postures))
+        references = tuple(map(Reference, *knots))
         self._waiting.append(TimedReferences(stamp_ns, poses.ends_ns, references))
         self._waiting.sort(key=lambda plan: plan.stamp_ns)
         self.accepted += 1

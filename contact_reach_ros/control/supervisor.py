@@ -239,8 +239,11 @@ def check_start(q: Array, v: Array) -> None:
 def check_state(q: Array, v: Array) -> None:
     """Raise `InputError` unless positions and velocities are seven finite numbers each."""
     for name, values in (("position", q), ("velocity", v)):
-        if values.shape != (iiwa14.N_JOINTS,):
-            raise InputError(f"joint_states: {name} has shape {values.shape}; expected ({iiwa14.N_JOINTS},)")
+        if values.shape != (iiwa14.N_JOINTS,) or values.dtype != float:
+            raise InputError(
+                f"joint_states: {name} has shape {values.shape}, type {values.dtype}; "
+                f"expected ({iiwa14.N_JOINTS},), float64"
+            )
         # A sum is finite exactly when no summand is NaN or infinite (opposite infinities make NaN).
         if not math.isfinite(sum(values.tolist())):
             raise InputError(f"joint_states: {name} = {values.tolist()}; expected finite values")

@@ -12,7 +12,7 @@ from contact_reach_ros.resources import share_directory
 
 CONSTRAINTS = "constraints.txt"
 
-_NEEDED = ("numpy", "scipy", "pin", "mujoco", "jax", "jaxlib", "brax", "mcap")
+_NEEDED = ("numpy", "scipy", "numba", "pin", "mujoco", "jax", "jaxlib", "brax", "mcap")
 _OLDEST_PYTHON = (3, 11)
 
 

@@ -55,7 +55,7 @@ class ControllerNode(ManagedNode):
         super().__init__()
         self._shadow: bool = self.settings["supervision"].shadow
         commands = topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS
-        self._commands = self.make_publisher(commands.kept(self.lockstep))
+        self._write_commands = self.make_writer(commands.kept(self.lockstep))
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         # Safety before joint states: a tick uses all that came before it. Plans, which take effect later and take as
         # long to read as a tick, come after it; not in lockstep, where a tick uses them, too, and nothing is late.
@@ -145,7 +145,7 @@ class ControllerNode(ManagedNode):
             return
         self._state = (q, v)
         if torque is not None:
-            self._commands.publish(self._writer.write(torque))
+            self._write_commands(self._writer.write(torque))
             self._intake.outputs += 1
         elif self._horizon is not None:
             # In lockstep the driver waits for an answer; this one is no command.

@@ -92,8 +92,8 @@ class DriverNode(ManagedNode):
         super().__init__()
         # This node is the clock, and does not use one.
         self.lockstep = self.settings[""].lockstep
-        self._joint_states = self.make_publisher(topics.JOINT_STATES.kept(self.lockstep))
-        self._contacts = self.make_publisher(topics.SIM_CONTACTS)
+        self._write_joint_states = self.make_writer(topics.JOINT_STATES.kept(self.lockstep))
+        self._write_contacts = self.make_writer(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         self._published_safety: tuple[str, str] | None = None
@@ -281,7 +281,7 @@ class DriverNode(ManagedNode):
                 self._unanswered += self._order.is_new(stamp_ns)
                 self._horizon_due_ns = stamp_ns + _TICK_NS
             self._published_ns = time.time_ns()
-            self._joint_states.publish(data)
+            self._write_joint_states(data)
 
     def _publish_safety(self) -> None:
         actuation, reason = self._plant.actuation.value, self._drive.stop_reason
@@ -295,7 +295,7 @@ class DriverNode(ManagedNode):
 
     def _publish_contacts(self, now_ns: int) -> None:
         forces = self._peak_contact.tolist()
-        self._contacts.publish(self._contact_writer.write(now_ns, [*forces, sum(forces), max(forces)]))
+        self._write_contacts(self._contact_writer.write(now_ns, [*forces, sum(forces), max(forces)]))
         self._peak_contact[:] = 0.0
 
     def _prepare_messages(self) -> None:

@@ -117,6 +117,14 @@ class ManagedNode(LifecycleNode):
         """Publisher for a topic of the stack."""
         return self.create_publisher(topic.type, topic.name, topic.qos)
 
+    def make_writer(self, topic: Topic) -> Callable[[bytes], None]:
+        """What publishes serialised messages of a topic, for the loop of an active node.
+
+        It goes past the checks of lifecycle publisher, context and type, which take as long as the loop's arithmetic.
+        """
+        write: Callable[[bytes], None] = self.make_publisher(topic).handle.publish_raw
+        return write
+
     def log_intake(self, topic: Topic) -> IntakeLog:
         """Note from now on what the inbox handles, for a bag."""
         self.inbox.intake = IntakeLog(self.make_publisher(topic).publish)

@@ -104,8 +104,8 @@ class ObserverNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self._torque = self.make_publisher(topics.EXTERNAL_TORQUE.kept(self.lockstep))
-        self._wrench = self.make_publisher(topics.EXTERNAL_WRENCH)
+        self._write_torque = self.make_writer(topics.EXTERNAL_TORQUE.kept(self.lockstep))
+        self._write_wrench = self.make_writer(topics.EXTERNAL_WRENCH)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
         qos = topics.EVERY if self.lockstep else topics.NEWEST
@@ -190,7 +190,7 @@ class ObserverNode(ManagedNode):
 
     def _publish(self, stamp_ns: int, q: np.ndarray) -> None:
         self._ticks += 1
-        self._torque.publish(self._torque_writer.write(stamp_ns, self._observer.residual))
+        self._write_torque(self._torque_writer.write(stamp_ns, self._observer.residual))
         self._intake.outputs += 1
         heartbeat = self._ticks % _HEARTBEAT_EVERY == 0
         if heartbeat:
@@ -201,7 +201,7 @@ class ObserverNode(ManagedNode):
             self._publish_wrench(stamp_ns)
 
     def _publish_wrench(self, stamp_ns: int) -> None:
-        self._wrench.publish(self._wrench_writer.write(stamp_ns, self._observer.flange_wrench()))
+        self._write_wrench(self._wrench_writer.write(stamp_ns, self._observer.flange_wrench()))
 
     def _publish_safety(self) -> None:
         """The safety state, also as the sign of life that the controller waits for."""

@@ -358,7 +358,7 @@ class _ControllerRun(_Run):
             self.compare(row, self.state_ns, torque, recorded)
 
     def _find_into_step(self, q: Array, v: Array, output: int) -> None:
-        """The limiter goes on from the last recorded torque; who was started before, was so long ago."""
+        """The torque goes on from the last recorded one; who was started before, was so long ago."""
         if not self.started:
             try:
                 self.controller.start(q, v, self.state_ns - _LONG_AGO_NS)
@@ -367,7 +367,7 @@ class _ControllerRun(_Run):
             self.started = True
         before = self.outputs.get(output - 1)
         if before is not None:
-            self.controller.limiter.start(self.recorded[before])
+            self.controller.continue_from(self.recorded[before])
 
     def _safety(self, row: Row) -> None:
         message = self.inputs.message(row.what, row.sent_ns)

@@ -14,7 +14,8 @@ from contact_reach_ros.baselines.joint_torque import (
     torque_bounds,
     torque_step,
 )
-from contact_reach_ros.control.controller import ControllerSettings, stop_damping
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.objectives import make_objective

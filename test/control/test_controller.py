@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, POSITION_LIMITS, REST, SECOND_NS, TICK_NS, offer_plan
 
+from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.limits import torque_rates
 from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
@@ -88,7 +88,7 @@ class TestStart:
             Bench().start(v=bad)
 
     def test_state_of_wrong_size_is_refused(self):
-        with pytest.raises(InputError, match=r"joint_states: position has shape \(6,\); expected \(7,\)"):
+        with pytest.raises(InputError, match=r"position has shape \(6,\), type float64; expected \(7,\), float64"):
             Bench().start(q=np.zeros(6))
 
     def test_arm_beyond_its_limits_is_refused_and_the_joint_named(self):

@@ -6,8 +6,8 @@ from arm_simulation import HOME, SECOND_NS, TICK_NS, TORQUE_LIMITS
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.limits import torque_rates
 from contact_reach_ros.control.reference import PoseKnots, PostureKnots
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_simulation import HOME, REST, mobility, random_states
+from arm_simulation import HOME, REST, mobility, null_space_projection, random_states
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -37,13 +37,18 @@ def regular_states(model: RobotModel, count: int) -> list[tuple[np.ndarray, np.n
     return found[:count]
 
 
-def test_null_space_torque_causes_no_task_acceleration():
+def test_what_law_two_adds_causes_no_task_acceleration():
     model, law, random = RobotModel(), ImpedanceLaw(SETTINGS), np.random.default_rng(0)
+    largest = []
     for q, v in regular_states(model, 100):
-        law_torque(law, model, q, v, reference_at(model, HOME))
-        projected = law.null_space_torque(model, random.uniform(-50, 50, 7))
-        acceleration = model.jacobian @ np.linalg.solve(model.mass_matrix, projected)
+        model.update(q, v)
+        errors = random.uniform(-2, 2, (2, 7))
+        torques = [law.torque(model, v, error, np.zeros(6)) for error in errors]
+        added = torques[1] - torques[0]
+        largest.append(np.abs(added).max())
+        acceleration = model.jacobian @ np.linalg.solve(model.mass_matrix, added)
         np.testing.assert_allclose(acceleration, 0, atol=1e-9)
+    assert np.median(largest) > 5.0
 
 
 def test_task_acceleration_is_what_law_one_asks_for():
@@ -63,14 +68,11 @@ def test_law_is_the_sum_of_the_papers_terms():
     reference = reference_at(model, HOME)
     for q, v in regular_states(model, 20):
         torque = law_torque(law, model, q, v, reference)
-        inverse_mass = np.linalg.inv(model.mass_matrix)
-        jacobian = model.jacobian
-        inertia = np.linalg.inv(jacobian @ inverse_mass @ jacobian.T)
         error = pose_error(model.position, model.rotation, reference)
         command = -SETTINGS.task_stiffness * error - SETTINGS.task_damping * model.twist - model.drift
-        projector = np.eye(7) - inverse_mass @ jacobian.T @ inertia @ jacobian
         posture = -SETTINGS.null_stiffness * (q - reference.posture) - SETTINGS.null_damping * v
-        expected = jacobian.T @ inertia @ command + projector.T @ posture
+        expected = model.jacobian.T @ np.linalg.inv(mobility(model)) @ command
+        expected += null_space_projection(model).T @ posture
         np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
@@ -126,8 +128,30 @@ def test_reference_posture_law_is_posture_zero():
     for q, v in regular_states(model, 10):
         with_zero = law_torque(law, model, q, v, Reference(position, rotation, np.zeros(7)))
         task_only = law_torque(law, model, q, v, Reference(position, rotation, q + SETTINGS.null_damping * v / 30.0))
-        pull = law.null_space_torque(model, -SETTINGS.null_stiffness * q - SETTINGS.null_damping * v)
+        pull = null_space_projection(model).T @ (-SETTINGS.null_stiffness * q - SETTINGS.null_damping * v)
         np.testing.assert_allclose(with_zero - task_only, pull, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("short_of_half_a_turn", [0.0, 1e-12, 1e-8, 1e-4, 0.1, 1.0])
+def test_pose_error_is_right_up_to_half_a_turn(short_of_half_a_turn):
+    random = np.random.default_rng(0)
+    angle = np.pi - short_of_half_a_turn
+    axes = [*np.eye(3), *-np.eye(3), *random.standard_normal((50, 3))]
+    for axis in axes:
+        turn = angle * axis / np.linalg.norm(axis)
+        reference = Reference(np.zeros(3), pin.exp3(random.standard_normal(3)), np.zeros(7))
+        error = pose_error(np.zeros(3), pin.exp3(turn) @ reference.rotation, reference)[3:]
+        # Half a turn to the one side and to the other are the same.
+        miss = min(np.abs(error - turn).max(), np.abs(error + turn).max() if short_of_half_a_turn < 1e-7 else np.inf)
+        assert miss < 1e-7
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-8, 3e-8, 1e-4])
+def test_pose_error_is_right_for_the_smallest_turns(angle):
+    for axis in np.eye(3):
+        reference = Reference(np.zeros(3), np.eye(3), np.zeros(7))
+        error = pose_error(np.zeros(3), pin.exp3(angle * axis), reference)
+        np.testing.assert_allclose(error[3:], angle * axis, rtol=1e-12, atol=0)
 
 
 small = st.floats(-1.5, 1.5)

@@ -16,13 +16,21 @@ from arm_simulation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contact_reach_ros.control.constants import make_constants, torque_rates
 from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.kernels import (
+    factorise,
+    limit_torque,
+    null_brake,
+    repulsion_torque,
+    speed_limit_torque,
+)
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.limits import JointLimitRepulsion, SpeedLimiter, TorqueLimiter, torque_rates
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.robot import iiwa14
 
 SETTINGS = LimitSettings()
+CONSTANTS = make_constants(limits=SETTINGS)
 
 joints = st.integers(0, 6)
 sides = st.sampled_from([-1.0, 1.0])
@@ -34,14 +42,13 @@ def repulsion_at(joint: int, side: float, depth: float, v: np.ndarray = REST) ->
     """Torque with one joint `depth` rad inside the margin before its limit."""
     q = HOME.copy()
     q[joint] = side * (POSITION_LIMITS[joint] - SETTINGS.joint_limit_margin + depth)
-    torque = JointLimitRepulsion(SETTINGS).torque(q, v)
-    return np.zeros(7) if torque is None else torque
+    return repulsion_torque(CONSTANTS, q, v)
 
 
 @given(st.lists(st.floats(-1, 1), min_size=7, max_size=7), st.lists(speeds, min_size=7, max_size=7))
 def test_no_repulsion_outside_of_the_margin(shares, v):
     q = np.array(shares) * (POSITION_LIMITS - SETTINGS.joint_limit_margin)
-    assert JointLimitRepulsion(SETTINGS).torque(q, np.array(v)) is None
+    assert not repulsion_torque(CONSTANTS, q, np.array(v)).any()
 
 
 @given(joints, sides, st.floats(1e-3, 0.5), speeds)
@@ -86,12 +93,10 @@ def test_only_motion_towards_the_limit_is_damped(joint, side, depth, speed):
 
 @given(torques, st.lists(st.tuples(torques, st.floats(0.0, 0.01)), min_size=1, max_size=20))
 def test_limiter_keeps_cap_and_rate(first, requests):
-    limiter = TorqueLimiter(SETTINGS)
-    limiter.start(first)
     cap = SETTINGS.torque_share * TORQUE_LIMITS
     previous = np.clip(first, -cap, cap)
     for torque, period in requests:
-        limited = limiter.limit(torque, period)
+        limited = limit_torque(CONSTANTS, torque, previous, period)
         assert (np.abs(limited) <= cap).all()
         step = torque_rates(SETTINGS) * period
         assert (np.abs(limited - previous) <= step + 1e-9).all()
@@ -144,21 +149,27 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
 
 class TestSpeedLimiter:
     MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
-    SETTINGS = LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
+    CONSTANTS = make_constants(
+        limits=LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
+    )
 
     def acceleration(self, torque: np.ndarray) -> np.ndarray:
         return np.linalg.solve(self.MASS, torque)
 
     def test_slow_joints_are_left_alone(self):
-        limiter = SpeedLimiter(self.SETTINGS)
-        assert limiter.null_torque(0.4 * VELOCITY_LIMITS, self.MASS) is None
-        assert limiter.null_torque(-0.4 * VELOCITY_LIMITS, self.MASS) is None
+        assert not null_brake(self.CONSTANTS, 0.4 * VELOCITY_LIMITS, self.MASS).any()
+        assert not null_brake(self.CONSTANTS, -0.4 * VELOCITY_LIMITS, self.MASS).any()
+        assert not self.change(0.4 * VELOCITY_LIMITS, 1e4 * np.ones(7)).any()
+
+    def change(self, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        factor, _ = factorise(self.MASS, 0.0)
+        return speed_limit_torque(self.CONSTANTS, v, self.MASS, factor, torque)
 
     @pytest.mark.parametrize("side", [-1.0, 1.0])
     def test_in_the_null_space_a_fast_joint_is_decelerated_in_proportion_to_its_excess(self, side):
         v = 0.1 * VELOCITY_LIMITS
         v[2] = side * 0.7 * VELOCITY_LIMITS[2]
-        braked = self.acceleration(SpeedLimiter(self.SETTINGS).null_torque(v, self.MASS))
+        braked = self.acceleration(null_brake(self.CONSTANTS, v, self.MASS))
         expected = np.zeros(7)
         expected[2] = -side * 100.0 * 0.3 * VELOCITY_LIMITS[2]
         np.testing.assert_allclose(braked, expected, rtol=0, atol=1e-9)
@@ -166,9 +177,8 @@ class TestSpeedLimiter:
     @given(st.lists(st.floats(-1.2, 1.2), min_size=7, max_size=7).map(np.array), torques)
     def test_no_joint_is_driven_beyond_the_limit_and_the_others_accelerate_as_before(self, shares, torque):
         v = shares * VELOCITY_LIMITS
-        change = SpeedLimiter(self.SETTINGS).torque(v, self.MASS, torque)
         before = self.acceleration(torque)
-        after = before if change is None else self.acceleration(torque + change)
+        after = self.acceleration(torque + self.change(v, torque))
         fast = np.abs(shares) > 0.4
         most = 100.0 * (0.8 - np.abs(shares)) * VELOCITY_LIMITS
         outwards = np.sign(v) * before

@@ -7,7 +7,8 @@ from arm_simulation import HOME, REST, mobility
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, bounded_inverse, pose_error
+from contact_reach_ros.control.kernels import solve_bounded
+from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.robot.mjcf import build_mjcf
 from contact_reach_ros.robot.model import RobotModel
@@ -25,6 +26,11 @@ SINGULAR = {
 
 def orthogonal(seed: int) -> np.ndarray:
     return np.linalg.qr(np.random.default_rng(seed).standard_normal((6, 6)))[0]
+
+
+def bounded_inverse(matrix: np.ndarray, floor: float) -> np.ndarray:
+    """What `solve_bounded` multiplies by, column by column."""
+    return np.array([solve_bounded(matrix, unit, floor) for unit in np.eye(len(matrix))]).T
 
 
 eigenvalues = st.lists(st.floats(0.0, 5.0), min_size=6, max_size=6).map(np.array)

@@ -1,0 +1,84 @@
+"""The compiled arithmetic: nothing is compiled while an arm waits, and it works where nothing can be kept."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from arm_simulation import HOME, REST, TICK_NS, ClosedLoop, ideal_plant, offer_plan
+
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.robot.model import RobotModel
+
+# In a process of its own, where no test has called a compiled function before.
+TICKS = """
+import numpy as np
+from contact_reach_ros.control import kernels
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.reference import PoseKnots, PostureKnots
+from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.robot.model import RobotModel
+
+def compiled():
+    functions = [value for value in vars(kernels).values() if hasattr(value, "nopython_signatures")]
+    return sum(len(function.nopython_signatures) for function in functions)
+
+controller = Controller(ControllerSettings(), RobotModel())
+before = compiled()
+q, v = np.array(iiwa14.HOME_POSITION), np.full(7, 0.1)
+singular, fast = np.zeros(7), np.full(7, 1.4)
+at_limit = q.copy()
+at_limit[3] = iiwa14.POSITION_LIMITS[3] - 0.01
+controller.start(q, v, 0)
+position, rotation = controller.model.flange_pose(q)
+controller.references.offer_poses(PoseKnots(1, (10**9,), position[None], rotation[None]), 1)
+controller.references.offer_postures(PostureKnots(1, (10**9,), q[None]), 1)
+for now_ns, state in enumerate(((q, v), (singular, v), (q, fast), (at_limit, v)), 2):
+    torque = controller.tick(*state, now_ns, now_ns)
+    assert np.isfinite(torque).all() and torque.any()
+controller.stop("test")
+controller.tick(q, v, 10, 10)
+print(before, compiled())
+"""
+NOWHERE = "import numba.core.caching as caching; caching.CompileResultCacheImpl._locator_classes = []"
+
+
+def run(code: str) -> list[str]:
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
+
+
+@pytest.mark.parametrize("preparation", ["", NOWHERE], ids=["kept", "nowhere to keep it"])
+def test_no_tick_compiles_anything(preparation: str) -> None:
+    before, after = run(preparation + TICKS)
+    assert before == after != "0"
+
+
+def test_arrays_of_any_layout_are_taken_and_left_alone() -> None:
+    plain, odd = (Controller(ControllerSettings(), RobotModel()) for _ in range(2))
+    q, v = HOME + 0.1, np.linspace(-0.2, 0.2, 7)
+    position, rotation = plain.model.flange_pose(HOME)
+    reference = Reference(position + 0.01, rotation, HOME)
+    strided = np.zeros((7, 4))
+    strided[:, 1], strided[:, 2] = q, v
+    strided.flags.writeable = False
+    torques = []
+    for controller, states in ((plain, (q, v)), (odd, (strided[:, 1], strided[:, 2]))):
+        controller.start(HOME, REST, 0)
+        turned = Reference(reference.position, np.asfortranarray(reference.rotation), reference.posture)
+        offer_plan(controller, [reference if controller is plain else turned], 0, (10 * TICK_NS,), 0)
+        torques.append(controller.tick(*states, TICK_NS, TICK_NS))
+    np.testing.assert_array_equal(*torques)
+    np.testing.assert_array_equal(strided[:, 1], q)
+
+
+def test_whole_numbers_in_a_plan_are_numbers_too() -> None:
+    loop = ClosedLoop(ideal_plant())
+    held = loop.reference()
+    offer_plan(loop.controller, [Reference(np.array([1, 0, 1]), np.eye(3, dtype=int), held.posture)], 0, (TICK_NS,), 0)
+    loop.finish(0.001)
+    assert loop.controller.mode is Mode.TRACKING
+    np.testing.assert_allclose(loop.controller.error[:3], held.position - [1, 0, 1], rtol=0, atol=1e-12)
