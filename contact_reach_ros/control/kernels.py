@@ -232,6 +232,7 @@ def law_torque(
     joint_torque
         τ₀, (7,), N m.
     """
+    stiffness, damping = constants[Constant.TASK_STIFFNESS, 0], constants[Constant.TASK_DAMPING, 0]
     # J M⁻¹ Jᵀ = Y Yᵀ with Y = J L⁻ᵀ, and J M⁻¹ τ₀ = Y L⁻¹ τ₀.
     rows = np.empty((_TASK, _JOINTS))
     for row in range(_TASK):
@@ -246,12 +247,7 @@ def law_torque(
             for k in range(_JOINTS):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
-        command = (
-            -constants[Constant.TASK_STIFFNESS, 0] * error[row]
-            - constants[Constant.TASK_DAMPING, 0] * twist[row]
-            - drift[row]
-        )
-        acceleration[row] = command - pull[row]
+        acceleration[row] = -stiffness * error[row] - damping * twist[row] - drift[row] - pull[row]
     wrench = solve_bounded(mobility, acceleration, constants[Constant.SINGULARITY_FLOOR, 0])
     torque = times(jacobian.T, wrench)
     for i in range(_JOINTS):
@@ -266,18 +262,15 @@ def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
     It grows with the square of the depth, so that it starts without a step, and reaches the given share of the joint's
     torque limit at the position limit. Damping acts on motion towards the limit and grows alike.
     """
+    threshold, margin = constants[Constant.REPULSION_THRESHOLD], constants[Constant.REPULSION_MARGIN]
+    strength, damping = constants[Constant.REPULSION_STRENGTH], constants[Constant.REPULSION_DAMPING]
     torque = np.zeros(_JOINTS)
     for i in range(_JOINTS):
-        depth = min(
-            (abs(q[i]) - constants[Constant.REPULSION_THRESHOLD, i]) / constants[Constant.REPULSION_MARGIN, 0], 1.5
-        )
+        depth = min((abs(q[i]) - threshold[i]) / margin[i], 1.5)
         if depth > 0.0:
             side = np.sign(q[i])
             approach = max(side * v[i], 0.0)
-            push = (
-                constants[Constant.REPULSION_STRENGTH, i] * depth + constants[Constant.REPULSION_DAMPING, i] * approach
-            )
-            torque[i] = -side * depth * push
+            torque[i] = -side * depth * (strength[i] * depth + damping[i] * approach)
     return torque
 
 
@@ -287,13 +280,10 @@ def null_brake(constants: Array, v: Array, mass_matrix: Array) -> Array:
 
     What posture references set in motion in the null space has little damping of its own; the task does not feel this.
     """
+    braked, rate = constants[Constant.BRAKED_SPEED], constants[Constant.SPEED_RATE]
     acceleration = np.empty(_JOINTS)
     for i in range(_JOINTS):
-        acceleration[i] = (
-            -constants[Constant.SPEED_RATE, 0]
-            * np.sign(v[i])
-            * max(abs(v[i]) - constants[Constant.BRAKED_SPEED, i], 0.0)
-        )
+        acceleration[i] = -rate[i] * np.sign(v[i]) * max(abs(v[i]) - braked[i], 0.0)
     return times(mass_matrix, acceleration)
 
 
@@ -306,12 +296,13 @@ def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, mass_fact
     `torque` is all that drives the arm, without what only compensates C + g.
     """
     acceleration = solve_upper(mass_factor, solve_lower(mass_factor, torque))
+    braked, ceiling = constants[Constant.BRAKED_SPEED], constants[Constant.SPEED_CEILING]
+    rate = constants[Constant.SPEED_RATE]
     change = np.zeros(_JOINTS)
     for i in range(_JOINTS):
-        watched = min(constants[Constant.BRAKED_SPEED, i], _WATCHED_SHARE * constants[Constant.SPEED_CEILING, i])
-        if abs(v[i]) > watched:
+        if abs(v[i]) > min(braked[i], _WATCHED_SHARE * ceiling[i]):
             side = np.sign(v[i])
-            most = constants[Constant.SPEED_RATE, 0] * (constants[Constant.SPEED_CEILING, i] - abs(v[i]))
+            most = rate[i] * (ceiling[i] - abs(v[i]))
             change[i] = -side * max(side * acceleration[i] - most, 0.0)
     return times(mass_matrix, change)
 
@@ -319,22 +310,22 @@ def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, mass_fact
 @_compiled()
 def limit_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
     """The torque (7,) in N m that may follow `previous` after `period` seconds: cap and rate are kept; the cap wins."""
+    rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
     limited = np.empty(_JOINTS)
     for i in range(_JOINTS):
-        step, cap = constants[Constant.TORQUE_RATE, i] * period, constants[Constant.TORQUE_CAP, i]
+        step = rate[i] * period
         limited[i] = min(max(torque[i], previous[i] - step), previous[i] + step)
-        limited[i] = min(max(limited[i], -cap), cap)
+        limited[i] = min(max(limited[i], -cap[i]), cap[i])
     return limited
 
 
 @_compiled()
 def posture_torque(constants: Array, posture_error: Array, v: Array) -> Array:
     """τ₀ of law (2), (7,) in N m, for Δq = q − q_d in rad and speeds in rad/s; q_d = 0 makes it that of law (6)."""
+    stiffness, damping = constants[Constant.NULL_STIFFNESS], constants[Constant.NULL_DAMPING]
     torque = np.empty(_JOINTS)
     for i in range(_JOINTS):
-        torque[i] = (
-            -constants[Constant.NULL_STIFFNESS, 0] * posture_error[i] - constants[Constant.NULL_DAMPING, 0] * v[i]
-        )
+        torque[i] = -stiffness[i] * posture_error[i] - damping[i] * v[i]
     return torque
 
 
@@ -354,10 +345,10 @@ def sendable_torque(constants: Array, torque: Array, previous: Array, period: fl
 @_compiled(_RESULT, _MATRIX, *(_VECTOR,) * 4, float64)
 def stopping_torque(constants: Array, bias: Array, gravity: Array, v: Array, previous: Array, period: float) -> Array:
     """Torque (7,) of the compliant stop, N m: no stiffness, damping and gravity only. As `tracking_torque`."""
+    share, damping = constants[Constant.GRAVITY_SHARE], constants[Constant.STOP_DAMPING]
     torque = np.empty(_JOINTS)
     for i in range(_JOINTS):
-        hold = constants[Constant.GRAVITY_SHARE, i] * gravity[i]
-        torque[i] = bias[i] - gravity[i] - constants[Constant.STOP_DAMPING, i] * v[i] + hold
+        torque[i] = bias[i] - gravity[i] - damping[i] * v[i] + share[i] * gravity[i]
     return sendable_torque(constants, torque, previous, period)
 
 
@@ -424,7 +415,7 @@ def tracking_torque(
     for i in range(_JOINTS):
         torque[i] += repulsion[i]
     change = speed_limit_torque(constants, v, mass_matrix, factor, torque)
+    share = constants[Constant.GRAVITY_SHARE]
     for i in range(_JOINTS):
-        hold = constants[Constant.GRAVITY_SHARE, i] * gravity[i]
-        torque[i] = authority * (torque[i] + change[i] + bias[i] - gravity[i]) + hold
+        torque[i] = authority * (torque[i] + change[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
     return sendable_torque(constants, torque, previous, period)
