@@ -22,6 +22,7 @@ from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.discovery import wait_until_settled
 from contact_reach_ros.nodes.graph_checks import Endpoint, Graph, type_name
+from contact_reach_ros.nodes.hearing import UNKNOWN_NODE
 from contact_reach_ros.nodes.interfaces import DOCTOR, MANAGED
 from contact_reach_ros.nodes.messages import nanoseconds
 from contact_reach_ros.nodes.realtime import LoopGroup
@@ -39,7 +40,6 @@ _LOOK_S = 0.1
 _ANSWER_S = 3.0
 _FIRST_STATE_S = 3.0
 _DRAIN_S = 0.01
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 
 
 class Message(NamedTuple):
@@ -209,7 +209,7 @@ class Look:
 
 
 def _node_name(info: TopicEndpointInfo) -> str:
-    if info.node_name == _UNKNOWN_NODE:
+    if info.node_name == UNKNOWN_NODE:
         return "an unknown node"
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 

@@ -30,6 +30,7 @@ from trajectory_msgs.msg import (
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.hearing import commanders_that_hear
 from contact_reach_ros.nodes.managed import ManagedNode, run
 from contact_reach_ros.nodes.messages import (
     quaternion,
@@ -205,6 +206,8 @@ class PlannerNode(ManagedNode):
             **{f"solve {key} us": value for key, value in self._solve_times.summary().items()},
             "solve max us": self._solve_times.maximum_ns / 1000,
         }
+        heard_by = commanders_that_hear(self, (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE))
+        values["heard by"] = ", ".join(heard_by)
         plan = self._plan
         if plan is not None:
             values |= {
@@ -222,7 +225,9 @@ class PlannerNode(ManagedNode):
             return topics.WAITING_FOR_STATE, values
         if self._reaction.reason:
             return f"{self._reaction.reaction}: {self._reaction.reason}", values
-        return "waiting for a goal" if self._goal is None else "planning", values
+        if self._goal is not None:
+            return "planning", values
+        return "waiting for a goal" if heard_by else topics.WAITING_FOR_CONTROLLER, values
 
     def turn(self) -> None:
         """Handle what arrived; `_on_state` plans when a plan is due."""

@@ -19,6 +19,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.discovery import wait_until_settled
+from contact_reach_ros.nodes.hearing import UNKNOWN_NODE
 from contact_reach_ros.nodes.interfaces import ACTING, ALONE, COMMANDING, INTERFACES
 from contact_reach_ros.nodes.topics import Topic
 
@@ -26,7 +27,7 @@ _WATCHING = frozenset(INTERFACES) - frozenset(ACTING)
 _LEADING = (topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 """Who publishes one of these acts on what it hears."""
 
-_UNNAMED = "/_NODE_NAME_UNKNOWN_"
+_UNNAMED = f"/{UNKNOWN_NODE}"
 _UNNAMED_S = 3.0
 """After this time a node without a name is taken for one that acts."""
 

@@ -88,3 +88,5 @@ ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic)
 
 WAITING_FOR_STATE = "waiting for the first joint state"
 """Message in the planner's diagnostics until it knows where the arm is."""
+WAITING_FOR_CONTROLLER = "waiting for a controller that hears the plans"
+"""The same until there is one; without it plans would be lost. With a goal it plans all the same."""

@@ -83,7 +83,7 @@ class Watcher:
         inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
 
     def wait_ready(self, listeners: int) -> None:
-        """Wait until the brakes are open, the planner knows where the arm is, and so many nodes hear goals.
+        """Wait until brakes are open, the planner knows where the arm is and is heard, and so many nodes hear goals.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class Watcher:
             if time.monotonic() > deadline:
                 raise StackError(
                     f"after {DISCOVERY_S:.0f} s the driver does not hear the controller, the planner not the driver, "
-                    "or nobody the goal"
+                    "the controller not the planner, or nobody the goal"
                 )
 
     def send_goal(self) -> None:
@@ -140,7 +140,7 @@ class Watcher:
         for status in message.status:
             self.diagnostics[status.name] = {entry.key: entry.value for entry in status.values}
             if status.name == _PLANNER:
-                self._planner_ready = status.message != topics.WAITING_FOR_STATE
+                self._planner_ready = status.message not in (topics.WAITING_FOR_STATE, topics.WAITING_FOR_CONTROLLER)
 
     def _on_plan(self, message: MultiDOFJointTrajectory) -> None:
         self.plan_ns = nanoseconds(message.header.stamp)

@@ -95,7 +95,9 @@ def test_in_lockstep_the_next_state_waits_for_what_the_observer_says_of_the_last
 def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
     node = ControllerNode()
     node._look_around()
-    node._commands, node._horizon, node._safety = Publisher(), Publisher(), Publisher()
+    node._horizon, node._safety = Publisher(), Publisher()
+    commands: list[bytes] = []
+    node._write_commands = commands.append
     writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity"])
 
     def show(tick: int) -> None:
@@ -103,14 +105,14 @@ def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
 
     for tick in (1, 2, 2, 1):
         show(tick)
-    assert len(node._commands.messages) == 2 and not node._horizon.messages
+    assert len(commands) == 2 and not node._horizon.messages
     values = node.diagnosis()[1]
     assert (values["joint states repeated"], values["joint states older"]) == (1, 1)
     message = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="observer", message="too much torque")
     message.values = [KeyValue(key=DISTRUST, value="an encoder is stuck")]
     node._on_safety(message)
     show(3)
-    assert len(node._commands.messages) == 2
+    assert len(commands) == 2
     (answer,) = node._horizon.messages
     assert (answer.frame_id, answer.stamp.nanosec) == ("controller", 3 * TICK_NS)
     said = node._safety.messages[-1]
@@ -171,12 +173,31 @@ def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
 
     turn(-TICK_NS)
     assert driver._unanswered == 1 and not taken
-    turn(3 * TICK_NS)
+    turn(2 * TICK_NS)
     assert taken == [list(range(7))]
     driver._unanswered = 0
-    turn(3 * TICK_NS)
+    turn(2 * TICK_NS)
     assert len(taken) == 1
-    assert driver.diagnosis()[1]["missed ticks"] == 6
+    assert driver.diagnosis()[1]["missed ticks"] == 4
+
+
+def test_contacts_are_published_after_the_answer_where_there_is_time_for_that(clock, monkeypatch):
+    driver = DriverNode()
+    driver._prepare_messages()
+    done = []
+    monkeypatch.setattr(driver, "_write_joint_states", lambda _: done.append("state"))
+    monkeypatch.setattr(driver, "_write_contacts", lambda _: done.append("contacts"))
+    monkeypatch.setattr(driver.inbox, "wait", lambda _: done.append("wait"))
+    driver._next_ns = clock.now_ns + TICK_NS
+    for _ in range(5):
+        driver._realtime_tick()
+    assert done == [*4 * ["state"], "state", "wait", "contacts"]
+    # Late by most of a tick: what is left of it is needed.
+    done.clear()
+    for _ in range(5):
+        driver._unanswered, driver._next_ns = 0, clock.now_ns - TICK_NS * 9 // 10
+        driver._realtime_tick()
+    assert done == [*5 * ["state"], "contacts"]
 
 
 def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):

@@ -1,0 +1,54 @@
+"""The planner says whether a controller hears it: what it plans before that is lost."""
+
+import time
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from arm_simulation import HOME, REST
+from rclpy.node import Node
+from stack_helpers import environment, wait_for
+
+from contact_reach_ros.nodes import topics
+from contact_reach_ros.nodes.planner import PlannerNode
+from contact_reach_ros.nodes.topics import Topic
+
+HALVES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
+
+
+@pytest.fixture
+def planner() -> Iterator[PlannerNode]:
+    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    node = PlannerNode()
+    node._state = HOME, REST
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def make(name: str, heard: tuple[Topic, ...], published: tuple[Topic, ...] = ()) -> Node:
+    """A node with these subscriptions and publishers."""
+    node = rclpy.create_node(name)
+    for topic in heard:
+        node.create_subscription(topic.type, topic.name, lambda _: None, topic.qos)
+    for topic in published:
+        node.create_publisher(topic.type, topic.name, topic.qos)
+    return node
+
+
+def test_only_a_node_that_commands_the_arm_and_hears_both_halves_of_a_plan_counts(planner: PlannerNode) -> None:
+    recorder = make("recorder", (*HALVES, topics.COMMANDS))
+    half = make("half", HALVES[:1], (topics.COMMANDS,))
+    wait_for(lambda: planner.count_subscribers(topics.REFERENCE_POSE.name) == 2, 10, "both are found")
+    time.sleep(0.2)
+    summary, values = planner.diagnosis()
+    assert (summary, values["heard by"]) == (topics.WAITING_FOR_CONTROLLER, "")
+    controller = make("some_controller", HALVES, (topics.COMMANDS,))
+    wait_for(lambda: planner.diagnosis()[1]["heard by"] == "/some_controller", 10, "the controller is found")
+    assert planner.diagnosis()[0] == "waiting for a goal"
+    controller.destroy_node()
+    wait_for(lambda: planner.diagnosis()[0] == topics.WAITING_FOR_CONTROLLER, 10, "the controller is gone")
+    shadow = make("shadow", HALVES, (topics.SHADOW_COMMANDS,))
+    wait_for(lambda: planner.diagnosis()[1]["heard by"] == "/shadow", 10, "one that only computes counts, too")
+    for node in (recorder, half, shadow):
+        node.destroy_node()
