@@ -172,9 +172,8 @@ class Controller:
         self._had_plan = False
 
     def _hold_torque(self) -> Array:
-        if self.settings.supervision.gravity_compensation:
-            return self.model.gravity
-        return np.zeros(iiwa14.N_JOINTS)
+        """What holds the arm at rest, (7,), N m: nothing where the arm compensates gravity itself."""
+        return self._constants[Constant.GRAVITY_SHARE] * self.model.gravity
 
     def _track(self, q: Array, v: Array, now_ns: int, period: float) -> Array:
         """The torque (7,) towards the reference in force, N m; NaN if it is not finite."""

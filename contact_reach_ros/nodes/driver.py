@@ -267,7 +267,7 @@ class DriverNode(ManagedNode):
     def _let_the_controller_answer(self) -> None:
         """On the same CPU it would wait for all that is published besides; not where there is no time for that."""
         room_ns = self._next_ns - time.monotonic_ns() - _REST_NS
-        if not self.lockstep and room_ns > 0:
+        if self._unanswered > 0 and room_ns > 0 and not self.lockstep:
             self.inbox.wait(min(room_ns, _ANSWER_NS))
 
     def _publish_states(self, states: list[State]) -> None:

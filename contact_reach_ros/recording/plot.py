@@ -27,6 +27,8 @@ _MARKER_STYLES: dict[str, dict[str, Any]] = {
 }
 _MAXIMUM_ROWS = 6
 _SHORTEST = 1e-3
+_BEFORE = 2.0
+"""How much of the time before the first marker is shown, s: a stack may have waited long for its goal."""
 _ROW_HEIGHT = 0.09
 """Of the labels, in heights of a panel."""
 
@@ -144,7 +146,8 @@ def episode_figure(
     _draw_torque(panels[2], curves.torque_time - zero, curves.external_torque, torque_thresholds)
     for panel, time in zip(panels, times, strict=True):
         _finish(panel, bool(len(time)))
-    panels[0].set_xlim(first - zero, max(last, first + _SHORTEST) - zero)
+    begin = max(first, min((marker.time for marker in curves.markers), default=first) - _BEFORE)
+    panels[0].set_xlim(begin - zero, max(last, begin + _SHORTEST) - zero)
     panels[2].set_xlabel("time since the goal was sent [s]" if sent else "time [s]")
     figure.subplots_adjust(left=0.09, right=0.8, top=0.9, bottom=0.075, hspace=0.12)
     rows = _draw_markers(figure, panels, curves.markers, zero)

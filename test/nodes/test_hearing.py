@@ -1,6 +1,5 @@
 """The planner says whether a controller hears it: what it plans before that is lost."""
 
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -36,11 +35,17 @@ def make(name: str, heard: tuple[Topic, ...], published: tuple[Topic, ...] = ())
     return node
 
 
+def known(planner: PlannerNode) -> set[str]:
+    """Nodes that the planner knows to hear a half of its plans, once it knows who commands the arm."""
+    commanding = planner.get_publishers_info_by_topic(topics.COMMANDS.name)
+    hearing = planner.get_subscriptions_info_by_topic(topics.REFERENCE_POSE.name)
+    return {info.node_name for info in hearing} if [info.node_name for info in commanding] == ["half"] else set()
+
+
 def test_only_a_node_that_commands_the_arm_and_hears_both_halves_of_a_plan_counts(planner: PlannerNode) -> None:
     recorder = make("recorder", (*HALVES, topics.COMMANDS))
     half = make("half", HALVES[:1], (topics.COMMANDS,))
-    wait_for(lambda: planner.count_subscribers(topics.REFERENCE_POSE.name) == 2, 10, "both are found")
-    time.sleep(0.2)
+    wait_for(lambda: known(planner) == {"recorder", "half"}, 10, "both are found, by name")
     summary, values = planner.diagnosis()
     assert (summary, values["heard by"]) == (topics.WAITING_FOR_CONTROLLER, "")
     controller = make("some_controller", HALVES, (topics.COMMANDS,))

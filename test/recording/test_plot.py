@@ -72,6 +72,14 @@ def test_time_zero_is_the_goal() -> None:
     assert without_goal.axes[-1].get_xlabel() == "time [s]"
 
 
+def test_a_long_wait_before_the_goal_is_cut_off_but_nothing_that_happened_in_it() -> None:
+    goal = Marker(13.5, "goal sent", "goal")
+    figure = episode_figure(curves((goal,)), TITLE, 10.0)
+    assert figure.axes[0].get_xlim() == pytest.approx((-2.0, 0.5))
+    figure = episode_figure(curves((Marker(12.5, "stop", "safety"), goal)), TITLE, 10.0)
+    assert figure.axes[0].get_xlim() == pytest.approx((-3.0, 0.5))
+
+
 def test_legends_cover_no_data() -> None:
     figure = episode_figure(curves(), TITLE, 10.0, THRESHOLDS)
     figure.canvas.draw()
