@@ -221,6 +221,8 @@ class PlannerNode(ManagedNode):
                 "spheres left out": plan.left_out,
                 **{f"cost {name}": value for name, value in plan.cost_terms.items()},
             }
+            if self._planner is not None and self._planner.memory is not None:
+                values["contact share"] = self._planner.memory.approach.share
         if self._state is None:
             return topics.WAITING_FOR_STATE, values
         if self._reaction.reason:

@@ -17,12 +17,14 @@ from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import Objective, Problem, Rollout, Weights
 from contact_reach_ros.planning.objectives import action_bounds, actions_of, make_objective, scaled_cost
 from contact_reach_ros.planning.obstacles import ObstacleReader
+from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
 from contact_reach_ros.planning.prediction import MAX_PIECES, Held, Predictor, hold_at, pieces_between
 from contact_reach_ros.planning.problem import Array, Goal, Plan, Spheres
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, fresh
 from contact_reach_ros.planning.solver.hybrid import CostFunction, HybridSolver, Solution
+from contact_reach_ros.planning.speed_limit import steady_speed
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.warm_start import shift_distribution, shift_solution
@@ -48,6 +50,8 @@ class Memory(NamedTuple):
     """(n,) the plan as the solver has it, in units of the bounds."""
     distribution: Distribution
     """Where the solver ended."""
+    approach: Approach
+    """How the arm gets on."""
 
 
 class History(NamedTuple):
@@ -88,6 +92,7 @@ class RecedingHorizonPlanner:
         self._settings = settings
         self._obstacles = ObstacleReader(capacity)
         self._objective = self._make_objective(gains)
+        self._least_speed = LEAST_SPEED * steady_speed(settings, gains)
         self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
         self._bounds = self._make_bounds(gains)
         self._spread = _PAPER_SIGMA / self._bounds
@@ -237,9 +242,18 @@ class RecedingHorizonPlanner:
         rollout, terms = self._evaluate(problem, self._points(solution.best))
         plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin)
         self._plans.append(plan)
-        self._memory = Memory(plan, goal, solution.best, solution.distribution)
+        approach = self._approach_of(plan, goal)
+        self._memory = Memory(plan, goal, solution.best, solution.distribution, approach)
         self._last_state = (state_ns, q)
         return plan
+
+    def _approach_of(self, plan: Plan, goal: Goal) -> Approach:
+        """How the arm gets on when the plan takes effect."""
+        distance, memory = math.dist(plan.predicted_positions[0], goal.position), self._memory
+        if memory is None or not goal.same_as(memory.goal):
+            return Approach.begin(distance)
+        elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
+        return memory.approach.go_on(distance, elapsed, self._settings.contact_patience, self._least_speed)
 
     def _check_times(self, state_ns: int, effect_ns: int) -> None:
         longest_ns = round(MAX_PIECES / 4 * self._settings.knot_duration / self._settings.substeps * 1e9)
@@ -263,6 +277,8 @@ class RecedingHorizonPlanner:
         weights = self._weights
         if goal.rotation is None:
             weights = weights._replace(orientation=single(0.0))
+        if self._memory is not None and goal.same_as(self._memory.goal):
+            weights = weights._replace(contact=single(self._memory.approach.share * self._settings.contact_weight))
         problem = Problem(
             q=q,
             v=v,

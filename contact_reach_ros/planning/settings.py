@@ -40,6 +40,14 @@ class PlanningSettings(Settings):
     contact_weight: float = setting(
         0.01, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=1.0
     )
+    contact_patience: float = setting(
+        0.5,
+        "time behind a slow approach after which that weight is down to 1/e, since permitted contact shall not keep "
+        "the arm from its goal; 0 for never",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
         0.2, "rotation error to a goal that has one", unit="1/rad", minimum=0.0, maximum=10.0

@@ -13,17 +13,27 @@ from contact_reach_ros.planning.settings import PlanningSettings
 Array = NDArray[np.float64]
 
 
+def steady_speed(planning: PlanningSettings, impedance: ImpedanceSettings) -> float:
+    """Fastest that an axis of the flange can move steadily under law (1), m/s: γ Kp / Kd.
+
+    At that speed the damping takes all that the stiffness gives, since γ bounds Δx. Infinite without damping.
+    """
+    pull = planning.translation_bound * impedance.task_stiffness
+    if impedance.task_damping == 0.0:
+        return math.inf if pull > 0.0 else 0.0
+    return pull / impedance.task_damping
+
+
 def least_duration(
     start_position: Array, target: Array, planning: PlanningSettings, impedance: ImpedanceSettings
 ) -> float:
     """Shortest time in which the flange can come from a position (3,) to another, m, base frame; in s.
 
-    Under law (1) no axis of the flange moves steadily faster than γ Kp / Kd: at that speed the damping takes all that
-    the stiffness gives, since γ bounds Δx. The time is that of the axis with the farthest to go; infinite without
-    stiffness, unless there is nowhere to go.
+    The time is that of the axis with the farthest to go at `steady_speed`; infinite without stiffness, unless there is
+    nowhere to go.
     """
     distance = float(np.abs(target - start_position).max())
-    pull = planning.translation_bound * impedance.task_stiffness
     if distance == 0.0:
         return 0.0
-    return distance * impedance.task_damping / pull if pull > 0.0 else math.inf
+    speed = steady_speed(planning, impedance)
+    return distance / speed if speed > 0.0 else math.inf

@@ -28,6 +28,7 @@ def solution_parts(plan: Plan, memory: Memory) -> dict[str, Floats]:
         "rotations": plan.rotations,
         "postures": plan.postures,
         "best": memory.best,
+        "approach": np.array(memory.approach),
     }
     if plan.number % KEYFRAME_EVERY == 1:
         parts |= {name: np.asarray(getattr(memory.distribution, name)) for name in _DISTRIBUTION}

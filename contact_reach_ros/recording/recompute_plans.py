@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.planning.goal import make_goal
+from contact_reach_ros.planning.patience import Approach
 from contact_reach_ros.planning.problem import Goal, Plan, Spheres
 from contact_reach_ros.planning.receding_horizon import History, Memory, RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -34,7 +35,7 @@ Array = NDArray[np.float64]
 
 _IN_FORCE = 16
 """Plans that a planner remembers."""
-_SOLUTION = ("positions", "rotations", "postures", "best")
+_SOLUTION = ("positions", "rotations", "postures", "best", "approach")
 
 
 class Request(NamedTuple):
@@ -107,6 +108,11 @@ class RecordedPlans:
         self.statistics, self._effects, self._solutions = _read_plans(inputs)
         if not self.statistics:
             raise BagError(f"bag '{path}' has no plans, or lacks plan/statistics")
+        if any("approach" not in parts for parts in self._solutions.values()):
+            raise BagError(
+                f"bag '{path}' was recorded by an earlier version, whose planner weighed contact differently: plans "
+                "cannot be made again; use that version"
+            )
         self.requests = self._follow_the_node()
         self._planner: RecedingHorizonPlanner | None = None
 
@@ -207,7 +213,8 @@ class RecordedPlans:
         distribution = distribution_of(parts)
         if distribution is None:
             raise BagError(f"plan {number} has no distribution recorded")
-        memory = Memory(plans[-1], request.goal, parts["best"], distribution)
+        approach = Approach(*parts["approach"].tolist())
+        memory = Memory(plans[-1], request.goal, parts["best"], distribution, approach)
         since_reset = int(self.statistics[number]["plans since reset"]) + 1
         return History(plans, memory, (request.state_ns, request.q), since_reset)
 
@@ -253,7 +260,7 @@ class RecordedPlans:
         if parts is None or memory is None:
             return None
         found = {"positions": plan.positions, "rotations": plan.rotations, "postures": plan.postures}
-        found["best"] = memory.best
+        found |= {"best": memory.best, "approach": np.array(memory.approach)}
         for field in _SOLUTION:
             recorded, now = parts[field].ravel(), np.asarray(found[field], dtype=np.float32).ravel()
             if recorded.shape != now.shape:

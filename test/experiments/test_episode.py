@@ -6,11 +6,16 @@ from plans import make_plan
 
 from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.robot import iiwa14
 from contact_reach_ros.robot.model import RobotModel
 from contact_reach_ros.scenes.files import read_scene
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene
 from contact_reach_ros.scenes.spheres import rest_positions
 
 
@@ -75,3 +80,23 @@ def test_the_noise_has_a_seed_of_its_own(episode):
     np.testing.assert_array_equal(joints(None), joints(0))
     assert not np.array_equal(joints(0), joints(1))
     np.testing.assert_allclose(joints(0), joints(1), atol=1e-2)
+
+
+@pytest.mark.parametrize("patience", [0.0, 0.5])
+def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):
+    """The goal is 3 cm inside a ball of foam that the weight of contact alone would not let the hand press."""
+    q = np.array(iiwa14.HOME_POSITION)
+    position, rotation = RobotModel().flange_pose(q)
+    ahead = rotation[:, 2]
+    ball = Ball(position + 0.175 * ahead, BallSettings(radius=0.1, stiffness=150.0))
+    scene = Scene("foam", 0, q, position + 0.06 * ahead, balls=(ball,))
+    settings = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64, contact_patience=patience)
+    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted_force=10.0, capacity=1)
+    result = run_episode(scene, ReferenceMethod(planner, ControllerSettings()), EpisodeOptions(timeout=4.0))
+    assert result.reached == (patience > 0.0)
+    assert not result.stop_reason
+    assert result.contact_forces.max() < 10.0
+    if patience:
+        assert result.contact_forces.max() > 2.0
+    else:
+        assert result.distances[-1] > 0.02

@@ -7,7 +7,7 @@ import pytest
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.speed_limit import least_duration
+from contact_reach_ros.planning.speed_limit import least_duration, steady_speed
 
 START = np.array([0.5, 0.1, 0.6])
 
@@ -42,3 +42,10 @@ def test_without_stiffness_only_the_start_is_reached():
     slack = ImpedanceSettings(task_stiffness=0.0)
     assert least_duration(START, START + 0.1, PlanningSettings(), slack) == math.inf
     assert least_duration(START, START, PlanningSettings(), slack) == 0.0
+    assert steady_speed(PlanningSettings(), ImpedanceSettings(task_stiffness=0.0, task_damping=0.0)) == 0.0
+
+
+def test_without_damping_no_speed_is_too_high():
+    free = ImpedanceSettings(task_damping=0.0)
+    assert steady_speed(PlanningSettings(), free) == math.inf
+    assert least_duration(START, START + 0.1, PlanningSettings(), free) == 0.0

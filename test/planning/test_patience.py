@@ -1,0 +1,108 @@
+"""Permitted contact counts for less and less where it holds the arm up."""
+
+import math
+
+import numpy as np
+import pytest
+from arm_simulation import HOME
+from planning_helpers import make_planner
+from test_receding_horizon import FLANGE, MS, ball_at, plan_from
+
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
+from contact_reach_ros.planning.problem import Goal
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.speed_limit import steady_speed
+
+SPEED = 0.02
+
+
+def share_after(distances, step=0.04, patience=0.5, least_speed=SPEED):
+    approach = Approach.begin(distances[0])
+    for distance in distances[1:]:
+        approach = approach.go_on(distance, step, patience, least_speed)
+    return approach.share
+
+
+def test_standing_still_costs_a_factor_e_with_each_patience():
+    assert share_after(np.full(26, 0.3), step=0.04, patience=0.5) == pytest.approx(math.exp(-2.0), rel=1e-4)
+
+
+def test_what_counts_is_the_mean_speed_of_approach():
+    times = 0.04 * np.arange(100)
+    swaying = 0.002 * np.sin(40.0 * times)
+    assert share_after(0.3 - 1.1 * SPEED * times) == 1.0
+    assert share_after(0.3 - 0.5 * SPEED * times + swaying) < 0.1
+    assert share_after(0.3 + SPEED * times[:20]) < 0.5 * share_after(np.full(20, 0.3))
+
+
+def test_the_share_comes_back_as_the_arm_catches_up_and_never_exceeds_one():
+    behind = np.full(20, 0.3)
+    caught_up = 0.3 - 4.0 * SPEED * 0.04 * np.arange(1, 9)
+    assert share_after(behind) < 0.3 < 0.99 < share_after(np.append(behind, caught_up))
+    ahead = 0.3 - 4.0 * SPEED * 0.04 * np.arange(50)
+    assert share_after(ahead) == 1.0
+    # It is not ahead by what it has gained before.
+    assert share_after(np.append(ahead, np.full(19, ahead[-1]))) == pytest.approx(share_after(behind), rel=1e-4)
+
+
+def test_at_the_goal_nothing_holds_the_arm_up():
+    before = Approach(0.02, 0.4)
+    assert before.go_on(0.003, 10.0, 0.5, SPEED).share == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("patience", "least_speed"), [(0.0, SPEED), (0.5, 0.0), (0.5, math.inf)])
+def test_without_patience_or_without_a_speed_to_expect_nothing_changes(patience, least_speed):
+    assert share_after(np.full(100, 0.3), patience=patience, least_speed=least_speed) == 1.0
+
+
+def test_whatever_happened_in_between_the_share_stays_a_number():
+    assert 0.0 < Approach(0.3, 1.0).go_on(9e9, 1e9, 0.01, 1e-6).share < 0.1
+    assert Approach(0.3, 0.02).go_on(0.1, 1e-9, 0.01, 1e-6).share == 1.0
+
+
+def test_bags_keep_it_to_the_last_bit():
+    approach = Approach.begin(1 / 3).go_on(0.3, 0.1, 0.7, SPEED)
+    assert Approach(*np.asarray(approach, dtype=np.float32).tolist()) == approach
+
+
+def test_a_planner_gives_in_for_one_goal_only():
+    planner, spheres = make_planner(contact_patience=0.1), ball_at(np.array([0.0, 0.0, -1.0]))
+    goal, other = (Goal(FLANGE + np.array(offset)) for offset in ((0.2, 0.0, 0.1), (0.0, 0.2, 0.1)))
+    # The arm is told to be where it was, again and again.
+    shares = []
+    for time in range(0, 400, 40):
+        plan_from(planner, state=time, effect=time, goal=goal, spheres=spheres)
+        shares.append(planner.memory.approach.share)
+    assert shares[0] == 1.0 and shares[-1] < 0.1
+    plan_from(planner, state=400, effect=400, goal=other, spheres=spheres)
+    assert planner.memory.approach.share == 1.0
+    plan_from(planner, state=440, effect=440, goal=other, spheres=spheres)
+    assert planner.memory.approach.share < 1.0
+    planner.reset()
+    plan_from(planner, state=480, effect=480, goal=other, spheres=spheres)
+    assert planner.memory.approach.share == 1.0
+
+
+def test_the_weight_is_what_falls():
+    """One and the same contact, the first time and after the arm was held up for a while."""
+    rest = np.zeros(7)
+    planner = make_planner(contact_patience=0.1)
+    down = np.array([0.0, 0.0, -1.0])
+    goal, spheres = Goal(FLANGE + 0.3 * down), ball_at(FLANGE + 0.13 * down)
+
+    def weight(time: int) -> float:
+        plan = planner.plan(HOME, rest, time * MS, time * MS, goal, spheres)
+        force = plan.predicted_contact_forces.max(axis=1).sum()
+        return plan.cost_terms["contact"] / force if force else math.nan
+
+    weights = [weight(time) for time in range(0, 800, 40)]
+    found = [value for value in weights if not math.isnan(value)]
+    assert len(found) > 5
+    full = PlanningSettings().contact_weight
+    assert max(found) <= full * 1.001
+    assert found[-1] < 0.1 * full
+
+
+def test_the_expected_speed_is_well_below_what_the_bound_permits():
+    assert LEAST_SPEED * steady_speed(PlanningSettings(), ImpedanceSettings()) == pytest.approx(0.0264)
