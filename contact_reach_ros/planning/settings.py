@@ -60,10 +60,16 @@ class PlanningSettings(Settings):
     )
     joint_speed_weight: float = setting(
         0.3,
-        "squared excess of a joint's mean speed over a knot above its limit",
+        "squared excess of a joint's mean speed over a knot above a share of its limit",
         unit="s²/rad²",
         minimum=0.0,
         maximum=100.0,
+    )
+    joint_speed_share: float = setting(
+        0.8,
+        "that share; the mean over a knot is below the peak, and the controller stops the arm at the limit",
+        minimum=0.05,
+        maximum=1.0,
     )
     null_motion_weight: float = setting(
         0.003,

@@ -1,10 +1,14 @@
 """Episodes for each value of a setting."""
 
+import dataclasses
 import json
 
 import pytest
 
+from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.cli import main
+from contact_reach_ros.experiments import bench_setting
+from contact_reach_ros.experiments.grid import episode_seeds
 
 
 def run(*arguments: str) -> int:
@@ -23,6 +27,24 @@ def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
     assert 1.0 < fast["time_ratio"]["mean"] < 1.3 < slow["time_ratio"]["mean"] < 2.0
     assert fast["largest_force"]["mean"] == 0.0
     assert "| free | 0.04 | 1/1 |" in capsys.readouterr().out
+
+
+def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(monkeypatch):
+    seeds: list[tuple[int, int | None]] = []
+    episode = bench_setting.run_episode
+
+    def reseed(method, seed):
+        seeds.append((seed, None))
+        method.planner.reseed(seed)
+
+    def run_episode(scene, method, options):
+        seeds[-1] = (seeds[-1][0], options.noise_seed)
+        return episode(scene, method, dataclasses.replace(options, timeout=0.1))
+
+    monkeypatch.setattr(ReferenceMethod, "reseed", reseed)
+    monkeypatch.setattr(bench_setting, "run_episode", run_episode)
+    assert run("latency", "0.04", "0.1", "--scene", "free", "--targets", "2") == 0
+    assert seeds[:2] == seeds[2:] == [episode_seeds(0, 0), episode_seeds(1, 0)]
 
 
 @pytest.mark.parametrize(
