@@ -66,8 +66,8 @@ class PlanningSettings(Settings):
         maximum=100.0,
     )
     joint_speed_share: float = setting(
-        0.8,
-        "that share; the mean over a knot is below the peak, and the controller stops the arm at the limit",
+        1.0,
+        "that share; with less the elbow dodges more slowly, and the controller has to stop the arm less often",
         minimum=0.05,
         maximum=1.0,
     )
