@@ -50,8 +50,11 @@ class Constant(IntEnum):
     STOP_DAMPING = 15
 
 
-_WATCHED_SHARE = 0.5
-"""Joints slower than this share of the speed that they may have are far from being driven beyond it."""
+_JERK_SHARE = 0.3
+"""How much of the jerk that a joint's own torque can bring about is counted on to end its acceleration in time.
+
+The other joints' torques change meanwhile and may work against it.
+"""
 
 _VECTOR, _MATRIX = (numba.types.Array(float64, dimensions, "A", readonly=True) for dimensions in (1, 2))
 """Of any layout, and not to be written to."""
@@ -288,33 +291,96 @@ def null_brake(constants: Array, v: Array, mass_matrix: Array) -> Array:
 
 
 @_compiled()
-def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, mass_factor: Array, torque: Array) -> Array:
-    """What to add, (7,) in N m, so that no joint is driven beyond its speed limit v_max, however strong the torques τ.
+def inverse(factor: Array) -> Array:
+    """A⁻¹ of A = L Lᵀ."""
+    size = len(factor)
+    result = np.empty((size, size))
+    for i in range(size):
+        unit = np.zeros(size)
+        unit[i] = 1.0
+        result[i] = solve_upper(factor, solve_lower(factor, unit))
+    return result
 
-    The acceleration q̈ = M⁻¹ τ of a joint in the direction in which it moves may be no greater than k (v_max − |v|).
-    What is beyond is taken away by −M e, with e the excess accelerations, which leaves those of the other joints alone.
-    `torque` is all that drives the arm, without what only compensates C + g.
+
+@_compiled()
+def permitted_acceleration(constants: Array, joint: int, left: float, inverse_mass: Array) -> float:
+    """Greatest acceleration, rad/s², of a joint that may get faster by `left`, rad/s; negative where it is too fast.
+
+    k times what is left, and no more than a jerk can end in time: that of the joint's own torque at its greatest rate.
     """
-    acceleration = solve_upper(mass_factor, solve_lower(mass_factor, torque))
-    braked, ceiling = constants[Constant.BRAKED_SPEED], constants[Constant.SPEED_CEILING]
-    rate = constants[Constant.SPEED_RATE]
-    change = np.zeros(_JOINTS)
+    rate = constants[Constant.SPEED_RATE, joint]
+    jerk = _JERK_SHARE * constants[Constant.TORQUE_RATE, joint] * inverse_mass[joint, joint]
+    if left <= jerk / rate**2:
+        return rate * left
+    return np.sqrt(2.0 * jerk * left - (jerk / rate) ** 2)
+
+
+@_compiled()
+def excess_acceleration(constants: Array, v: Array, inverse_mass: Array, joint: int, acceleration: float) -> float:
+    """What of a joint's acceleration, rad/s², is more than permitted on the way to its speed limit v_max."""
+    speed, ceiling = v[joint], constants[Constant.SPEED_CEILING, joint]
+    most = permitted_acceleration(constants, joint, ceiling - speed, inverse_mass)
+    least = -permitted_acceleration(constants, joint, ceiling + speed, inverse_mass)
+    # The speed that a joint has is braked first, however soon it may then have to stop on the other side.
+    if speed > 0.0:
+        least = min(least, most)
+    else:
+        most = max(most, least)
+    return max(acceleration - most, 0.0) + min(acceleration - least, 0.0)
+
+
+@_compiled()
+def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, inverse_mass: Array, drive: Array) -> Array:
+    """What to add, (7,) in N m, so that no joint is driven beyond its speed limit, however strong the torques.
+
+    The excess accelerations e of q̈ = M⁻¹ τ are taken away by −M e, which leaves those of the other joints alone.
+    `drive` is τ: all that drives the arm, without what only compensates C + g.
+    """
+    change = times(inverse_mass, drive)
     for i in range(_JOINTS):
-        if abs(v[i]) > min(braked[i], _WATCHED_SHARE * ceiling[i]):
-            side = np.sign(v[i])
-            most = rate[i] * (ceiling[i] - abs(v[i]))
-            change[i] = -side * max(side * acceleration[i] - most, 0.0)
+        change[i] = -excess_acceleration(constants, v, inverse_mass, i, change[i])
     return times(mass_matrix, change)
 
 
 @_compiled()
-def limit_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
-    """The torque (7,) in N m that may follow `previous` after `period` seconds: cap and rate are kept; the cap wins."""
+def keep_speed(
+    constants: Array, v: Array, inverse_mass: Array, drive: Array, torque: Array, previous: Array, period: float
+) -> None:
+    """Mend in `torque` (7,), N m, what `limit_torque` has undone of `speed_limit_torque`.
+
+    A joint that would still be accelerated too much is held back by its own torque, as far as cap and rate permit.
+    `drive` (7,) is what of `torque` drives the arm, without what only compensates C + g.
+    """
+    acceleration = times(inverse_mass, drive)
     rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
-    limited = np.empty(_JOINTS)
     for i in range(_JOINTS):
-        step = rate[i] * period
-        limited[i] = min(max(torque[i], previous[i] - step), previous[i] + step)
+        excess = excess_acceleration(constants, v, inverse_mass, i, acceleration[i])
+        if excess != 0.0:
+            step = rate[i] * period
+            wanted = torque[i] - excess / inverse_mass[i, i]
+            wanted = min(max(wanted, previous[i] - step, -cap[i]), previous[i] + step, cap[i])
+            for k in range(_JOINTS):
+                acceleration[k] += inverse_mass[i, k] * (wanted - torque[i])
+            torque[i] = wanted
+
+
+@_compiled()
+def limit_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
+    """The torque (7,) in N m that may follow `previous` after `period` seconds: caps and rates are kept; caps win.
+
+    All joints go the same share of their way. Were only those held back that are too quick, all would no longer pull
+    in one direction, and the arm would be driven where nothing wants it.
+    """
+    rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
+    limited, share = np.empty(_JOINTS), 1.0
+    for i in range(_JOINTS):
+        limited[i] = min(max(torque[i], -cap[i]), cap[i])
+        way, step = abs(limited[i] - previous[i]), rate[i] * period
+        if way > step:
+            share = min(share, step / way)
+    for i in range(_JOINTS):
+        if share < 1.0:
+            limited[i] = previous[i] + share * (limited[i] - previous[i])
         limited[i] = min(max(limited[i], -cap[i]), cap[i])
     return limited
 
@@ -414,8 +480,15 @@ def tracking_torque(
     repulsion = repulsion_torque(constants, q, v)
     for i in range(_JOINTS):
         torque[i] += repulsion[i]
-    change = speed_limit_torque(constants, v, mass_matrix, factor, torque)
+    inverse_mass = inverse(factor)
+    change = speed_limit_torque(constants, v, mass_matrix, inverse_mass, torque)
     share = constants[Constant.GRAVITY_SHARE]
     for i in range(_JOINTS):
         torque[i] = authority * (torque[i] + change[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
-    return sendable_torque(constants, torque, previous, period)
+    sendable = sendable_torque(constants, torque, previous, period)
+    if np.isfinite(sendable[0]):
+        drive = np.empty(_JOINTS)
+        for i in range(_JOINTS):
+            drive[i] = sendable[i] - bias[i] + (1.0 - share[i]) * gravity[i]
+        keep_speed(constants, v, inverse_mass, drive, sendable, previous, period)
+    return sendable

@@ -1,0 +1,173 @@
+"""What keeps the joints below their speed limits."""
+
+import numpy as np
+import pytest
+from arm_simulation import POSITION_LIMITS, TICK_NS, VELOCITY_LIMITS, ClosedLoop, ideal_plant, offer_plan
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.control.constants import make_constants, torque_rates
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.kernels import (
+    Constant,
+    keep_speed,
+    null_brake,
+    permitted_acceleration,
+    speed_limit_torque,
+)
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.settings import LimitSettings
+
+torques = st.lists(st.floats(-1e4, 1e4), min_size=7, max_size=7).map(np.array)
+speed_shares = st.lists(st.floats(-1.2, 1.2), min_size=7, max_size=7).map(np.array)
+
+
+class TestSpeedLimiter:
+    MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
+    INVERSE = np.linalg.inv(MASS)
+    LIMITS = LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
+    CONSTANTS = make_constants(limits=LIMITS)
+    CEILING = 0.8 * VELOCITY_LIMITS
+
+    def permitted(self, left: np.ndarray) -> np.ndarray:
+        return np.array([permitted_acceleration(self.CONSTANTS, i, left[i], self.INVERSE) for i in range(7)])
+
+    def bounds(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest acceleration of each joint (7,), rad/s²; of a joint that is too fast, its braking."""
+        least, most = -self.permitted(self.CEILING + v), self.permitted(self.CEILING - v)
+        return np.where(v > 0.0, np.minimum(least, most), least), np.where(v > 0.0, most, np.maximum(least, most))
+
+    def test_in_the_null_space_slow_joints_are_left_alone(self):
+        assert not null_brake(self.CONSTANTS, 0.4 * VELOCITY_LIMITS, self.MASS).any()
+        assert not null_brake(self.CONSTANTS, -0.4 * VELOCITY_LIMITS, self.MASS).any()
+
+    @pytest.mark.parametrize("side", [-1.0, 1.0])
+    def test_in_the_null_space_a_fast_joint_is_decelerated_in_proportion_to_its_excess(self, side):
+        v = 0.1 * VELOCITY_LIMITS
+        v[2] = side * 0.7 * VELOCITY_LIMITS[2]
+        braked = self.INVERSE @ null_brake(self.CONSTANTS, v, self.MASS)
+        expected = np.zeros(7)
+        expected[2] = -side * 100.0 * 0.3 * VELOCITY_LIMITS[2]
+        np.testing.assert_allclose(braked, expected, rtol=0, atol=1e-9)
+
+    def test_near_the_limit_acceleration_is_in_proportion_to_what_is_left(self):
+        for left in (-0.5, -0.01, 0.0, 0.01):
+            np.testing.assert_allclose(self.permitted(np.full(7, left)), 100.0 * left, rtol=1e-12)
+
+    @pytest.mark.parametrize("left", [0.1, 1.0, 4.0])
+    def test_a_permitted_acceleration_can_be_ended_in_time(self, left):
+        """With what a joint's own torque can do at its greatest rate, and the others' doing nothing."""
+        jerk = torque_rates(self.LIMITS) * np.diag(self.INVERSE)
+        left = np.full(7, left)
+        acceleration = self.permitted(left)
+        for _ in range(20000):
+            acceleration = np.maximum(self.permitted(left), acceleration - 1e-4 * jerk)
+            np.testing.assert_allclose(acceleration, self.permitted(left), rtol=1e-9)
+            left = left - 1e-4 * acceleration
+        assert (left > 0.0).all() and (left < 1e-6).all()
+
+    @given(speed_shares, torques)
+    def test_no_joint_is_driven_beyond_the_limit_and_the_others_accelerate_as_before(self, shares, torque):
+        v = shares * VELOCITY_LIMITS
+        before = self.INVERSE @ torque
+        after = self.INVERSE @ (torque + speed_limit_torque(self.CONSTANTS, v, self.MASS, self.INVERSE, torque))
+        least, most = self.bounds(v)
+        expected = np.clip(before, least, most)
+        np.testing.assert_allclose(after, expected, rtol=1e-8, atol=1e-6)
+
+    @given(speed_shares, torques, torques)
+    def test_after_the_torque_limits_each_joint_brakes_by_its_own_torque(self, shares, previous, wish):
+        v, cap, step = shares * VELOCITY_LIMITS, self.CONSTANTS[Constant.TORQUE_CAP], torque_rates(self.LIMITS) * 1e-3
+        previous = np.clip(previous, -cap, cap)
+        before = np.clip(np.clip(wish, previous - step, previous + step), -cap, cap)
+        after = before.copy()
+        keep_speed(self.CONSTANTS, v, self.INVERSE, before, after, previous, 1e-3)
+        assert (np.abs(after) <= cap).all() and (np.abs(after - previous) <= step + 1e-9).all()
+        least, most = self.bounds(v)
+        for i in range(7):
+            # Those before it have been mended, those after it have not.
+            acceleration = self.INVERSE @ np.concatenate([after[: i + 1], before[i + 1 :]])
+            at_its_least = after[i] <= max(previous[i] - step[i], -cap[i]) + 1e-9
+            at_its_most = after[i] >= min(previous[i] + step[i], cap[i]) - 1e-9
+            tolerance = 1e-4 + 1e-6 * abs(acceleration[i])
+            assert acceleration[i] <= most[i] + tolerance or at_its_least
+            assert acceleration[i] >= least[i] - tolerance or at_its_most
+            if after[i] != before[i]:
+                bound = most[i] if after[i] < before[i] else least[i]
+                assert abs(acceleration[i] - bound) < tolerance or at_its_least or at_its_most
+
+
+def null_direction(loop: ClosedLoop) -> np.ndarray:
+    """How the joints move, (7,) of length 1, while the flange rests: A1 outwards."""
+    model = loop.controller.model
+    model.update(loop.q, loop.v)
+    direction = np.linalg.svd(model.jacobian)[2][-1]
+    return direction * np.sign(direction[0])
+
+
+POSTURE_PULL, TASK_PULL = "posture", "task"
+
+
+def pulled(kind: str, settings: LimitSettings) -> tuple[ClosedLoop, float, float]:
+    """The arm, its greatest speed as a share of the limits, and the flange's greatest error, m, after a strong pull.
+
+    The references move with the flange and stay far ahead of the posture, or stay far ahead of the flange.
+    """
+    loop = ClosedLoop(ideal_plant(), ControllerSettings(limits=settings))
+    start = loop.reference()
+    fastest = farthest = 0.0
+
+    def replan() -> None:
+        if loop.now_ns % (40 * TICK_NS) == 0:
+            if kind == POSTURE_PULL:
+                ahead = Reference(start.position, start.rotation, loop.q + 0.2 * null_direction(loop))
+            else:
+                ahead = Reference(loop.reference().position + np.array([0.0, 0.12, 0.0]), start.rotation, loop.q)
+            offer_plan(loop.controller, [ahead], loop.now_ns, (100 * TICK_NS,), loop.now_ns)
+
+    for _ in loop.run(0.5, replan):
+        fastest = max(fastest, float((np.abs(loop.v) / VELOCITY_LIMITS).max()))
+        farthest = max(farthest, float(np.linalg.norm(loop.reference().position - start.position)))
+    return loop, fastest, farthest
+
+
+def test_a_fast_null_space_is_braked_without_the_task_feeling_it():
+    loop, fastest, farthest = pulled(POSTURE_PULL, LimitSettings())
+    assert not loop.controller.stop_reason
+    assert 0.3 < fastest < 0.6
+    assert farthest < 2e-3
+
+
+def test_a_pull_that_would_be_too_fast_does_not_stop_the_arm():
+    loop, fastest, _ = pulled(TASK_PULL, LimitSettings())
+    assert not loop.controller.stop_reason
+    assert 0.8 < fastest < 0.95
+
+
+@pytest.mark.parametrize("seed", [2, 7, 9, 11, 12, 13])
+def test_references_that_jump_about_do_not_make_a_joint_too_fast(seed):
+    """Every 40 ms the farthest that a plan may ask for, near a singularity, and six times a second elsewhere."""
+    random = np.random.default_rng(seed)
+    loop = ClosedLoop(ideal_plant(random.uniform(-0.7, 0.7, 7) * POSITION_LIMITS))
+    loop.controller.model.update(loop.q, loop.v)
+    assert np.linalg.svd(loop.controller.model.jacobian)[1][-1] < 0.2
+    wish = np.sign(random.normal(size=6))
+
+    def replan() -> None:
+        nonlocal wish
+        if loop.now_ns % (160 * TICK_NS) == 0:
+            wish = np.sign(random.normal(size=6))
+        if loop.now_ns % (40 * TICK_NS) == 0:
+            here = loop.reference()
+            turned = Rotation.from_rotvec(0.2 * wish[3:]).as_matrix() @ here.rotation
+            ahead = Reference(here.position + 0.01 * wish[:3], turned, here.posture)
+            offer_plan(loop.controller, [ahead], loop.now_ns, (60 * TICK_NS,), loop.now_ns)
+
+    fastest = 0.0
+    for _ in loop.run(1.0, replan):
+        if loop.controller.stop_reason:
+            break
+        fastest = max(fastest, float((np.abs(loop.v) / VELOCITY_LIMITS).max()))
+    assert "rad/s" not in loop.controller.stop_reason
+    assert fastest < 1.0
