@@ -43,7 +43,6 @@ class Weights(NamedTuple):
     joint_limit: Number
     joint_limit_margin: Number
     joint_speed: Number
-    joint_speed_share: Number
     null_motion: Number
 
     @classmethod
@@ -59,7 +58,6 @@ class Weights(NamedTuple):
             joint_limit=settings.joint_limit_weight,
             joint_limit_margin=settings.joint_limit_margin,
             joint_speed=settings.joint_speed_weight,
-            joint_speed_share=settings.joint_speed_share,
             null_motion=settings.null_motion_weight,
         )
 
@@ -166,8 +164,7 @@ class Objective:
         intrusion = jnp.maximum(jnp.abs(q) - limit + weights.joint_limit_margin, 0.0)
         excess = jnp.maximum(rollout.contact - weights.permitted_force, 0.0)
         speed = jnp.abs(q - jnp.moveaxis(rollout.q[:-1], 1, 0)) / (self.system.timestep * self.substeps)
-        permitted_speed = weights.joint_speed_share * self.system.arm.velocity_limit[:, None, None]
-        speeding = jnp.maximum(speed - permitted_speed, 0.0)
+        speeding = jnp.maximum(speed - self.system.arm.velocity_limit[:, None, None], 0.0)
         null_motion = jnp.moveaxis(actions[:, 6:], 1, 0)
         parts = {
             "goal": weights.goal * to_goal,

@@ -33,10 +33,13 @@ class Approach(NamedTuple):
         """A new goal."""
         return cls(float(np.float32(distance)), 1.0)
 
-    def go_on(self, distance: float, elapsed: float, patience: float, least_speed: float) -> Approach:
+    def go_on(
+        self, distance: float, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
+    ) -> Approach:
         """Some time later.
 
-        The share falls by a factor e with every `patience` that the arm is behind, and comes back as it catches up.
+        The share falls by a factor e with every `patience` that the arm is behind, and comes back as it catches up, or
+        with every `patience` in which contact is firm.
 
         Parameters
         ----------
@@ -48,10 +51,14 @@ class Approach(NamedTuple):
             s; 0 keeps the share as it is.
         least_speed
             That the arm shall approach with at least, on average, m/s; 0 and infinity keep the share as it is.
+        is_firm
+            Whether contact is expected to be as strong as it may get for the arm's getting on.
         """
         share = self.share
         if patience > 0.0 and 0.0 < least_speed < math.inf and distance > _THERE:
             ahead = (self.distance - distance) / least_speed - elapsed
+            if is_firm:
+                ahead = max(ahead, elapsed)
             # The limits keep the exponential finite whatever happened in between.
             share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
         return Approach(float(np.float32(distance)), float(np.float32(share)))

@@ -92,6 +92,7 @@ class RecedingHorizonPlanner:
         self._settings = settings
         self._obstacles = ObstacleReader(capacity)
         self._objective = self._make_objective(gains)
+        self._firm_force = settings.contact_patience_share * permitted_force
         self._least_speed = LEAST_SPEED * steady_speed(settings, gains)
         self._weights = _on_device(Weights(*(single(weight) for weight in Weights.of(settings, permitted_force))))
         self._bounds = self._make_bounds(gains)
@@ -253,7 +254,8 @@ class RecedingHorizonPlanner:
         if memory is None or not goal.same_as(memory.goal):
             return Approach.begin(distance)
         elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
-        return memory.approach.go_on(distance, elapsed, self._settings.contact_patience, self._least_speed)
+        is_firm = bool((plan.predicted_contact_forces > self._firm_force).any())
+        return memory.approach.go_on(distance, elapsed, self._settings.contact_patience, self._least_speed, is_firm)
 
     def _check_times(self, state_ns: int, effect_ns: int) -> None:
         longest_ns = round(MAX_PIECES / 4 * self._settings.knot_duration / self._settings.substeps * 1e9)

@@ -48,6 +48,13 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=60.0,
     )
+    contact_patience_share: float = setting(
+        1.0,
+        "expected contact, as a share of the permitted force, from which on that weight comes back; 0.15 keeps the arm "
+        "from pressing into foam harder than plans expect, but also from goals that need more",
+        minimum=0.0,
+        maximum=1.0,
+    )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
         0.2, "rotation error to a goal that has one", unit="1/rad", minimum=0.0, maximum=10.0
@@ -60,16 +67,10 @@ class PlanningSettings(Settings):
     )
     joint_speed_weight: float = setting(
         0.3,
-        "squared excess of a joint's mean speed over a knot above a share of its limit",
+        "squared excess of a joint's mean speed over a knot above its limit",
         unit="s²/rad²",
         minimum=0.0,
         maximum=100.0,
-    )
-    joint_speed_share: float = setting(
-        1.0,
-        "that share; with less the elbow dodges more slowly, and the controller has to stop the arm less often",
-        minimum=0.05,
-        maximum=1.0,
     )
     null_motion_weight: float = setting(
         0.003,

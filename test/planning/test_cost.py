@@ -152,14 +152,13 @@ def test_state_starts_without_contact(objective):
     assert float(state.link_force.max()) == 0.0
 
 
-@pytest.mark.parametrize("share", [0.05, 1.0])
-def test_joint_speeds_cost_from_a_share_of_their_limits_on(roll_out, share):
+@pytest.mark.parametrize("share", [0.9, 6.0])
+def test_joint_speeds_cost_from_their_limits_on(roll_out, share):
     limits = np.array(iiwa14.VELOCITY_LIMITS)
-    problem = make_problem(HOME, FLANGE, ball(FAR_BALL), joint_speed_share=share)
-    rollout, terms = roll_out(problem._replace(v=jnp.asarray(0.9 * limits[:, None])), STILL)
+    problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
+    rollout, terms = roll_out(problem._replace(v=jnp.asarray(share * limits[:, None])), STILL)
     # The law brakes the arm within the first knot.
     speeds = np.abs(np.diff(rollout.q[:, :, 0], axis=0)) / SMALL.knot_duration
-    assert (0.05 * limits < speeds[0]).any() and (speeds < limits).all()
-    excess = np.maximum(speeds - share * limits, 0.0)
+    excess = np.maximum(speeds - limits, 0.0)
+    assert excess.any() == (share > 1.0)
     assert terms["joint_speed"][0] == pytest.approx(SMALL.joint_speed_weight * (excess**2).sum(), rel=1e-3, abs=1e-9)
-    assert (terms["joint_speed"][0] > 1e-4) == (share < 1.0)

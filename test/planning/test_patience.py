@@ -84,10 +84,18 @@ def test_a_planner_gives_in_for_one_goal_only():
     assert planner.memory.approach.share == 1.0
 
 
-def test_the_weight_is_what_falls():
+def test_the_share_comes_back_while_contact_is_firm():
+    held_up = Approach(0.3, 0.1)
+    assert held_up.go_on(0.3, 0.5, 0.5, SPEED, is_firm=True).share == pytest.approx(0.1 * math.e)
+    # No slower than without.
+    assert held_up.go_on(0.26, 0.5, 0.5, SPEED, is_firm=True) == held_up.go_on(0.26, 0.5, 0.5, SPEED)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_the_weight_is_what_falls(share):
     """One and the same contact, the first time and after the arm was held up for a while."""
     rest = np.zeros(7)
-    planner = make_planner(contact_patience=0.1)
+    planner = make_planner(contact_patience=0.1, contact_patience_share=share)
     down = np.array([0.0, 0.0, -1.0])
     goal, spheres = Goal(FLANGE + 0.3 * down), ball_at(FLANGE + 0.13 * down)
 
@@ -101,7 +109,7 @@ def test_the_weight_is_what_falls():
     assert len(found) > 5
     full = PlanningSettings().contact_weight
     assert max(found) <= full * 1.001
-    assert found[-1] < 0.1 * full
+    assert (found[-1] < 0.1 * full) == (share > 0.0)
 
 
 def test_the_expected_speed_is_well_below_what_the_bound_permits():
