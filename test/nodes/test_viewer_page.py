@@ -18,10 +18,11 @@ _PR_CAPBSET_DROP, _CAP_SYS_NICE = 24, 23
 
 NEWEST = (
     "(() => {{ const plots = Object.values((window.__viserTestpoints || {{}}).uplots || {{}}); "
-    "const d = plots.length > {0} ? plots[{0}].chart.data[1] : []; return d.length ? d[d.length - 1] : null; }})()"
+    "const plot = plots.find(p => p.chart.root.querySelector('.u-title').textContent.startsWith('{0}')); "
+    "const d = plot ? plot.chart.data[1] : []; return d.length ? d[d.length - 1] : null; }})()"
 )
-"""The last value of the first curve of a plot."""
-DISTANCE, FORCE = NEWEST.format(0), NEWEST.format(1)
+"""The last value of the first curve of a plot; by its title: the browser keeps plots in the order of their making."""
+DISTANCE, FORCE = NEWEST.format("Distance to the goal"), NEWEST.format("Largest contact force")
 """To the goal, mm, and largest of a contact, N."""
 
 TUNED = "supervision.observer_timeout"
