@@ -11,6 +11,8 @@ from contact_reach_ros.nodes.replay import choose_topics, publisher_qos
 from contact_reach_ros.recording.bag_info import read_info
 from contact_reach_ros.recording.bag_reader import BagReader
 from contact_reach_ros.recording.playback import Playback, read_ahead
+from contact_reach_ros.recording.recompute_plans import RecordedPlans
+from contact_reach_ros.recording.recorded_inputs import RecordedInputs
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.units import NANOSECONDS
 
@@ -44,6 +46,12 @@ def test_it_has_every_tick_of_every_topic_of_a_lockstep_run(reader: BagReader) -
     # Nobody made things go wrong, and no controller ran in the shadow.
     absent = {topics.SIM_FAULTS.name, topics.SHADOW_COMMANDS.name}
     assert {name.lstrip("/") for name in reader.topics()} >= {topic.name for topic in topics.ALL} - absent
+
+
+def test_its_plans_can_be_made_again(reader: BagReader) -> None:
+    """Today's planner takes what the bag has; that it comes to the same is tested with a bag of the same machine."""
+    plans = RecordedPlans(RecordedInputs(reader))
+    assert 40 in plans.statistics
 
 
 def test_other_libraries_read_it(reader: BagReader) -> None:
