@@ -20,6 +20,9 @@ from websockets.sync.client import connect
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 _START_S, _ANSWER_S = 60.0, 60.0
 
+_THROTTLE_MS = 60
+"""viser's page sends once in 50 ms, and of what is done meanwhile on all its inputs only the last."""
+
 _FIND_INPUT = (
     "(() => {{ const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === {0}); "
     "for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
@@ -105,9 +108,10 @@ class Page:
         self.press(*place)
 
     def press(self, x: float, y: float) -> None:
-        """Press and release the mouse."""
+        """Press and release the mouse, and let the page send what that changed."""
         self._mouse("mousePressed", x, y)
         self._mouse("mouseReleased", x, y)
+        self._settle()
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 8) -> None:
         """Drag with the mouse."""
@@ -117,6 +121,7 @@ class Page:
             share = step / steps
             self._mouse("mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)))
         self._mouse("mouseReleased", *end)
+        self._settle()
 
     def fill(self, label: str, value: str) -> None:
         """Put a text into the input next to a label, and leave it."""
@@ -125,6 +130,7 @@ class Page:
         self.call("Input.insertText", text=value)
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
+        self._settle()
 
     def choose(self, label: str, option: str) -> None:
         """Choose an option of the list next to a label."""
@@ -163,6 +169,10 @@ class Page:
     def close(self) -> None:
         """Let go of the tab."""
         self._socket.close()
+
+    def _settle(self) -> None:
+        """Timers come in the order of their times: after this one the page's own has sent what it held back."""
+        self.run(f"new Promise(done => setTimeout(done, {_THROTTLE_MS}))")
 
     def _mouse(self, kind: str, x: float, y: float) -> None:
         held = kind == "mousePressed" or kind == "mouseMoved"
