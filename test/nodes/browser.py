@@ -18,7 +18,7 @@ from typing import Any
 from websockets.sync.client import connect
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
-_START_S, _ANSWER_S = 60.0, 60.0
+_START_S, _ANSWER_S = 60.0, 120.0
 
 _THROTTLE_MS = 60
 """viser's page sends once in 50 ms, and of what is done meanwhile on all its inputs only the last."""

@@ -140,7 +140,7 @@ def test_a_changed_parameter_is_what_the_restarted_node_has(page):
 
 
 def test_a_picture_is_taken_of_an_arm_between_walls(page, request, tmp_path):
-    """Of the size of a laptop's window."""
+    """The one that is written is of the size of a laptop's window, which takes minutes to draw on a busy processor."""
     wanted = request.config.getoption("--write-pictures")
     if wanted:
         page.click("Scene", "[role=tab]")
@@ -153,7 +153,7 @@ def test_a_picture_is_taken_of_an_arm_between_walls(page, request, tmp_path):
         page.wait_for_text("tracking")
         page.click("Plots", "[role=tab]")
         page.wait_for(f"{FORCE} > 0.5", "the arm touches a wall", 300)
-    page.open(page.address.replace("fixedDpr=0.3", "fixedDpr=1"), 1280, 800)
+        page.open(page.address.replace("fixedDpr=0.3", "fixedDpr=1"), 1280, 800)
     page.click("Plots", "[role=tab]")
     page.wait_for(f"{DISTANCE} !== null", "the distance is plotted")
     page.close_notes()
