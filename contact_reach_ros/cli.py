@@ -22,7 +22,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = _parser().parse_args(arguments)
     try:
-        sys.exit(options.run(options))
+        code = options.run(options)
+        # What is still buffered: at the interpreter's end an error could not be caught.
+        sys.stdout.flush()
+        sys.exit(code)
+    except BrokenPipeError:
+        # Nobody reads on, as with `| head`. The code is the one that Rich, which writes the tables, has for it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except ContactReachError as error:
         print(f"contact-reach: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
