@@ -22,6 +22,10 @@ from contact_reach_ros.recording.mcap_file import PROFILE, McapFile
 from contact_reach_ros.recording.topics import CDR, ROS2MSG, OfferedQos, TypeDefinition, read_offered_qos
 from contact_reach_ros.units import NANOSECONDS
 
+_UNCLEAR = (TypesysError, UnicodeDecodeError, KeyError, SyntaxError, RecursionError)
+"""What rosbags raises for definitions that are none: it makes Python code of them, also where names are no names, or a
+type contains itself."""
+
 
 class RawMessage(NamedTuple):
     """A message as it was received: serialised, with its times in ns since the epoch and its publisher's number."""
@@ -381,7 +385,7 @@ class BagReader:
             self._store.register(get_types_from_msg(schema.data.decode(), type_name))
             # Compiles the decoder, which shows whether a dependency is missing.
             self._store.get_msgdef(type_name)
-        except (TypesysError, UnicodeDecodeError, KeyError) as error:
+        except _UNCLEAR as error:
             raise BagError(f"type '{type_name}' has no clear definition: {error}") from error
         self._registered.add(type_name)
 

@@ -299,6 +299,30 @@ def test_overlapping_chunks_come_by_time_of_reception(tmp_path: Path) -> None:
     assert reader.reception_times("/a").tolist() == times.tolist()
 
 
+@pytest.mark.parametrize(
+    ("name", "definition"),
+    [
+        ("3arm_msgs/msg/Gain", "float64 gain\n"),
+        ("arm_msgs/msg/Gain", f"3arm_msgs/Part part\n{80 * '='}\nMSG: 3arm_msgs/Part\nfloat64 gain\n"),
+        ("arm_msgs/msg/Gain", "arm_msgs/Gain gain\n"),
+        ("arm_msgs/msg/Gain:\n    raise OSError\nclass A", "float64 gain\n"),
+    ],
+    ids=["name", "part's name", "itself", "code"],
+)
+def test_definition_that_is_none_leaves_its_topic_out(tmp_path: Path, name: str, definition: str) -> None:
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(name, "ros2msg", definition.encode())
+        writer.add_message(writer.register_channel("/gain", "cdr", schema), 0, b"\0\1\0\0" + bytes(8), 0)
+        writer.finish()
+    reader = BagReader(path)
+    assert list(reader.messages()) == []
+    assert "topic '/gain' is left out" in "\n".join(reader.notes)
+    assert "no clear definition" in "\n".join(reader.notes)
+
+
 @settings(max_examples=60)
 @given(position=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
 def test_damaged_file_gives_messages_or_an_error_that_names_it(
