@@ -33,7 +33,7 @@ _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
 _END_TIMEOUT_S = 15.0
 _ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
-"""What a recorder should hear before time begins: of what it missed, publishers give it the last second only."""
+"""What a recorder should hear before time begins: of what it missed, publishers give it the last seconds only."""
 _HEARD_S = 3.0
 """After that time begins all the same: a recorder need not record everything."""
 _WATCHDOG_S = 0.3

@@ -15,13 +15,17 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.realtime import LoopGroup
 from contact_reach_ros.recording.bag_writer import BagWriter
 from contact_reach_ros.recording.loss import LOST, LossCounter
 from contact_reach_ros.recording.topics import OfferedQos, Topic, check_type_name
 
-HISTORY_DEPTH = 1000
-"""Messages per topic that wait in the middleware while the recorder is held up: 1 s at 1 kHz."""
+HISTORY_DEPTH = topics.KEPT_STREAM.depth
+"""Messages per topic that wait in the middleware while the recorder is held up: 4 s at 1 kHz, all that publishers keep.
+
+The middleware has no room for more than 5000.
+"""
 
 SETTLING_TIME = 0.05
 """Time for messages that are on their way when the recording ends, s."""

@@ -18,9 +18,12 @@ STREAM = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """What publishers offer: reliable and deep, so that recorders and lockstep lose nothing even when they are late."""
 
 KEPT_STREAM = QoSProfile(
-    depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+    depth=4000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""The same, and the last second is given to whoever comes later: in lockstep, where time begins without them."""
+"""The same, and the last seconds are given to whoever comes later: in lockstep, where time begins without them.
+
+That many, since on a busy machine it takes seconds until a recorder finds a topic.
+"""
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The last message is given to whoever comes later."""
@@ -54,7 +57,7 @@ class Topic(NamedTuple):
     qos: QoSProfile = STREAM
 
     def kept(self, keep: bool) -> Topic:
-        """The same topic; if asked for, with publishers that give those who come late the last second, too."""
+        """The same topic; if asked for, with publishers that give those who come late the last seconds, too."""
         return self._replace(qos=KEPT_STREAM) if keep else self
 
 

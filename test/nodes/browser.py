@@ -26,10 +26,10 @@ _THROTTLE_MS = 60
 _FIND_INPUT = (
     "(() => {{ const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === {0}); "
     "for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
-    "const e = n.querySelector('input:not([type=hidden])'); if (e) {{ {1} }} n = n.parentElement; }} }} "
+    "const e = n.querySelectorAll('input:not([type=hidden])')[{2}]; if (e) {{ {1} }} n = n.parentElement; }} }} "
     "return null; }})()"
 )
-"""Does something with the first input next to a label."""
+"""Does something with one of the inputs next to a label."""
 
 
 def find_chromium() -> str | None:
@@ -123,9 +123,9 @@ class Page:
         self._mouse("mouseReleased", *end)
         self._settle()
 
-    def fill(self, label: str, value: str) -> None:
-        """Put a text into the input next to a label, and leave it."""
-        self.press(*self._input(label))
+    def fill(self, label: str, value: str, number: int = 0) -> None:
+        """Put a text into the input next to a label, one of several where there are, and leave it."""
+        self.press(*self._input(label, number))
         self.run("document.activeElement.select()")
         self.call("Input.insertText", text=value)
         for kind in ("keyDown", "keyUp"):
@@ -147,15 +147,16 @@ class Page:
 
     def value(self, label: str) -> str:
         """What the first input next to a label holds."""
-        return self.wait_for(_FIND_INPUT.format(json.dumps(label), "return e.value;"), f"input '{label}'")
+        return self.wait_for(_FIND_INPUT.format(json.dumps(label), "return e.value;", 0), f"input '{label}'")
 
-    def _input(self, label: str) -> tuple[float, float]:
-        """Where the first input next to a label is that takes text."""
+    def _input(self, label: str, number: int = 0) -> tuple[float, float]:
+        """Where an input next to a label is that takes text."""
         place = self.wait_for(
             _FIND_INPUT.format(
                 json.dumps(label),
                 "e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect(); "
                 "return [r.x + r.width / 2, r.y + r.height / 2];",
+                number,
             ),
             f"input '{label}'",
         )

@@ -3,10 +3,13 @@
 import signal
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 import rclpy
 from mcap.reader import make_reader
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, running, wait_for
 
 from contact_reach_ros.nodes import topics
@@ -14,7 +17,7 @@ from contact_reach_ros.nodes import topics
 LOOPS = ("observer", "controller", "driver")
 LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "scene:=free")
 KEPT_TOPICS = ("/joint_states", "/effort_controller/commands", "/external_torque")
-KEPT = 1000
+KEPT = topics.KEPT_STREAM.depth
 """Messages of a topic that wait for those who come late."""
 
 
@@ -57,11 +60,34 @@ def test_the_first_messages_are_in_the_bag(domain, tmp_path):
             time.sleep(1.0)
             recorder.send_signal(signal.SIGINT)
             assert recorder.wait(30) == 0, (tmp_path / "recorder.log").read_text()
+    sequences = recorded_sequences(bag)
+    for name in KEPT_TOPICS:
+        found = sequences.get(name, [0])
+        assert found[0] == 1 or len(found) >= KEPT, f"{name}: {found[0]} to {found[-1]}"
+
+
+def test_seconds_of_ticks_are_in_the_bag(domain, tmp_path):
+    """On a busy machine it takes that long until a recorder finds a topic."""
+    look = rclpy.create_node("look")
+    topic = topics.JOINT_STATES.kept(True)
+    publisher = look.create_publisher(topic.type, topic.name, topic.qos)
+    for _ in range(KEPT):
+        publisher.publish(JointState())
+    bag = tmp_path / "bag"
+    command = [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={bag}"]
+    with running(command, domain, tmp_path / "recorder.log") as recorder:
+        wait_for(publisher.get_subscription_count, 60, "the recorder subscribes")
+        assert publisher.wait_for_all_acked(Duration(seconds=60.0))
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(30) == 0, (tmp_path / "recorder.log").read_text()
+    assert recorded_sequences(bag)["/joint_states"] == list(range(1, KEPT + 1))
+
+
+def recorded_sequences(bag: Path) -> dict[str, list[int]]:
+    """Numbers of the messages that a bag has, by topic."""
     (file,) = bag.glob("*.mcap")
     sequences: dict[str, list[int]] = {}
     with file.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages():
             sequences.setdefault(channel.topic, []).append(message.sequence)
-    for name in KEPT_TOPICS:
-        found = sequences.get(name, [0])
-        assert found[0] == 1 or len(found) >= KEPT, f"{name}: {found[0]} to {found[-1]}"
+    return sequences
