@@ -10,11 +10,11 @@ import contextlib
 import ctypes
 import gc
 import os
-import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future, wait
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -340,6 +340,8 @@ class Inbox:
     def call(self, task: Callable[[], _T]) -> _T:
         """The same, and wait for the result.
 
+        What the task raises is raised here, and not in the loop, which goes on.
+
         Raises
         ------
         TimeoutError
@@ -347,12 +349,18 @@ class Inbox:
         """
         if self._thread in (0, threading.get_ident()):
             return task()
-        results: queue.SimpleQueue[_T] = queue.SimpleQueue()
-        self.post(lambda: results.put(task()))
-        try:
-            return results.get(timeout=_PATIENCE_S)
-        except queue.Empty:
-            raise TimeoutError(f"the loop has not answered for {_PATIENCE_S:g} s") from None
+        answer: Future[_T] = Future()
+
+        def run() -> None:
+            try:
+                answer.set_result(task())
+            except Exception as error:
+                answer.set_exception(error)
+
+        self.post(run)
+        if not wait([answer], timeout=_PATIENCE_S).done:
+            raise TimeoutError(f"the loop has not answered for {_PATIENCE_S:g} s")
+        return answer.result()
 
     def run_tasks(self) -> None:
         """Do what was posted; for the loop thread while it does not wait."""

@@ -1,5 +1,6 @@
 """What a loop thread wakes up for, and in which order it handles what has come."""
 
+import threading
 import time
 from collections.abc import Iterator
 
@@ -9,6 +10,7 @@ from rclpy.node import Node
 from stack_helpers import environment, wait_for
 from std_msgs.msg import String
 
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.nodes.realtime import Inbox
 from contact_reach_ros.nodes.topics import Topic
 
@@ -52,3 +54,29 @@ def test_what_nobody_hurries_for_does_not_wake_the_loop_and_comes_last(node: Nod
     unhurried.publish(String(data="fifth"))
     wait_for(lambda: inbox.poll() or len(handled) == 5, 10, "whoever does not wait handles it as well")
     assert handled[3:] == ["fourth", "fifth"]
+
+
+def test_what_a_task_raises_reaches_who_asked_for_it_and_not_the_loop(node: Node) -> None:
+    inbox = Inbox(node)
+    ended, turns = threading.Event(), []
+
+    def loop() -> None:
+        while not ended.is_set():
+            inbox.wait(WAIT_NS // 10)
+            turns.append(None)
+
+    def refuse() -> None:
+        raise InputError("the arm moves")
+
+    thread = threading.Thread(target=loop)
+    thread.start()
+    try:
+        wait_for(lambda: turns, 10, "the loop runs")
+        with pytest.raises(InputError, match="the arm moves"):
+            inbox.call(refuse)
+        assert inbox.call(lambda: 3) == 3
+        before = len(turns)
+        wait_for(lambda: len(turns) > before, 10, "the loop goes on")
+    finally:
+        ended.set()
+        thread.join()

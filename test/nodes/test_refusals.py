@@ -1,11 +1,12 @@
-"""What is no message does not end a node: it is counted and the node goes on."""
+"""What has to be refused does not end a node: it is counted, or answered with the reason, and the node goes on."""
 
 import pytest
 import rclpy
 from rclpy.serialization import serialize_message
 from serialized_helpers import garbage
-from stack_helpers import environment
+from stack_helpers import environment, module, running
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from contact_reach_ros.nodes import topics
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -44,5 +45,24 @@ def test_nodes_count_what_is_no_message(node_class, topic, refused, messages):
                     break
             assert node.refused == {refused: node.refused.get(refused)}
             assert node.refused[refused] > before
+    finally:
+        rclpy.shutdown()
+
+
+def test_a_refused_reset_leaves_the_loop_running(tmp_path):
+    """With a loop in a thread of its own, as in a process."""
+    env, log = environment(), tmp_path / "controller.log"
+    rclpy.init(domain_id=int(env["ROS_DOMAIN_ID"]))
+    try:
+        asking = rclpy.create_node("asking")
+        client = asking.create_client(Trigger, "controller/reset")
+        with running(module("nodes.controller"), env, log) as controller:
+            assert client.wait_for_service(60.0), log.read_text()
+            for _ in range(3):
+                answer = client.call_async(Trigger.Request())
+                rclpy.spin_until_future_complete(asking, answer, timeout_sec=30.0)
+                assert answer.done() and controller.poll() is None, log.read_text()
+                assert not answer.result().success
+                assert answer.result().message == "the controller has not seen a joint state yet"
     finally:
         rclpy.shutdown()
