@@ -25,7 +25,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.nodes.topics import Topic
 from contact_reach_ros.recording.intake import CODES, IntakeLog
 
@@ -340,10 +340,10 @@ class Inbox:
     def call(self, task: Callable[[], _T]) -> _T:
         """The same, and wait for the result.
 
-        What the task raises is raised here, and not in the loop, which goes on.
-
         Raises
         ------
+        ContactReachError
+            If the task refuses: the loop goes on. Anything else that it raises ends the loop, as any fault there.
         TimeoutError
             If the loop thread is busy for long; it will do it all the same.
         """
@@ -354,7 +354,7 @@ class Inbox:
         def run() -> None:
             try:
                 answer.set_result(task())
-            except Exception as error:
+            except ContactReachError as error:
                 answer.set_exception(error)
 
         self.post(run)
