@@ -22,10 +22,7 @@ from contact_reach_ros.recording.loss import LOST, LossCounter
 from contact_reach_ros.recording.topics import OfferedQos, Topic, check_type_name
 
 HISTORY_DEPTH = topics.KEPT_STREAM.depth
-"""Messages per topic that wait in the middleware while the recorder is held up: 4 s at 1 kHz, all that publishers keep.
-
-The middleware has no room for more than 5000.
-"""
+"""Messages per topic that wait in the middleware while the recorder is held up: all that publishers keep, or 4 s."""
 
 SETTLING_TIME = 0.05
 """Time for messages that are on their way when the recording ends, s."""
