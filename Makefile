@@ -11,17 +11,20 @@ SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
 EXTRAS := baselines$(comma)$(if $(SOURCED),test,ros$(comma)test)
 STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
-# One test needs a browser. It comes through the system's package manager where that may be used without a password.
-define CHROMIUM
-{ command -v chromium || command -v chromium-browser || command -v google-chrome; } >/dev/null || { \
-  if ! command -v apt-get >/dev/null; then echo "No Chromium: the test of the viewer's page is skipped; install Chromium to run it."; \
+# Some tests need a browser, or OpenGL without a display. $(call SYSTEM,is it there?,package,tests) installs what is
+# missing through the system's package manager where that may be used without a password.
+define SYSTEM
+{ $(1); } >/dev/null 2>&1 || { \
+  if ! command -v apt-get >/dev/null; then echo "No $(2): $(3) are skipped; install it to run them."; \
   elif [ "$$(id -u)" = 0 ]; then as_root=; elif sudo -n true 2>/dev/null; then as_root="sudo -n"; \
-  else echo "No Chromium, and no permission to install it: the test of the viewer's page is skipped. Run: sudo apt-get install chromium"; \
+  else echo "No $(2), and no permission to install it: $(3) are skipped. Run: sudo apt-get install $(2)"; \
   fi; \
-  if [ -n "$${as_root+set}" ]; then echo "Installing chromium for the test of the viewer's page ..."; \
+  if [ -n "$${as_root+set}" ]; then echo "Installing $(2) for $(3) ..."; \
     { $$as_root apt-get -qq update && $$as_root env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends -o DPkg::Lock::Timeout=300 \
-    install chromium >/dev/null; } || echo "Chromium could not be installed: the test of the viewer's page is skipped."; fi; }
+    install $(2) >/dev/null; } || echo "$(2) could not be installed: $(3) are skipped."; fi; }
 endef
+CHROMIUM := command -v chromium || command -v chromium-browser || command -v google-chrome
+OPENGL := $(BIN)/python -c 'from contact_reach_ros.drawing.renderer import find_renderer; find_renderer()'
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test lint build clean
@@ -35,20 +38,20 @@ venv: $(STAMP) ## create .venv and install the package into it
 demo: $(STAMP) ## run the demonstration
 	@$(BIN)/contact-reach demo $(ARGS)
 
-# The nodes' tests run stacks that take both cores of a small machine, some in real time: nothing runs beside them.
-test: $(STAMP) ## run the tests
-	@$(CHROMIUM)
+test: $(STAMP) ## run the tests; with ARGS=test also those that take minutes
+	@$(call SYSTEM,$(CHROMIUM),chromium,the tests of the viewer's page)
+	@$(call SYSTEM,$(OPENGL),libosmesa6,the tests that render pictures)
 ifeq ($(strip $(ARGS)),)
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup --ignore=test/nodes
-	@$(BIN)/python -m pytest test/nodes
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder --quick
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
 
-lint: $(STAMP) ## check style and types
+lint: $(STAMP) ## check style, types and imports between rooms
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo
 
 build: $(STAMP) ## build the ROS 2 package into install/ with colcon
 	@PATH="$(CURDIR)/$(BIN):$$PATH" colcon build

@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 MANIFEST = ElementTree.parse(Path(__file__).with_name("package.xml")).getroot()
 NAME = MANIFEST.findtext("name")
 SHARE = f"share/{NAME}"
-NODES = ("driver", "controller", "observer", "planner", "recorder", "replay", "bringup", "faults", "viewer")
+NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder", "replay", "bringup", "faults", "viewer")
 
 
 def files_below(folder: str) -> list[Path]:
@@ -71,13 +71,14 @@ setup(
     ],
     extras_require={
         "baselines": ["ompl"],
-        "dask": ["distributed"],
+        "experiments": ["distributed"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "test": [
             "cma",
             "colcon-common-extensions",
             "distributed",
             "hypothesis",
+            "import-linter",
             "mypy",
             "pytest",
             "pytest-xdist",

@@ -1,3 +1,84 @@
-"""Contact-aware reaching for a torque-controlled arm under ROS 2."""
+"""Safe contact on the way to a goal, for a redundant torque-controlled arm: a library, and nodes for ROS 2.
 
-__version__ = "0.1.0"
+The library consists of the names below. They are imported on first use, because JAX, MuJoCo and Pinocchio take seconds.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from contact_reach_ros.arm.arm import Arm
+    from contact_reach_ros.arm.joint_state import JointState
+    from contact_reach_ros.arms import load_arm
+    from contact_reach_ros.control.controller import Controller, ControllerSettings
+    from contact_reach_ros.control.references import References
+    from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+    from contact_reach_ros.errors import ContactReachError
+    from contact_reach_ros.observer.budget import ContactBudget, load_budget
+    from contact_reach_ros.observer.observer import Observer, SafetyReport
+    from contact_reach_ros.observer.settings import ObserverSettings
+    from contact_reach_ros.planning.plan import Plan
+    from contact_reach_ros.planning.planner import Planner, ReplanningSettings
+    from contact_reach_ros.planning.settings import PlanningSettings
+    from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+    from contact_reach_ros.simulation.robot import SimulatedRobot
+    from contact_reach_ros.stack import Result, Robot, Stack, Tick, make_planner
+    from contact_reach_ros.versions import VERSION as __version__
+    from contact_reach_ros.world.generate import load_scene
+    from contact_reach_ros.world.scene import Scene
+    from contact_reach_ros.world.spheres import Spheres, sphere_capacity
+    from contact_reach_ros.world.task import Goal, Task
+
+_WHERE = {
+    "Arm": "arm.arm",
+    "ContactBudget": "observer.budget",
+    "ContactReachError": "errors",
+    "Controller": "control.controller",
+    "ControllerSettings": "control.controller",
+    "Goal": "world.task",
+    "ImpedanceSettings": "control.settings",
+    "JointState": "arm.joint_state",
+    "LimitSettings": "control.settings",
+    "Observer": "observer.observer",
+    "ObserverSettings": "observer.settings",
+    "Plan": "planning.plan",
+    "Planner": "planning.planner",
+    "PlanningSettings": "planning.settings",
+    "References": "control.references",
+    "ReplanningSettings": "planning.planner",
+    "Result": "stack",
+    "Robot": "stack",
+    "SafetyReport": "observer.observer",
+    "Scene": "world.scene",
+    "SimulatedRobot": "simulation.robot",
+    "Spheres": "world.spheres",
+    "Stack": "stack",
+    "SupervisionSettings": "control.settings",
+    "Task": "world.task",
+    "Tick": "stack",
+    "UnexpectedContactSettings": "planning.unexpected_contact",
+    "load_arm": "arms",
+    "load_budget": "observer.budget",
+    "load_scene": "world.generate",
+    "make_planner": "stack",
+    "sphere_capacity": "world.spheres",
+}
+"""Public names, and the modules that define them."""
+
+__all__ = ["__version__", *_WHERE]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("contact_reach_ros.versions").VERSION
+    if name not in _WHERE:
+        raise AttributeError(f"module 'contact_reach_ros' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"contact_reach_ros.{_WHERE[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

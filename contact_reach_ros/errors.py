@@ -1,4 +1,4 @@
-"""Errors of the package: each says what was wrong, what was expected and what to do."""
+"""Errors of the package; each message says what was wrong, what was expected and what to do."""
 
 
 class ContactReachError(Exception):
@@ -14,7 +14,7 @@ class InputError(ContactReachError):
 
 
 class PlanningError(ContactReachError):
-    """There is no plan: a collision-free path, say, does not exist or was not found in time."""
+    """There is no plan: for example, a collision-free path does not exist or was not found in time."""
 
 
 class SceneError(ContactReachError):
@@ -26,4 +26,4 @@ class BagError(ContactReachError):
 
 
 class RenderingError(ContactReachError):
-    """A picture cannot be made: the renderer is unknown or cannot be used on this machine, say."""
+    """A picture cannot be rendered: for example, the renderer is unknown or does not work on this machine."""

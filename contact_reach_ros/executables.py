@@ -1,60 +1,75 @@
 """Entry points of the executables.
 
-They import their node only after Ctrl-C has got its plain meaning: Python would answer it with a traceback during the
-seconds that the imports take. Each node then installs its own handling of signals.
+Each restores the default handling of Ctrl-C before it imports its node: otherwise Python would answer Ctrl-C with a
+traceback during the seconds that the imports take. The node then installs its own signal handling.
 """
 
 from __future__ import annotations
 
 import importlib
 import signal
+import sys
+
+from contact_reach_ros.command_line import answer, asks_for_help, foreign_arguments
+from contact_reach_ros.parameter_files import NODES
 
 
-def _run(node: str) -> None:
+def _run(module: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    importlib.import_module(f"contact_reach_ros.nodes.{node}").main()
+    node, arguments = module.rpartition(".")[2], sys.argv[1:]
+    if node in NODES and (asks_for_help(arguments) or foreign_arguments(arguments)):
+        # The node itself would answer the same after the seconds that its imports take.
+        from contact_reach_ros.node_settings import ALL_SECTIONS
+
+        sys.exit(answer(node, ALL_SECTIONS[node], arguments))
+    importlib.import_module(f"contact_reach_ros.{module}").main()
 
 
 def driver() -> None:
     """Run the driver of the simulated arm."""
-    _run("driver")
+    _run("nodes.driver")
 
 
 def controller() -> None:
     """Run the controller."""
-    _run("controller")
+    _run("nodes.controller")
 
 
 def observer() -> None:
     """Run the observer."""
-    _run("observer")
+    _run("nodes.observer")
 
 
 def planner() -> None:
     """Run the planner."""
-    _run("planner")
+    _run("nodes.planner")
+
+
+def adapter() -> None:
+    """Run the adapter between controller and drive."""
+    _run("nodes.adapter")
 
 
 def recorder() -> None:
     """Run the recorder."""
-    _run("recorder")
+    _run("nodes.recorder")
 
 
 def replay() -> None:
     """Publish a bag again."""
-    _run("replay")
+    _run("nodes.replay")
 
 
 def bringup() -> None:
     """Run the whole stack."""
-    _run("bringup")
+    _run("bringup.bringup")
 
 
 def faults() -> None:
-    """Make things go wrong."""
-    _run("faults")
+    """Run the fault tool."""
+    _run("doctor.fault_tool")
 
 
 def viewer() -> None:
-    """Serve the page for browsers."""
-    _run("viewer")
+    """Serve the browser page."""
+    _run("nodes.viewer")

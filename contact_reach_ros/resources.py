@@ -1,4 +1,4 @@
-"""Where the package finds the files that are not Python, and where it keeps what it computes once."""
+"""Locations of the package's files that are not Python code, and of its cache."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def share_directory() -> Path:
     Raises
     ------
     ContactReachError
-        If no such directory exists; the places that were looked at are named.
+        If no such directory exists; the message lists the places searched.
     """
     module = Path(__file__).resolve()
     checkout = module.parents[1]
@@ -47,7 +47,7 @@ def config_file(name: str) -> Path:
     Raises
     ------
     ContactReachError
-        If there is no such file; the existing ones are named.
+        If there is no such file; the message lists the existing ones.
     """
     directory = share_directory() / "config"
     path = directory / name
@@ -66,7 +66,7 @@ def cache_directory() -> Path:
         If it cannot be created.
     """
     setting = os.environ.get("XDG_CACHE_HOME", "")
-    # The XDG specification has relative paths ignored.
+    # The XDG specification says to ignore relative paths.
     parent = Path(setting) if os.path.isabs(setting) else Path.home() / ".cache"
     directory = parent / PACKAGE
     try:

@@ -1,7 +1,7 @@
 """Typed settings.
 
-One declaration per value holds default, unit, range and description. ROS parameters, YAML files and the
-documentation are all made from it, so they cannot disagree.
+Each value is declared once, with default, unit, range and description. ROS parameters, YAML files and the documentation
+all follow from this declaration, so they cannot disagree.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import difflib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import yaml
 
@@ -21,9 +21,16 @@ Scalar = bool | int | float | str
 Value = Scalar | tuple[Scalar, ...] | None
 
 
+class ArmDefaults(Protocol):
+    """What settings need from an arm."""
+
+    def default(self, setting: str) -> tuple[float, ...]:
+        """Default of a setting with one value per joint."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What is known of one value: its name, default and the values it accepts."""
+    """Declaration of one value: its name, default and accepted values."""
 
     name: str
     default: Value
@@ -33,12 +40,14 @@ class Setting:
     maximum: float | None
     choices: tuple[str, ...]
     optional_length: int | None
-    """Of a list of numbers that may be missing, which a default of None declares."""
+    """Length of a list of numbers that may be missing, which a default of None declares."""
+    per_joint: bool
+    """Whether it is a list with one number per joint of the arm; a default of None stands for the arm's own."""
 
     @property
     def kind(self) -> type:
         """Type of the value, or of the elements of a tuple."""
-        if self.optional_length is not None:
+        if self.optional_length is not None or self.per_joint:
             return float
         value = self.default[0] if isinstance(self.default, tuple) and self.default else self.default
         return str if self.is_open_list else type(value)
@@ -61,6 +70,8 @@ class Setting:
             words = "one of " + ", ".join(self.choices)
         if self.is_open_list:
             words = "a list of strings"
+        elif self.per_joint and self.length is None:
+            words = f"a list with one value for each joint, each {words}"
         elif self.length is not None:
             words = f"a list of {self.length} values, each {words}"
         if self.minimum is not None or self.maximum is not None:
@@ -70,19 +81,25 @@ class Setting:
         words = f"{words} {self.unit}".rstrip()
         return words if self.optional_length is None else f"null, or {words}"
 
+    def for_arm(self, arm: ArmDefaults) -> Setting:
+        """The declaration for one arm, which fixes length and default of per-joint lists."""
+        return dataclasses.replace(self, default=arm.default(self.name)) if self.per_joint else self
+
     def check(self, value: Any, where: str) -> Value:
         """Return `value` in the declared type.
 
         Raises
         ------
         SettingsError
-            If the value has another type or length, is not finite, or lies outside the range; `where` is named.
+            If the value has another type or length, is not finite, or lies outside the range; the message has `where`.
         """
-        if value is None and self.optional_length is not None:
+        # NumPy's numbers and arrays count as Python's.
+        value = value.tolist() if hasattr(value, "tolist") else value
+        if value is None and (self.optional_length is not None or self.per_joint):
             return None
-        if self.length is not None:
+        if self.length is not None or self.per_joint:
             is_list = isinstance(value, Sequence) and not isinstance(value, str)
-            if not is_list or (len(value) != self.length and not self.is_open_list):
+            if not is_list or (self.length not in (None, len(value)) and not self.is_open_list):
                 raise SettingsError(f"{where} = {value!r}: expected {self.accepts}")
             return tuple(self._check_scalar(item, where) for item in value)
         return self._check_scalar(value, where)
@@ -113,8 +130,13 @@ def setting(
     maximum: float | None = None,
     choices: Sequence[str] = (),
     optional_length: int | None = None,
+    per_joint: bool = False,
 ) -> Any:
-    """Declare one value of a `Settings` class; a list of numbers that may be missing has an `optional_length`."""
+    """Declare one value of a `Settings` class.
+
+    A list of numbers that may be missing has an `optional_length`; a list with one number per joint of the arm is
+    `per_joint`, with a default of None that stands for `Arm.default`.
+    """
     metadata = {
         "description": description,
         "unit": unit,
@@ -122,13 +144,14 @@ def setting(
         "maximum": maximum,
         "choices": tuple(choices),
         "optional_length": optional_length,
+        "per_joint": per_joint,
     }
     return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Base of the settings classes: frozen, and checked against its declarations when it is made."""
+    """Base of the settings classes: frozen, and checked against its declarations on construction."""
 
     def __post_init__(self) -> None:
         for entry in self.declared():
@@ -141,6 +164,24 @@ class Settings:
         for field in dataclasses.fields(cls):
             yield Setting(name=field.name, default=field.default, **field.metadata)  # type: ignore[arg-type]
 
+    def resolve(self, arm: ArmDefaults) -> Self:
+        """These settings, with the arm's own values filled in where they have none.
+
+        Raises
+        ------
+        SettingsError
+            If a list does not have one value for each joint of the arm.
+        """
+        values: dict[str, Any] = {}
+        for entry in self.declared():
+            if entry.per_joint:
+                value = getattr(self, entry.name)
+                where = f"{type(self).__name__}.{entry.name}"
+                values[entry.name] = entry.for_arm(arm).check(
+                    arm.default(entry.name) if value is None else value, where
+                )
+        return dataclasses.replace(self, **values) if values else self
+
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str) -> Self:
         """Make the settings from a mapping such as a YAML section.
@@ -148,7 +189,7 @@ class Settings:
         Raises
         ------
         SettingsError
-            On an unknown key or a value that is not accepted; `source` (a file, a parameter prefix) is named.
+            On an unknown key or a value that is not accepted; the message names `source` (a file, a parameter prefix).
         """
         known = {entry.name: entry for entry in cls.declared()}
         for key in mapping:
@@ -157,20 +198,24 @@ class Settings:
         return cls(**{key: known[key].check(value, f"{source}: {key}") for key, value in mapping.items()})
 
 
-def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str) -> str:
-    """The message for a key that nobody declared, with the nearest declared one if there is any."""
+Sections = Mapping[str, type[Settings]]
+"""Settings classes of a node by parameter prefix; the prefix '' is the node itself."""
+
+
+def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str, what: str = "key") -> str:
+    """The message for an undeclared key, with the nearest declared one if there is any; `what` it is, if no key."""
     near = difflib.get_close_matches(key, list(known), n=1)
-    hint = f"did you mean '{near[0]}'?" if near else "known keys: " + ", ".join(sorted(known))
-    return f"{source}: unknown key '{key}'; {hint}"
+    hint = f"did you mean '{near[0]}'?" if near else f"known {what}s: " + ", ".join(sorted(known))
+    return f"{source}: unknown {what} '{key}'; {hint}"
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
-    """The mapping in a YAML file.
+    """Read the mapping in a YAML file.
 
     Raises
     ------
     SettingsError
-        If the file cannot be read, is not YAML or holds no mapping; the file is named.
+        If the file cannot be read, is not YAML or does not hold a mapping; the message names the file.
     """
     try:
         content = yaml.safe_load(file.read_text())

@@ -1,4 +1,4 @@
-"""Constants that turn one unit into another."""
+"""Constants for the conversion of units."""
 
 NANOSECONDS = 1_000_000_000
-"""Per second."""
+"""Nanoseconds per second."""

@@ -1,4 +1,4 @@
-"""Which software made a result: versions of the libraries, and the revision of this package's sources."""
+"""Versions of the software behind a result: libraries, and the revision of this package's sources."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+VERSION = "0.2.0"
+"""Version of this package, the same as in package.xml."""
+
 _PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numba", "numpy", "pin", "mcap", "ros-rclpy")
-"""`ros-rclpy` where rclpy comes as a wheel."""
+"""Packages that results depend on; `ros-rclpy` is there where rclpy comes as a wheel."""
 _PATIENCE_S = 5.0
 
 
 def versions() -> dict[str, str]:
-    """Of Python and of the packages that results depend on, as far as they are installed."""
+    """Versions of Python and of the packages that results depend on, as far as they are installed."""
     found = {"python": platform.python_version()}
     for package in _PACKAGES:
         try:
@@ -24,7 +27,7 @@ def versions() -> dict[str, str]:
 
 
 def git_revision() -> str | None:
-    """Commit of the checkout that this package runs from, with "-dirty" if files differ; None outside of one."""
+    """Commit of the checkout that this package runs from, with "-dirty" if files differ; None outside a checkout."""
     checkout = Path(__file__).resolve().parents[1]
     # An installed package may lie inside somebody else's checkout.
     if not (checkout / ".git").exists():

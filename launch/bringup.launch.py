@@ -1,41 +1,24 @@
 """The stack for `ros2 launch contact_reach_ros bringup.launch.py`, from the same table as the bringup executable."""
 
+import yaml
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from contact_reach_ros.nodes.discovery import environment
-from contact_reach_ros.nodes.processes import PACKAGE, StackOptions, processes
+from contact_reach_ros.bringup.processes import BringupOptions, processes
+from contact_reach_ros.resources import PACKAGE
+from contact_reach_ros.ros.discovery import environment
 from launch import LaunchDescription
 
-ARGUMENTS = {
-    "scene": ("ball", "scene: a name or the path of a YAML file"),
-    "seed": ("0", "seed of the scene and the sensor noise"),
-    "target": ("", "flange position that the scene is built for, 'x y z' in m"),
-    "lockstep": ("false", "simulated time that waits for every node"),
-    "bag": ("", "directory to record a bag to"),
-    "parameters": ("", "parameter file for the nodes"),
-    "driver": ("true", "start the simulated driver"),
-    "view": ("false", "start the viewer, a page for browsers"),
-    "discovery": ("host", "who hears the nodes: host, or subnet"),
-}
+ARGUMENTS = {entry.name: entry for entry in BringupOptions.declared() if not entry.is_open_list}
 
 
 def start_nodes(context):
     """Turn the chosen arguments into nodes; the end of any node but the viewer ends them all."""
-    chosen = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    options = StackOptions(
-        scene=chosen["scene"],
-        seed=int(chosen["seed"]),
-        target=chosen["target"],
-        lockstep=chosen["lockstep"] == "true",
-        bag=chosen["bag"],
-        parameters=chosen["parameters"],
-        driver=chosen["driver"] == "true",
-        view=chosen["view"] == "true",
-        discovery=chosen["discovery"],
-    )
+    texts = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    values = {name: text if ARGUMENTS[name].kind is str else yaml.safe_load(text) for name, text in texts.items()}
+    options = BringupOptions.from_mapping(values, "launch arguments")
     return [
         Node(
             package=PACKAGE,
@@ -53,7 +36,7 @@ def start_nodes(context):
 def generate_launch_description():
     """Launch arguments and the nodes of the bring-up table."""
     arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=description)
-        for name, (default, description) in ARGUMENTS.items()
+        DeclareLaunchArgument(name, default_value=str(entry.default), description=entry.description)
+        for name, entry in ARGUMENTS.items()
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=start_nodes)])

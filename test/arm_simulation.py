@@ -1,23 +1,29 @@
 """What several tests need: states of the arm, and a simulated one without noise and friction."""
 
+import dataclasses
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.reference import PoseKnots, PostureKnots
-from contact_reach_ros.plant.plant import Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, SensorSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.scene import NO_MISMATCH, Ball, MismatchSettings, Scene
+from contact_reach_ros.control.references import References
+from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.world.obstacle import Obstacle, numbered
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene, SceneFile
 
-HOME = np.array(iiwa14.HOME_POSITION)
-REST = np.zeros(iiwa14.N_JOINTS)
-POSITION_LIMITS = np.array(iiwa14.POSITION_LIMITS)
-VELOCITY_LIMITS = np.array(iiwa14.VELOCITY_LIMITS)
-TORQUE_LIMITS = np.array(iiwa14.TORQUE_LIMITS)
+ARM = load_arm("iiwa14")
+HOME = np.array(ARM.home)
+REST = np.zeros(ARM.n)
+POSITION_LIMITS = np.array(ARM.upper)
+VELOCITY_LIMITS = np.array(ARM.velocity_limits)
+TORQUE_LIMITS = np.array(ARM.torque_limits)
 
 TICK_NS = 1_000_000
 SECOND_NS = 1_000_000_000
@@ -27,9 +33,9 @@ NO_FRICTION = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
 
 
 def random_states(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities, (count, 7) each, within the limits."""
+    """Positions and velocities, (count, n) each, within the limits."""
     random = np.random.default_rng(seed)
-    shape = (count, iiwa14.N_JOINTS)
+    shape = (count, ARM.n)
     return random.uniform(-POSITION_LIMITS, POSITION_LIMITS, shape), random.uniform(
         -VELOCITY_LIMITS, VELOCITY_LIMITS, shape
     )
@@ -41,43 +47,62 @@ def mobility(model: RobotModel) -> np.ndarray:
 
 
 def null_space_projection(model: RobotModel) -> np.ndarray:
-    """N of law (2), (7, 7), for the state of the last update, which must not be singular."""
+    """N of law (2), (n, n), for the state of the last update, which must not be singular."""
     inverse_mass, jacobian = np.linalg.inv(model.mass_matrix), model.jacobian
-    return np.eye(iiwa14.N_JOINTS) - inverse_mass @ jacobian.T @ np.linalg.inv(mobility(model)) @ jacobian
+    return np.eye(ARM.n) - inverse_mass @ jacobian.T @ np.linalg.inv(mobility(model)) @ jacobian
 
 
 def ideal_plant(
     start: np.ndarray = HOME,
-    balls: tuple[Ball, ...] = (),
+    obstacles: tuple[Obstacle, ...] = (),
     sensors: SensorSettings = IDEAL_SENSORS,
     joints: JointSettings = NO_FRICTION,
     mismatch: MismatchSettings = NO_MISMATCH,
     seed: int = 0,
 ) -> Plant:
     """The simulated arm at `start`; it is exactly what the controller's model says unless told otherwise."""
-    return Plant(Scene("test", seed, start, np.zeros(3), balls, mismatch=mismatch), sensors, joints)
+    return Plant(Scene("test", ARM, seed, start, np.zeros(3), numbered(obstacles), mismatch=mismatch), sensors, joints)
+
+
+def with_obstacle(file: SceneFile, **changes: Any) -> SceneFile:
+    """The file with other settings of its only kind of obstacle."""
+    (section,) = file.obstacles
+    return dataclasses.replace(file, obstacles=(dataclasses.replace(section, **changes),))
+
+
+def references_of(knots: list[Reference], stamp_ns: int, ends_ns: tuple[int, ...]) -> References:
+    """The references of a plan with these knots."""
+    positions = np.array([knot.position for knot in knots])
+    rotations = np.array([knot.rotation for knot in knots])
+    return References(stamp_ns, ends_ns, positions, rotations, np.array([knot.posture for knot in knots]))
 
 
 def offer_plan(
     controller: Controller, references: list[Reference], stamp_ns: int, ends_ns: tuple[int, ...], now_ns: int
 ) -> None:
-    """Give the controller both halves of a plan."""
-    positions = np.array([reference.position for reference in references])
-    rotations = np.array([reference.rotation for reference in references])
-    postures = np.array([reference.posture for reference in references])
-    controller.references.offer_poses(PoseKnots(stamp_ns, ends_ns, positions, rotations), now_ns)
-    controller.references.offer_postures(PostureKnots(stamp_ns, ends_ns, postures), now_ns)
+    """Give the controller a plan."""
+    controller.references.offer(references_of(references, stamp_ns, ends_ns), now_ns)
+
+
+FAR = {"max_position_error": 10.0, "max_rotation_error": 3.2, "max_posture_error": 7.0, "max_plan_duration": 60.0}
+"""Settings of supervision for references at any distance, for any time."""
+
+UNWATCHED = ControllerSettings(supervision=SupervisionSettings(require_observer=False, **FAR))
+"""For controllers that nobody watches, and that may be pulled from afar."""
 
 
 class ClosedLoop:
     """A controller and the simulated arm that it moves, in lockstep."""
 
-    def __init__(self, plant: Plant, settings: ControllerSettings | None = None, late: int = 0) -> None:
-        """`late`: number of ticks by which each command acts later than it should."""
+    def __init__(
+        self, plant: Plant, settings: ControllerSettings | None = None, late: int = 0, period: float = TICK
+    ) -> None:
+        """`late`: number of states by which each command acts later than it should; `period` of the states, s."""
         self.plant = plant
-        self.controller = Controller(settings or ControllerSettings(), RobotModel())
+        self.controller = Controller(ARM, settings or UNWATCHED, period)
         self.torques: list[np.ndarray] = []
         self._late = late
+        self._steps = round(period / TICK)
         plant.set_actuation(Actuation.COMMANDED)
         reading = plant.read()
         self.controller.start(reading.position, reading.velocity, self.now_ns)
@@ -88,21 +113,22 @@ class ClosedLoop:
 
     @property
     def q(self) -> np.ndarray:
-        return self.plant.data.qpos[: iiwa14.N_JOINTS].copy()
+        return self.plant.data.qpos[: ARM.n].copy()
 
     @property
     def v(self) -> np.ndarray:
-        return self.plant.data.qvel[: iiwa14.N_JOINTS].copy()
+        return self.plant.data.qvel[: ARM.n].copy()
 
     def run(self, seconds: float, before_tick: Callable[[], None] | None = None) -> Iterator[None]:
-        """Advance; the caller may look at the arm after each tick."""
-        for _ in range(round(seconds * SECOND_NS / TICK_NS)):
+        """Advance; the caller may look at the arm after each state."""
+        for _ in range(round(seconds * SECOND_NS / TICK_NS / self._steps)):
             if before_tick is not None:
                 before_tick()
             reading = self.plant.read()
-            torque = self.controller.tick(reading.position, reading.velocity, self.now_ns, self.now_ns)
-            self.torques.append(torque)
-            self.plant.step(self.torques[max(len(self.torques) - 1 - self._late, 0)])
+            state = JointState(self.now_ns, reading.position, reading.velocity, reading.torque)
+            self.torques.append(self.controller.update(state, self.now_ns))
+            for _ in range(self._steps):
+                self.plant.step(self.torques[max(len(self.torques) - 1 - self._late, 0)])
             yield
 
     def finish(self, seconds: float) -> None:
@@ -112,5 +138,5 @@ class ClosedLoop:
 
     def reference(self) -> Reference:
         """The pose and posture that the arm has."""
-        position, rotation = self.controller.model.flange_pose(self.q)
+        position, rotation = self.controller.model.tip_pose(self.q)
         return Reference(position.copy(), rotation.copy(), self.q)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.planning.problem import Plan
+from contact_reach_ros.planning.plan import Plan
 
 
 def make_plan(positions: np.ndarray, rotations: np.ndarray, postures: np.ndarray, **others: Any) -> Plan:

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from contact_reach_ros.cli import main
+
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
 
 @pytest.mark.parametrize(
     "command",
-    [["bench", "control", "--ticks", "10"], ["replay", str(SAMPLE), "--plan", "40"], ["bag", "info", str(SAMPLE)]],
+    [["bench", "control", "--ticks", "10"], ["reexecute", str(SAMPLE)], ["bag", "info", str(SAMPLE)]],
     ids=["text", "long text", "table"],
 )
 def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]) -> None:
@@ -24,3 +26,15 @@ def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]
     os.close(writing)
     _, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (1, "")
+
+
+@pytest.mark.parametrize("arguments", [[], ["BAG"], ["--recompute", "BAG"], ["BAG", "--plan", "4"], ["--help"]])
+def test_replay_names_the_two_commands_that_were_meant(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["replay", *arguments])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for meant in ("contact-reach reexecute BAG", "'.venv/bin/replay BAG'", "ros2 run contact_reach_ros replay BAG"):
+        assert meant in line

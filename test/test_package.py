@@ -17,7 +17,7 @@ from contact_reach_ros.errors import ContactReachError
 
 SOURCES = Path(__file__).resolve().parents[1]
 PACKAGE = "contact_reach_ros"
-NODES = {"driver", "controller", "observer", "planner", "recorder", "replay", "bringup", "viewer"}
+NODES = {"driver", "controller", "observer", "planner", "adapter", "recorder", "replay", "bringup", "viewer"}
 EXECUTABLES = {*NODES, "faults", "contact-reach"}
 BUILD_FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE", "constraints.txt")
 BUILD_FOLDERS = ("resource", PACKAGE)
@@ -115,6 +115,11 @@ def test_versions_agree(workspace):
     manifest = ElementTree.parse(workspace.share / "package.xml")
     versions = {manifest.findtext("version"), workspace.distribution.version, contact_reach_ros.__version__}
     assert len(versions) == 1
+
+
+def test_the_manifest_names_the_libraries_that_rosdep_has():
+    needs = {node.text for node in ElementTree.parse(SOURCES / "package.xml").iter("exec_depend")}
+    assert {f"python3-{name}" for name in ("matplotlib", "numpy", "pil", "scipy", "yaml")} <= needs
 
 
 def test_every_executable_has_its_module(workspace):

@@ -148,6 +148,64 @@ def test_declarations_tell_what_there_is():
     assert kinds == [bool, int, float, float, float, str, str, float, float]
 
 
+@dataclasses.dataclass(frozen=True)
+class PerJoint(Settings):
+    """Values for each joint of an arm, and one that has nothing to do with it."""
+
+    thresholds: tuple[float, ...] = setting(None, "thresholds", unit="Nm", minimum=0.5, maximum=10.0, per_joint=True)
+    friction: tuple[float, ...] = setting(None, "friction", minimum=0.0, per_joint=True)
+    gain: float = setting(0.5, "a gain")
+
+
+class ThreeJoints:
+    """An arm as far as settings know one."""
+
+    def default(self, name: str) -> tuple[float, ...]:
+        return {"thresholds": (1.0, 2.0, 3.0)}.get(name, (0.0, 0.0, 0.0))
+
+
+class TestPerJoint:
+    """Lists with one value for each joint, whose length and default are the arm's."""
+
+    def test_until_an_arm_is_known_there_is_no_default(self):
+        assert PerJoint().thresholds is None and PerJoint().friction is None
+
+    def test_the_arms_own_values_stand_in_for_those_that_are_not_given(self):
+        resolved = PerJoint(friction=[4, 5, 6], gain=2.0).resolve(ThreeJoints())
+        assert resolved == PerJoint(thresholds=(1.0, 2.0, 3.0), friction=(4.0, 5.0, 6.0), gain=2.0)
+
+    def test_resolving_again_changes_nothing(self):
+        resolved = PerJoint(thresholds=[9.0, 9.0, 9.0]).resolve(ThreeJoints())
+        assert resolved.resolve(ThreeJoints()) == resolved
+
+    def test_settings_without_such_values_are_the_same_for_every_arm(self):
+        settings = Everything(count=4)
+        assert settings.resolve(ThreeJoints()) is settings
+
+    @pytest.mark.parametrize("count", [0, 1, 2, 4])
+    def test_another_number_of_values_than_joints_is_refused_when_the_arm_is_known(self, count):
+        settings = PerJoint(friction=[1.0] * count)
+        with pytest.raises(SettingsError, match=r"^PerJoint\.friction = .*: expected a list of 3 values"):
+            settings.resolve(ThreeJoints())
+
+    @pytest.mark.parametrize("wrong", [0.4, 10.1, math.nan, True, "1", None])
+    def test_each_value_is_checked_at_once(self, wrong):
+        with pytest.raises(SettingsError) as raised:
+            PerJoint.from_mapping({"thresholds": [1.0, wrong, 1.0]}, "file")
+        expected = "expected a list with one value for each joint, each a number in [0.5, 10] Nm"
+        assert str(raised.value) == f"file: thresholds = {wrong!r}: {expected}"
+
+    def test_a_single_value_is_no_list(self):
+        with pytest.raises(SettingsError, match="a list with one value for each joint"):
+            PerJoint(friction=1.0)
+
+    def test_for_an_arm_the_declaration_has_its_length_and_default(self):
+        declared = {entry.name: entry.for_arm(ThreeJoints()) for entry in PerJoint.declared()}
+        assert declared["thresholds"].default == (1.0, 2.0, 3.0)
+        assert declared["friction"].accepts == "a list of 3 values, each a number in [0, inf]"
+        assert declared["gain"].default == 0.5
+
+
 class TestYamlFiles:
     def test_mapping_is_read(self, tmp_path):
         file = tmp_path / "a.yaml"

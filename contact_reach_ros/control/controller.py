@@ -6,20 +6,23 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.reference import ReferenceQueue, blend
+from contact_reach_ros.control.own_watch import OwnWatch, Watcher
+from contact_reach_ros.control.references import ReferenceQueue, References, blend
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.stability import check_gains, lightness, stable_damping
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.timing import PAUSE, StampOrder
 from contact_reach_ros.units import NANOSECONDS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,59 +34,185 @@ class ControllerSettings:
     supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
 
 
-_NOWHERE = Reference(np.zeros(3), np.eye(3), np.zeros(iiwa14.N_JOINTS))
-"""Stands where there is no reference yet."""
-
-
 class Controller:
-    """Turns joint states and plans into torques.
+    """Turns joint states and references into torques: starts up, orders the states, and computes one tick for each.
 
-    `start` once, then `tick` for every joint state. Times are integer nanoseconds of the clock that stamps joint states
-    and plans; `clock_ns` is the clock of the watchdogs, which must never jump (the steady clock on a robot).
+    Stamps are integer nanoseconds of the clock that stamps joint states and plans; `clock_ns` is the clock of the
+    watchdogs, which must never jump (the steady clock on a robot).
+
+    Attributes
+    ----------
+    references
+        Plans in force or waiting.
+    supervisor
+        The state machine, and everything that stops the arm.
+    state
+        The last joint state that was answered; None before the first.
+    stamp_ns
+        Stamp of the last joint state received, including refused ones.
+    order
+        Counts repeated and late states.
+    not_yet
+        Why the arm may not start yet; empty when it may.
+    not_vouched
+        Why the observer does not let the arm start; empty when it does.
+    error
+        Δx of the last tick, (6,), m and rad.
     """
 
-    def __init__(self, settings: ControllerSettings, model: RobotModel) -> None:
+    def __init__(
+        self, arm: Arm, settings: ControllerSettings, period: float = 0.001, inertias: str = "nominal"
+    ) -> None:
+        """`period`: nominal time between joint states, s; `inertias`: the arm's inertia set to control with."""
+        check_gains(arm, settings.impedance, period)
+        self.arm = arm
         self.settings = settings
-        self.model = model
-        self.references = ReferenceQueue(settings.supervision.max_plan_lead)
-        self.supervisor = Supervisor(settings.supervision)
+        self.model = RobotModel(arm, inertias)
+        self.references = ReferenceQueue(
+            arm.n, settings.supervision.max_plan_lead, settings.supervision.max_plan_duration
+        )
+        self.supervisor = Supervisor(arm, settings.supervision, period)
+        self.order = StampOrder()
+        self.state: JointState | None = None
+        self.stamp_ns = 0
+        self.not_yet = self.not_vouched = ""
         self.error = np.zeros(6)
-        """Δx of the last tick, (6,), m and rad."""
-        self._constants = make_constants(settings.impedance, settings.limits, settings.supervision)
-        self._sent = np.zeros(iiwa14.N_JOINTS)
-        """The last torque, which the next one may differ from by so much."""
+        self._watch: OwnWatch | None = None
+        self._period = period
+        self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period)
+        self._stop_damping = self._constants[Constant.STOP_DAMPING].copy()
+        lightest = stable_damping(self._stop_damping, lightness(arm).mobility, period)
+        self._stop_needs_care = bool((lightest < self._stop_damping).any())
+        """Whether the damping of a stop would be unstable in some posture, at this rate."""
+        self._sent = np.zeros(arm.n)
+        """The last torque, which limits the change of the next one."""
         self._started = False
-        self._hold = self._blend_from = self._last_reference = _NOWHERE
+        nowhere = Reference(np.zeros(3), np.eye(3), np.zeros(arm.n))
+        self._hold = self._blend_from = self._last_reference = nowhere
         self._hold_since_ns = 0
         self._started_ns = 0
         self._last_ns = 0
+        self._last_clock_ns: int | None = None
         self._had_plan = False
 
-    def start(self, q: Array, v: Array, now_ns: int) -> None:
-        """Begin to hold the arm at the state at hand; the first command is the torque that holds it.
+    def watch_with(self, watcher: Watcher) -> None:
+        """Take an observer for `watch`, which nobody else may use, if the settings want the controller to have one.
 
-        A stop stays in force.
+        From then on the controller does not start unless it vouches, too.
+        """
+        if self.settings.supervision.has_own_watch:
+            self._watch = OwnWatch(watcher, self.supervisor)
+
+    @property
+    def started(self) -> bool:
+        """Whether the controller has started since its last activation."""
+        return self._started
+
+    @property
+    def mode(self) -> Mode:
+        """State of the state machine."""
+        return self.supervisor.mode
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm is stopped; empty while it is not."""
+        return self.supervisor.stop_reason
+
+    def activate(self) -> None:
+        """Start again from the next joint state; a stop stays in force."""
+        self._started = False
+
+    def update(self, state: JointState, clock_ns: int) -> Array | None:
+        """Answer one joint state, which becomes `state` if it is new.
+
+        The first state for which the observer vouches starts the controller: the first command is the torque that
+        holds the arm.
+
+        Returns
+        -------
+        Array | None
+            The torque to send, (n,), N m; None when nothing may be sent, and for a state that is not new.
+
+        Raises
+        ------
+        InputError
+            If the state is not finite, or so far from any real one that the torque is not; or if the arm may not start,
+            for `not_yet` or because it is outside its limits. Nothing may be sent then.
+        """
+        stamp_ns, q, v, _ = state
+        if self._started and not self.order.is_new(stamp_ns):
+            return None
+        self.stamp_ns = stamp_ns
+        if not self._started:
+            self.not_vouched = self.supervisor.not_vouched(clock_ns)
+            if self.not_vouched:
+                check_state(self.arm, q, v)
+                self.state = state
+                return None
+            if self.not_yet:
+                raise InputError(f"{self.not_yet}; nothing is commanded")
+            self.start(q, v, stamp_ns)
+            self.order.is_new(stamp_ns)
+        torque = self.tick(q, v, stamp_ns, clock_ns)
+        self.state = state
+        return torque
+
+    def watch(self, state: JointState, torque: Array | None, clock_ns: int) -> None:
+        """Show a state to the controller's own watch, whether new or not; without one nothing happens.
+
+        It takes longer than the torque (n,), N m, that `update` returned for the state: call it when that has been
+        sent. The next tick acts on what it finds.
+
+        Raises
+        ------
+        InputError
+            If the state is not finite.
+        """
+        if self._watch is not None:
+            self._watch.see(state, self._started, clock_ns)
+            if torque is not None:
+                self._watch.command(torque)
+
+    def follow(self, references: References) -> None:
+        """Take the references of a plan; they take effect at their stamp.
+
+        Raises
+        ------
+        InputError
+            If they are malformed, no longer valid, too far ahead, or from before the last stop.
+        """
+        self.references.offer(references, self.stamp_ns)
+
+    def hear(self, verdict: Verdict, clock_ns: int) -> None:
+        """Take a report of the observer, which is also its heartbeat; the arm does not start before one without doubt.
+
+        `clock_ns`: time of its arrival on the watchdogs' clock.
+        """
+        self.supervisor.hear_observer(verdict, clock_ns)
+
+    def start(self, q: Array, v: Array, now_ns: int) -> None:
+        """Begin to hold the arm in the given state; a stop stays in force.
 
         Raises
         ------
         InputError
             If the state is not finite or lies outside the joint limits.
         """
-        check_start(q, v)
+        check_start(self.arm, q, v)
         self.model.update(q, v)
-        self.continue_from(self._hold_torque())
+        self.resume(self._hold_torque())
         self._last_ns = now_ns
         self._restart(q, now_ns)
         self.supervisor.happens(Event.START)
         self._started = True
 
     def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
-        """The torque to send for one joint state, (7,), N m; None when nothing may be sent any more.
+        """Compute the torque to send for one joint state, (n,), N m; None when nothing may be sent any more.
 
         Parameters
         ----------
         q, v
-            Joint positions (7,) rad and velocities (7,) rad/s.
+            Joint positions (n,) rad and velocities (n,) rad/s.
         now_ns
             Stamp of the joint state.
         clock_ns
@@ -97,23 +226,35 @@ class Controller:
         """
         if not self._started:
             raise InputError("the controller was not started: call start with the first joint state")
-        check_state(q, v)
+        check_state(self.arm, q, v)
         self.model.update(q, v)
         self.supervisor.watch_observer(clock_ns)
         self.supervisor.watch_joints(q, v)
-        self.supervisor.watch_stop(v, clock_ns)
+        self.supervisor.watch_stop(q, v, clock_ns)
+        paused_ns, self._last_clock_ns = clock_ns - (self._last_clock_ns or clock_ns), clock_ns
         if self.mode is Mode.SILENT:
             self._last_ns = now_ns
             return None
+        if paused_ns > PAUSE * NANOSECONDS:
+            # Nobody knows what became of the arm meanwhile: it was guided by hand, or its driver started again.
+            self.references.clear(now_ns)
+            self.supervisor.happens(Event.PLAN_ENDED)
+            self.resume(self._hold_torque())
+            self._restart(q, now_ns)
         if now_ns < self._last_ns:
-            # The clock was set back: what has been going on for a while still has.
+            # The clock was set back: the elapsed times must not shrink with it.
             self._started_ns -= self._last_ns - now_ns
             self._hold_since_ns -= self._last_ns - now_ns
-        # A late tick may not make up for the change that the ticks before it missed.
-        period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), 0.001) or 0.001
+        # A late tick must not make up for the change that the ticks before it missed.
+        period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), self._period) or self._period
         if self.mode is Mode.STOPPED:
             model = self.model
-            torque = stopping_torque(self._constants, model.bias, model.gravity, v, self._sent, period)
+            if self._stop_needs_care:
+                mobility = np.asarray(np.linalg.inv(model.mass_matrix).diagonal(), float)
+                damping = stable_damping(self._stop_damping, mobility, self._period)
+                self._constants[Constant.STOP_DAMPING] = damping
+            bias = model.bias - self.supervisor.model_error
+            torque = stopping_torque(self._constants, bias, model.gravity, v, self._sent, period)
         else:
             torque = self._track(q, v, now_ns, period)
         if math.isnan(torque[0]):
@@ -122,61 +263,72 @@ class Controller:
         self._sent = torque
         return torque
 
-    def continue_from(self, torque: Array) -> None:
-        """Take a torque (7,) in N m as the last one sent, from which the next one differs only so much."""
+    def resume(self, torque: Array) -> None:
+        """Continue from a torque (n,), N m, as the last one sent, which limits the change of the next one."""
         cap = self._constants[Constant.TORQUE_CAP]
         self._sent = np.clip(torque, -cap, cap)
-
-    @property
-    def mode(self) -> Mode:
-        """What the controller does."""
-        return self.supervisor.mode
-
-    @property
-    def stop_reason(self) -> str:
-        """Why the arm is stopped; empty while it is not."""
-        return self.supervisor.stop_reason
-
-    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
-        """Take the observer's sign of life, as `Supervisor.observer_report`."""
-        self.supervisor.observer_report(stopped_because, clock_ns, distrust)
 
     def stop(self, reason: str) -> None:
         """Latch the compliant stop; the first reason is kept."""
         self.supervisor.stop(reason)
 
-    def reset(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> None:
+    def check_ready(self) -> None:
+        """Raise `InputError` while no reset is possible: before the first joint state, and while `not_yet` is set."""
+        if not self._started or self.state is None:
+            raise InputError("the controller has not seen a joint state yet")
+        if self.not_yet:
+            raise InputError(f"{self.not_yet}; no reset before that")
+
+    def reset(self, clock_ns: int) -> None:
         """Release a stop and hold the arm where it is; earlier plans are forgotten.
 
         Raises
         ------
         InputError
             If the arm still moves or lies outside the joint limits, or the observer is silent or itself stopped; the
-            stop stays.
+            stop stays. Also where `check_ready` raises.
         """
+        self.check_ready()
+        assert self.state is not None
+        q, v, now_ns = self.state.q, self.state.v, self.stamp_ns
         self.supervisor.check_reset(q, v, clock_ns)
+        if self._watch is not None:
+            self._watch.reset(clock_ns)
         self.references.clear(now_ns)
         was_silent = self.mode is Mode.SILENT
         self.supervisor.happens(Event.RESET)
         self.model.update(q, v)
-        # Unless nothing was sent it goes on from the last torque, so that the release brings no step.
+        # Unless nothing was being sent, it continues from the last torque, so that the release brings no step.
         if was_silent:
-            self.continue_from(self._hold_torque())
+            self.resume(self._hold_torque())
         self._restart(q, now_ns)
 
+    def rehearse(self) -> None:
+        """Run through every step once, with a controller that is not used for anything else.
+
+        Work that libraries do at their first call must not happen while an arm waits.
+        """
+        q, v = np.array(self.arm.home), np.zeros(self.arm.n)
+        self.hear(Verdict(), 1)
+        self.update(JointState(1, q, v, None), 1)
+        position, rotation = self.model.tip_pose(q)
+        self.follow(References(1, (10,), position[None], rotation[None], q[None]))
+        for now_ns in (2, 20):
+            self.update(JointState(now_ns, q, v, None), now_ns)
+
     def _restart(self, q: Array, now_ns: int) -> None:
-        """Hold the pose at hand, with authority ramping in; a stop stays in force."""
+        """Hold the current pose, with authority ramping in; a stop stays in force."""
         self._started_ns = now_ns
         self._begin_hold(q, now_ns)
         self._blend_from = self._hold
         self._had_plan = False
 
     def _hold_torque(self) -> Array:
-        """What holds the arm at rest, (7,), N m: nothing where the arm compensates gravity itself."""
+        """Torque that holds the arm at rest, (n,), N m: zero where the arm compensates gravity itself."""
         return self._constants[Constant.GRAVITY_SHARE] * self.model.gravity
 
     def _track(self, q: Array, v: Array, now_ns: int, period: float) -> Array:
-        """The torque (7,) towards the reference in force, N m; NaN if it is not finite."""
+        """The torque (n,) towards the reference in force, N m; NaN if it is not finite."""
         model = self.model
         reference = self._reference(q, now_ns)
         ramp = self.settings.supervision.start_ramp
@@ -203,8 +355,11 @@ class Controller:
         )
 
     def _reference(self, q: Array, now_ns: int) -> Reference:
-        reference = self.references.select(now_ns)
-        if reference is not None:
+        reference = self.references.select(now_ns) if self.supervisor.torque_known else None
+        too_far = "" if reference is None else self._too_far(reference, q)
+        if too_far:
+            self.references.drop(f"plan dropped: {too_far}; plan from the arm's state, or raise the limit")
+        elif reference is not None:
             if self.mode is not Mode.TRACKING:
                 self.supervisor.happens(Event.PLAN)
             self._had_plan = True
@@ -215,12 +370,36 @@ class Controller:
             self._begin_hold(q, now_ns)
         return self._held(now_ns)
 
+    def _too_far(self, reference: Reference, q: Array) -> str:
+        """In what the reference is further from the arm than the planner asks for; empty when in nothing."""
+        limits, model = self.settings.supervision, self.model
+        if reference is not self._last_reference:
+            distance = math.dist(reference.position.tolist(), model.position.tolist())
+            cosine = 0.5 * (float(np.vdot(reference.rotation, model.rotation)) - 1.0)
+            angle = math.acos(min(max(cosine, -1.0), 1.0))
+        else:
+            # Of the last tick: it has been computed anyway.
+            x, y, z, *turn = self.error.tolist()
+            distance, angle = math.hypot(x, y, z), math.hypot(*turn)
+        if not distance <= limits.max_position_error:
+            return (
+                f"x_d is {distance:.3f} m from the tip, permitted {limits.max_position_error:g} m (max_position_error)"
+            )
+        if not angle <= limits.max_rotation_error:
+            return f"x_d is turned by {angle:.2f} rad, permitted {limits.max_rotation_error:g} rad (max_rotation_error)"
+        error = np.abs(reference.posture - q)
+        if not float(error.max()) <= limits.max_posture_error:
+            joint = int(error.argmax())
+            name, found, permitted = self.arm.joint_names[joint], error[joint], limits.max_posture_error
+            return f"q_d is {found:.2f} rad from {name}, permitted {permitted:g} rad (max_posture_error)"
+        return ""
+
     def _begin_hold(self, q: Array, now_ns: int) -> None:
         self._hold = Reference(self.model.position.copy(), self.model.rotation.copy(), q.copy())
         self._hold_since_ns = now_ns
 
     def _held(self, now_ns: int) -> Reference:
-        """The pose to hold; after a plan the reference decays to it, and after a further limit the arm stops."""
+        """The reference without a plan: it decays to the pose to hold; after a further limit the arm stops."""
         supervision = self.settings.supervision
         held_for = (now_ns - self._hold_since_ns) / NANOSECONDS
         self.supervisor.watch_hold(held_for, self._had_plan)

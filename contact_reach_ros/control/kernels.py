@@ -1,13 +1,13 @@
 """The arithmetic of the controller's tick, compiled by Numba.
 
-Between a joint state and its command the caches hold what the other processes on the CPU left there. Compiled, the laws
-are a few kilobytes of code; as NumPy and LAPACK calls they run through megabytes of it, which takes several times as
-long in the running stack as in a loop of their own.
+Between a joint state and its command, the caches hold what the other processes on the CPU left there. Compiled, the
+laws are a few kilobytes of code; as NumPy and LAPACK calls they run through megabytes of it, which takes several times
+as long in the running stack as in a loop of their own.
 
-All compiled functions are in this file, and what differs between settings comes as an argument: Numba keeps what it has
-compiled beside the file, and makes it anew when this file has changed, not when one has that it imports.
+All compiled functions are in this file, and whatever the settings decide is passed as an argument: Numba caches the
+compiled code beside the file, and recompiles it when this file changes, but not when an imported module does.
 
-Vectors and matrices are float64 of any layout, joints in the order of `iiwa14.JOINT_NAMES`, task-space vectors
+Vectors and matrices are float64 of any layout, joints in the arm's order, task-space vectors
 (linear, angular) in the axes of the base frame.
 """
 
@@ -20,16 +20,14 @@ from typing import Any
 import numba
 import numpy as np
 from numba import float64
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-_JOINTS, _TASK = 7, 6
+from contact_reach_ros.arrays import Array
 
 
 class Constant(IntEnum):
-    """Everything that settings decide: rows of a matrix (len(Constant), 7), a column for each joint.
+    """Everything that the settings decide: rows of a matrix (len(Constant), n) with a column for each joint.
 
-    What is not a matter of joints stands in all columns. `constants.make_constants` fills it in.
+    A value that is the same for all joints fills its row. `constants.make_constants` builds the matrix.
     """
 
     TASK_STIFFNESS = 0
@@ -37,34 +35,35 @@ class Constant(IntEnum):
     NULL_STIFFNESS = 2
     NULL_DAMPING = 3
     SINGULARITY_FLOOR = 4
-    REPULSION_THRESHOLD = 5
-    REPULSION_MARGIN = 6
-    REPULSION_STRENGTH = 7
-    REPULSION_DAMPING = 8
-    BRAKED_SPEED = 9
-    SPEED_CEILING = 10
-    SPEED_RATE = 11
-    TORQUE_CAP = 12
-    TORQUE_RATE = 13
-    GRAVITY_SHARE = 14
-    STOP_DAMPING = 15
+    LOWER_THRESHOLD = 5
+    UPPER_THRESHOLD = 6
+    REPULSION_MARGIN = 7
+    REPULSION_STRENGTH = 8
+    REPULSION_DAMPING = 9
+    BRAKED_SPEED = 10
+    SPEED_CEILING = 11
+    SPEED_RATE = 12
+    TORQUE_CAP = 13
+    TORQUE_RATE = 14
+    GRAVITY_SHARE = 15
+    STOP_DAMPING = 16
 
 
 _JERK_SHARE = 0.3
-"""How much of the jerk that a joint's own torque can bring about is counted on to end its acceleration in time.
+"""Share of the jerk that a joint's own torque can produce that is relied upon to end its acceleration in time.
 
 The other joints' torques change meanwhile and may work against it.
 """
 
 _VECTOR, _MATRIX = (numba.types.Array(float64, dimensions, "A", readonly=True) for dimensions in (1, 2))
-"""Of any layout, and not to be written to."""
+"""Types of read-only arrays of any layout."""
 _RESULT = float64[::1]
 
 
 def _compiled(*types: Any) -> Callable[[Callable], Any]:
     """Compile for these types, result first, when the module is imported; at the first call if none are given.
 
-    What a tick calls has to name them: nothing may be compiled while an arm waits.
+    What a tick calls directly must name its types: nothing may be compiled while an arm waits.
     """
     signature = types[0](*types[1:]) if types else None
 
@@ -72,7 +71,7 @@ def _compiled(*types: Any) -> Callable[[Callable], Any]:
         try:
             return numba.njit(signature, cache=True, error_model="numpy")(function)
         except RuntimeError:
-            # There is no directory to keep it in: neither here nor in the user's cache.
+            # There is no directory to cache it in: neither here nor among the user's caches.
             return numba.njit(signature, error_model="numpy")(function)
 
     return compile_
@@ -80,7 +79,7 @@ def _compiled(*types: Any) -> Callable[[Callable], Any]:
 
 @_compiled()
 def factorise(matrix: Array, shift: float) -> tuple[Array, bool]:
-    """L of L Lᵀ = A − shift I, lower triangle, for a symmetric A; and whether that is positive definite."""
+    """L of L Lᵀ = A − shift I, lower triangle, for a symmetric A; and whether that matrix is positive definite."""
     size = len(matrix)
     factor = np.empty((size, size))
     for column in range(size):
@@ -147,12 +146,12 @@ def rotation_vector(rotation: Array) -> Array:
     sine = np.sqrt(sines[0] ** 2 + sines[1] ** 2 + sines[2] ** 2)
     angle = np.arctan2(sine, cosine)
     if cosine > 0.0:
-        # 1 where the angle is too small to tell it from its sine.
+        # 1 where the angle is too small to differ from its sine.
         share = angle / sine if sine > 1e-8 else 1.0
         for i in range(3):
             sines[i] *= share
         return sines
-    # Near a half turn they vanish; the symmetric part, cos I + (1 - cos) a aᵀ, still tells the axis a but for its side.
+    # Near a half turn they vanish; the symmetric part, cos I + (1 - cos) a aᵀ, still gives the axis a up to its sign.
     side, square = 0.0, 0.0
     for i in range(3):
         symmetric[i] = 0.5 * (rotation[i, largest] + rotation[largest, i]) - (cosine if i == largest else 0.0)
@@ -175,7 +174,7 @@ def pose_error(position: Array, rotation: Array, reference_position: Array, refe
                 total += rotation[row, k] * reference_rotation[column, k]
             turn[row, column] = total
     vector = rotation_vector(turn)
-    error = np.empty(_TASK)
+    error = np.empty(6)
     for i in range(3):
         error[i] = position[i] - reference_position[i]
         error[3 + i] = vector[i]
@@ -190,7 +189,7 @@ def solve_bounded(matrix: Array, vector: Array, floor: float) -> Array:
     singularities. Smaller ones are lifted to floor/2 · (1 + (s/floor)²), which meets s with the same slope at the
     floor: the result is continuously differentiable in the matrix.
     """
-    # The shifted factor exists exactly when all eigenvalues are above the floor, and takes a fraction of their time.
+    # The shifted factor exists exactly when all eigenvalues are above the floor, and costs far less than they do.
     if factorise(matrix, floor)[1]:
         factor = factorise(matrix, 0.0)[0]
         return solve_upper(factor, solve_lower(factor, vector))
@@ -220,58 +219,61 @@ def law_torque(
     error: Array,
     joint_torque: Array,
 ) -> Array:
-    """τ of law (3) without the C + g of law (1), (7,), N m.
+    """τ of law (3) without the C + g of law (1), (n,), N m.
 
     (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
 
     Parameters
     ----------
     mass_factor
-        Cholesky factor L of M, (7, 7).
+        Cholesky factor L of M, (n, n).
     jacobian, twist, drift
-        J (6, 7), ẋ (6,) and J̇ q̇ (6,).
+        J (m, n), ẋ (m,) and J̇ q̇ (m,).
     error
         Δx, (6,).
     joint_torque
-        τ₀, (7,), N m.
+        τ₀, (n,), N m.
     """
+    m, n = jacobian.shape
     stiffness, damping = constants[Constant.TASK_STIFFNESS, 0], constants[Constant.TASK_DAMPING, 0]
     # J M⁻¹ Jᵀ = Y Yᵀ with Y = J L⁻ᵀ, and J M⁻¹ τ₀ = Y L⁻¹ τ₀.
-    rows = np.empty((_TASK, _JOINTS))
-    for row in range(_TASK):
+    rows = np.empty((m, n))
+    for row in range(m):
         solution = solve_lower(mass_factor, jacobian[row])
-        for k in range(_JOINTS):
+        for k in range(n):
             rows[row, k] = solution[k]
     pull = times(rows, solve_lower(mass_factor, joint_torque))
-    mobility, acceleration = np.empty((_TASK, _TASK)), np.empty(_TASK)
-    for row in range(_TASK):
+    mobility, acceleration = np.empty((m, m)), np.empty(m)
+    for row in range(m):
         for column in range(row + 1):
             product = 0.0
-            for k in range(_JOINTS):
+            for k in range(n):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
         acceleration[row] = -stiffness * error[row] - damping * twist[row] - drift[row] - pull[row]
     wrench = solve_bounded(mobility, acceleration, constants[Constant.SINGULARITY_FLOOR, 0])
     torque = times(jacobian.T, wrench)
-    for i in range(_JOINTS):
+    for i in range(n):
         torque[i] += joint_torque[i]
     return torque
 
 
 @_compiled()
 def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
-    """Torque (7,) in N m that pushes joints out of a margin before their position limits.
+    """Torque (n,) in N m that pushes joints out of a margin before their position limits.
 
     It grows with the square of the depth, so that it starts without a step, and reaches the given share of the joint's
-    torque limit at the position limit. Damping acts on motion towards the limit and grows alike.
+    torque limit at the position limit. Damping acts on motion towards the limit and grows in the same way.
     """
-    threshold, margin = constants[Constant.REPULSION_THRESHOLD], constants[Constant.REPULSION_MARGIN]
+    n = len(q)
+    lower, upper = constants[Constant.LOWER_THRESHOLD], constants[Constant.UPPER_THRESHOLD]
+    margin = constants[Constant.REPULSION_MARGIN]
     strength, damping = constants[Constant.REPULSION_STRENGTH], constants[Constant.REPULSION_DAMPING]
-    torque = np.zeros(_JOINTS)
-    for i in range(_JOINTS):
-        depth = min((abs(q[i]) - threshold[i]) / margin[i], 1.5)
+    torque = np.zeros(n)
+    for i in range(n):
+        side = 1.0 if q[i] - upper[i] >= lower[i] - q[i] else -1.0
+        depth = min(max(q[i] - upper[i], lower[i] - q[i]) / margin[i], 1.5)
         if depth > 0.0:
-            side = np.sign(q[i])
             approach = max(side * v[i], 0.0)
             torque[i] = -side * depth * (strength[i] * depth + damping[i] * approach)
     return torque
@@ -279,13 +281,14 @@ def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
 
 @_compiled()
 def null_brake(constants: Array, v: Array, mass_matrix: Array) -> Array:
-    """τ₀ = −M k e (7,) in N m that brakes joints in the null space, e being their speeds beyond a share of the limit.
+    """τ₀ = −M k e (n,) in N m that brakes joints in the null space, e being their speeds beyond a share of the limit.
 
-    What posture references set in motion in the null space has little damping of its own; the task does not feel this.
+    Null-space motion that posture references cause has little damping of its own; the task does not feel this torque.
     """
+    n = len(v)
     braked, rate = constants[Constant.BRAKED_SPEED], constants[Constant.SPEED_RATE]
-    acceleration = np.empty(_JOINTS)
-    for i in range(_JOINTS):
+    acceleration = np.empty(n)
+    for i in range(n):
         acceleration[i] = -rate[i] * np.sign(v[i]) * max(abs(v[i]) - braked[i], 0.0)
     return times(mass_matrix, acceleration)
 
@@ -304,9 +307,9 @@ def inverse(factor: Array) -> Array:
 
 @_compiled()
 def permitted_acceleration(constants: Array, joint: int, left: float, inverse_mass: Array) -> float:
-    """Greatest acceleration, rad/s², of a joint that may get faster by `left`, rad/s; negative where it is too fast.
+    """Greatest acceleration, rad/s², of a joint whose speed may grow by `left`, rad/s; negative where it is too fast.
 
-    k times what is left, and no more than a jerk can end in time: that of the joint's own torque at its greatest rate.
+    It is k times what is left, and at most what the joint's own torque can end in time at its greatest rate.
     """
     rate = constants[Constant.SPEED_RATE, joint]
     jerk = _JERK_SHARE * constants[Constant.TORQUE_RATE, joint] * inverse_mass[joint, joint]
@@ -317,7 +320,7 @@ def permitted_acceleration(constants: Array, joint: int, left: float, inverse_ma
 
 @_compiled()
 def excess_acceleration(constants: Array, v: Array, inverse_mass: Array, joint: int, acceleration: float) -> float:
-    """What of a joint's acceleration, rad/s², is more than permitted on the way to its speed limit v_max."""
+    """Part of a joint's acceleration, rad/s², beyond the permitted one on the way to its speed limit v_max."""
     speed, ceiling = v[joint], constants[Constant.SPEED_CEILING, joint]
     most = permitted_acceleration(constants, joint, ceiling - speed, inverse_mass)
     least = -permitted_acceleration(constants, joint, ceiling + speed, inverse_mass)
@@ -331,13 +334,14 @@ def excess_acceleration(constants: Array, v: Array, inverse_mass: Array, joint: 
 
 @_compiled()
 def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, inverse_mass: Array, drive: Array) -> Array:
-    """What to add, (7,) in N m, so that no joint is driven beyond its speed limit, however strong the torques.
+    """Torque to add, (n,) in N m, so that no joint is driven beyond its speed limit, however strong the torques.
 
-    The excess accelerations e of q̈ = M⁻¹ τ are taken away by −M e, which leaves those of the other joints alone.
+    The torque −M e removes the excess accelerations e of q̈ = M⁻¹ τ and leaves those of the other joints alone.
     `drive` is τ: all that drives the arm, without what only compensates C + g.
     """
+    n = len(v)
     change = times(inverse_mass, drive)
-    for i in range(_JOINTS):
+    for i in range(n):
         change[i] = -excess_acceleration(constants, v, inverse_mass, i, change[i])
     return times(mass_matrix, change)
 
@@ -346,39 +350,41 @@ def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, inverse_m
 def keep_speed(
     constants: Array, v: Array, inverse_mass: Array, drive: Array, torque: Array, previous: Array, period: float
 ) -> None:
-    """Mend in `torque` (7,), N m, what `limit_torque` has undone of `speed_limit_torque`.
+    """Restore in `torque` (n,), N m, what `limit_torque` has undone of `speed_limit_torque`.
 
     A joint that would still be accelerated too much is held back by its own torque, as far as cap and rate permit.
-    `drive` (7,) is what of `torque` drives the arm, without what only compensates C + g.
+    `drive` (n,) is the part of `torque` that drives the arm, without what only compensates C + g.
     """
+    n = len(torque)
     acceleration = times(inverse_mass, drive)
     rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
-    for i in range(_JOINTS):
+    for i in range(n):
         excess = excess_acceleration(constants, v, inverse_mass, i, acceleration[i])
         if excess != 0.0:
             step = rate[i] * period
             wanted = torque[i] - excess / inverse_mass[i, i]
             wanted = min(max(wanted, previous[i] - step, -cap[i]), previous[i] + step, cap[i])
-            for k in range(_JOINTS):
+            for k in range(n):
                 acceleration[k] += inverse_mass[i, k] * (wanted - torque[i])
             torque[i] = wanted
 
 
 @_compiled()
 def limit_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
-    """The torque (7,) in N m that may follow `previous` after `period` seconds: caps and rates are kept; caps win.
+    """Limit the torque (n,), N m, that follows `previous` after `period` seconds: to caps and rates; caps win.
 
-    All joints go the same share of their way. Were only those held back that are too quick, all would no longer pull
-    in one direction, and the arm would be driven where nothing wants it.
+    All joints advance by the same share of their change. If only the joints beyond their rate were held back, the
+    torques would change their direction and drive the arm where nothing wants it.
     """
+    n = len(torque)
     rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
-    limited, share = np.empty(_JOINTS), 1.0
-    for i in range(_JOINTS):
+    limited, share = np.empty(n), 1.0
+    for i in range(n):
         limited[i] = min(max(torque[i], -cap[i]), cap[i])
         way, step = abs(limited[i] - previous[i]), rate[i] * period
         if way > step:
             share = min(share, step / way)
-    for i in range(_JOINTS):
+    for i in range(n):
         if share < 1.0:
             limited[i] = previous[i] + share * (limited[i] - previous[i])
         limited[i] = min(max(limited[i], -cap[i]), cap[i])
@@ -387,33 +393,36 @@ def limit_torque(constants: Array, torque: Array, previous: Array, period: float
 
 @_compiled()
 def posture_torque(constants: Array, posture_error: Array, v: Array) -> Array:
-    """τ₀ of law (2), (7,) in N m, for Δq = q − q_d in rad and speeds in rad/s; q_d = 0 makes it that of law (6)."""
+    """τ₀ of law (2), (n,) in N m, for Δq = q − q_d in rad and speeds in rad/s; q_d = 0 makes it that of law (6)."""
+    n = len(v)
     stiffness, damping = constants[Constant.NULL_STIFFNESS], constants[Constant.NULL_DAMPING]
-    torque = np.empty(_JOINTS)
-    for i in range(_JOINTS):
+    torque = np.empty(n)
+    for i in range(n):
         torque[i] = -stiffness[i] * posture_error[i] - damping[i] * v[i]
     return torque
 
 
 @_compiled()
 def sendable_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
-    """What may follow `previous`, as `limit_torque`; NaN in all of it where `torque` is not finite."""
+    """Torque that may follow `previous`, as `limit_torque`; all NaN where `torque` is not finite."""
+    n = len(torque)
     limited = limit_torque(constants, torque, previous, period)
     total = 0.0
-    for i in range(_JOINTS):
+    for i in range(n):
         total += torque[i]
     if not np.isfinite(total):
-        for i in range(_JOINTS):
+        for i in range(n):
             limited[i] = np.nan
     return limited
 
 
 @_compiled(_RESULT, _MATRIX, *(_VECTOR,) * 4, float64)
 def stopping_torque(constants: Array, bias: Array, gravity: Array, v: Array, previous: Array, period: float) -> Array:
-    """Torque (7,) of the compliant stop, N m: no stiffness, damping and gravity only. As `tracking_torque`."""
+    """Torque (n,) of the compliant stop, N m: no stiffness, damping and gravity only. See `tracking_torque`."""
+    n = len(v)
     share, damping = constants[Constant.GRAVITY_SHARE], constants[Constant.STOP_DAMPING]
-    torque = np.empty(_JOINTS)
-    for i in range(_JOINTS):
+    torque = np.empty(n)
+    for i in range(n):
         torque[i] = bias[i] - gravity[i] - damping[i] * v[i] + share[i] * gravity[i]
     return sendable_torque(constants, torque, previous, period)
 
@@ -444,51 +453,52 @@ def tracking_torque(
     period: float,
     error: Array,
 ) -> Array:
-    """Law (3) with all limits, (7,), N m; NaN in all of it where no finite torque follows from the state.
+    """Law (3) with all limits, (n,), N m; all NaN where no finite torque follows from the state.
 
     Parameters
     ----------
     constants
-        Of `constants.make_constants`.
+        From `constants.make_constants`.
     mass_matrix, bias, gravity, position, rotation, jacobian, twist, drift
-        Of `RobotModel`.
+        Attributes of `RobotModel`.
     reference_position, reference_rotation, reference_posture
-        Of `Reference`.
+        Attributes of `Reference`.
     q, v
-        (7,), rad and rad/s.
+        (n,), rad and rad/s.
     authority
-        Share of all torques but that which holds the arm against gravity.
+        Share of all torques except the one that holds the arm against gravity.
     previous, period
-        The torque (7,) sent last, N m, and since when, s.
+        The last torque sent (n,), N m, and the time since then, s.
     error
-        (6,): becomes Δx.
+        (6,), overwritten with Δx.
     """
+    n = len(v)
     deviation = pose_error(position, rotation, reference_position, reference_rotation)
-    for i in range(_TASK):
+    for i in range(len(deviation)):
         error[i] = deviation[i]
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
-        return np.full(_JOINTS, np.nan)
-    posture_error = np.empty(_JOINTS)
-    for i in range(_JOINTS):
+        return np.full(n, np.nan)
+    posture_error = np.empty(n)
+    for i in range(n):
         posture_error[i] = q[i] - reference_posture[i]
     joint_torque = posture_torque(constants, posture_error, v)
     brake = null_brake(constants, v, mass_matrix)
-    for i in range(_JOINTS):
+    for i in range(n):
         joint_torque[i] += brake[i]
     torque = law_torque(constants, factor, jacobian, twist, drift, deviation, joint_torque)
     repulsion = repulsion_torque(constants, q, v)
-    for i in range(_JOINTS):
+    for i in range(n):
         torque[i] += repulsion[i]
     inverse_mass = inverse(factor)
     change = speed_limit_torque(constants, v, mass_matrix, inverse_mass, torque)
     share = constants[Constant.GRAVITY_SHARE]
-    for i in range(_JOINTS):
+    for i in range(n):
         torque[i] = authority * (torque[i] + change[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
     sendable = sendable_torque(constants, torque, previous, period)
     if np.isfinite(sendable[0]):
-        drive = np.empty(_JOINTS)
-        for i in range(_JOINTS):
+        drive = np.empty(n)
+        for i in range(n):
             drive[i] = sendable[i] - bias[i] + (1.0 - share[i]) * gravity[i]
         keep_speed(constants, v, inverse_mass, drive, sendable, previous, period)
     return sendable

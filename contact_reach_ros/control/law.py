@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.robot.model import RobotModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What the arm is to be pulled to: flange pose x_d in the base frame and joint posture q_d.
+    """Where the arm is pulled: flange pose x_d in the base frame and joint posture q_d.
 
     Attributes
     ----------
@@ -26,7 +23,7 @@ class Reference:
     rotation
         (3, 3).
     posture
-        (7,), rad. All zeros makes law (2) the reference-posture law (6).
+        (n,), rad. All zeros makes law (2) the reference-posture law (6).
     """
 
     position: Array
@@ -47,21 +44,21 @@ class ImpedanceLaw:
     for slow motion.
     """
 
-    def __init__(self, settings: ImpedanceSettings) -> None:
+    def __init__(self, arm: Arm, settings: ImpedanceSettings) -> None:
         self.settings = settings
-        self._constants = make_constants(settings)
+        self._constants = make_constants(arm, settings)
 
     def torque(self, model: RobotModel, v: Array, posture_error: Array, error: Array) -> Array:
-        """τ of law (3) without the C + g of law (1), (7,), N m.
+        """τ of law (3) without the C + g of law (1), (n,), N m.
 
         Parameters
         ----------
         model
-            Updated to the present state.
+            Model, updated to the present state.
         v
-            Joint velocities, (7,), rad/s.
+            Joint velocities, (n,), rad/s.
         posture_error
-            Δq = q − q_d, (7,), rad.
+            Δq = q − q_d, (n,), rad.
         error
             Δx, (6,), from `pose_error`.
 

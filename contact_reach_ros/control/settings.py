@@ -1,10 +1,10 @@
-"""Settings of the controller; the planner reads the gains too, because it plans what the controller will do."""
+"""Settings of the controller; the planner reads the gains too, because it predicts what the controller will do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.settings import Sections, Settings, setting
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class ImpedanceSettings(Settings):
 class LimitSettings(Settings):
     """Limits on torques and joints."""
 
-    torque_share: float = setting(0.9, "torque cap as a share of the data sheet's", minimum=0.05, maximum=1.0)
+    torque_share: float = setting(0.9, "torque cap as a share of the data sheet's limit", minimum=0.05, maximum=1.0)
     torque_rate: float = setting(
         4000.0,
-        "greatest change of A1's torque; that of the others is in proportion to their torque limits",
+        "greatest rate of change of A1's torque; the others' are in proportion to their torque limits",
         unit="Nm/s",
         minimum=1.0,
         maximum=20000.0,
@@ -40,7 +40,7 @@ class LimitSettings(Settings):
     )
     joint_limit_damping: float = setting(
         10.0,
-        "damping at the limit of A1's motion towards it; that of the others is in proportion to their torque limits",
+        "damping of A1's motion towards a limit, at the limit; the others' are in proportion to their torque limits",
         unit="Nm s/rad",
         minimum=0.0,
         maximum=50.0,
@@ -59,7 +59,7 @@ class LimitSettings(Settings):
     )
     velocity_limit_rate: float = setting(
         100.0,
-        "greatest acceleration per speed below that, and deceleration above",
+        "greatest acceleration per speed left below that limit, and deceleration per speed above it",
         unit="1/s",
         minimum=1.0,
         maximum=500.0,
@@ -70,44 +70,95 @@ class LimitSettings(Settings):
 class SupervisionSettings(Settings):
     """Plan age, start and stop."""
 
+    require_observer: bool = setting(
+        True, "command nothing until the observer has vouched for the joint states; false moves an unwatched arm"
+    )
     shadow: bool = setting(
-        False, "compute everything, but publish the torques on shadow/commands, where nobody acts on them"
+        False, "compute everything, but publish the torques on shadow/commands, where nothing acts on them"
+    )
+    adapter: bool = setting(
+        False, "publish the torques on adapter/commands, for an adapter that passes them on to the drive"
     )
     gravity_compensation: bool = setting(True, "send g(q); false for arms that compensate gravity themselves")
-    start_ramp: float = setting(0.5, "time in which the laws get full authority", unit="s", minimum=0.0, maximum=5.0)
+    start_ramp: float = setting(0.5, "time in which the laws reach full authority", unit="s", minimum=0.0, maximum=5.0)
     hold_blend: float = setting(
-        0.3, "time in which the reference decays to the pose at hand", unit="s", minimum=0.01, maximum=2.0
+        0.3, "time in which the reference decays to the current pose", unit="s", minimum=0.01, maximum=2.0
     )
     hold_limit: float = setting(
-        5.0, "time without a valid plan, after one, until the compliant stop", unit="s", minimum=0.1, maximum=3600.0
+        5.0, "time from the end of the last plan to the compliant stop", unit="s", minimum=0.1, maximum=3600.0
     )
     observer_timeout: float = setting(
         0.05, "silence of the observer that stops the arm", unit="s", minimum=0.005, maximum=1.0
     )
-    max_plan_lead: float = setting(
-        1.0, "a plan that takes effect later than this is refused", unit="s", minimum=0.0, maximum=10.0
+    watch_itself: bool = setting(
+        True, "let an observer in the controller see every state, too, so that a late one leaves nothing unwatched"
+    )
+    observer_patience: float = setting(
+        0.5,
+        "silence of the observer that stops the arm while the controller watches itself",
+        unit="s",
+        minimum=0.005,
+        maximum=5.0,
+    )
+    max_plan_lead: float = setting(1.0, "lead time above which a plan is refused", unit="s", minimum=0.0, maximum=10.0)
+    max_plan_duration: float = setting(
+        1.0, "duration above which a plan is refused", unit="s", minimum=0.01, maximum=60.0
+    )
+    max_position_error: float = setting(
+        0.05,
+        "distance of x_d from the tip above which a plan is dropped; the planner asks for a third of it",
+        unit="m",
+        minimum=0.001,
+        maximum=10.0,
+    )
+    max_rotation_error: float = setting(
+        0.7, "the same for the angle between reference and tip", unit="rad", minimum=0.01, maximum=3.2
+    )
+    max_posture_error: float = setting(
+        0.5, "the same for each joint's distance from the reference posture", unit="rad", minimum=0.01, maximum=7.0
+    )
+    correct_stop: bool = setting(
+        True, "carry in the compliant stop what the observer found that the model lacks, so that the arm does not sink"
     )
     stop_damping: float = setting(
         20.0,
-        "damping of A1 in the compliant stop; that of the others is in proportion to their torque limits",
+        "damping of A1 in the compliant stop; the others' are in proportion to their torque limits",
         unit="Nm s/rad",
         minimum=0.0,
         maximum=50.0,
     )
     rest_within: float = setting(
         0.5,
-        "time after a stop in which the arm has to come to rest; otherwise nothing is commanded any more, so that the "
-        "drive's watchdog takes over",
+        "time within which a stop must bring the arm to rest; otherwise all commands end, so that the drive's watchdog "
+        "takes over",
         unit="s",
         minimum=0.05,
         maximum=10.0,
     )
     stop_speed_gain: float = setting(
         0.5,
-        "the same happens when the fastest joint gets faster by this than it has been since the stop",
+        "increase in the speed of the fastest joint since the stop that has the same effect",
         unit="rad/s",
         minimum=0.05,
         maximum=3.0,
+    )
+    stop_creep: float = setting(
+        0.01,
+        "motion of a joint since it came to rest in a stop, too slow to be a hand's, that has the same effect",
+        unit="rad",
+        minimum=0.001,
+        maximum=7.0,
+    )
+    brake_after: float = setting(
+        2.0,
+        "time after the arm came to rest in a stop at which all commands end, so that the drive's brakes hold it",
+        unit="s",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    drive_brakes: bool = setting(
+        True,
+        "the drive brakes the arm when commands end; false: a stop is damped and carried for ever, however it goes",
     )
     reset_velocity: float = setting(
         0.05,
@@ -119,4 +170,17 @@ class SupervisionSettings(Settings):
     velocity_share: float = setting(
         1.0, "joint speed that stops the arm, as a share of the data sheet's limit", minimum=0.05, maximum=1.0
     )
-    velocity_debounce: int = setting(3, "states in a row above that speed that stop the arm", minimum=1, maximum=100)
+    velocity_debounce: int = setting(3, "time above that speed that stops the arm", unit="ms", minimum=1, maximum=100)
+
+    @property
+    def has_own_watch(self) -> bool:
+        """Whether the controller watches itself: not an arm that may move unwatched, nor one that others command."""
+        return self.watch_itself and self.require_observer and not self.shadow
+
+
+CONTROLLER_SECTIONS: Sections = {
+    "impedance": ImpedanceSettings,
+    "limits": LimitSettings,
+    "supervision": SupervisionSettings,
+}
+"""Settings of the controller by parameter prefix."""

@@ -1,6 +1,6 @@
 """Supervision of the controller: the one state machine, and everything that stops the arm.
 
-The states and what leads from one to another are `TRANSITIONS`; docs/safety.md shows them as a picture.
+`TRANSITIONS` lists the states and what leads from one to another; docs/safety.md draws them.
 """
 
 from __future__ import annotations
@@ -9,18 +9,19 @@ import math
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.stop_watch import StopWatch
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, with_sequel
+from contact_reach_ros.timing import states_in
 from contact_reach_ros.units import NANOSECONDS
-
-Array = NDArray[np.float64]
 
 
 class Mode(Enum):
-    """What the controller does."""
+    """States of the controller."""
 
     WAITING = "waiting"
     """Not started: nothing is commanded."""
@@ -35,13 +36,14 @@ class Mode(Enum):
 
 
 class Event(Enum):
-    """What can happen."""
+    """Events that can change the state."""
 
     START = "first valid state"
     PLAN = "plan takes effect"
     PLAN_ENDED = "plan runs out"
     STOP = "stop"
     NO_REST = "stop brings no rest"
+    RESTED = "stop has brought rest"
     RESET = "reset"
 
 
@@ -57,16 +59,18 @@ TRANSITIONS = {
     (Mode.TRACKING, Event.STOP): Mode.STOPPED,
     (Mode.TRACKING, Event.RESET): Mode.HOLDING,
     (Mode.STOPPED, Event.NO_REST): Mode.SILENT,
+    (Mode.STOPPED, Event.RESTED): Mode.SILENT,
     (Mode.STOPPED, Event.RESET): Mode.HOLDING,
     (Mode.SILENT, Event.RESET): Mode.HOLDING,
 }
-"""The state that an event leads to; an event that is not listed for a state changes nothing there."""
+"""The state that an event leads to; an event that is not listed for a state changes nothing."""
 
-_PAUSE_NS = 5_000_000
-"""Ticks further apart than this show that the controller itself was held up."""
+_PAUSE_PERIODS = 5
+"""Ticks further apart than so many periods mean that the controller itself was held up."""
 
 
 _GIVEN_UP = "nothing is commanded any more, the drive takes over"
+_GOES_ON = "the drive has no brakes, so that the damping goes on: support the arm"
 
 
 class Supervisor:
@@ -76,24 +80,41 @@ class Supervisor:
 
     Attributes
     ----------
+    model_error
+        Torque (n,), N m, that the model lacked to carry the arm when it was stopped; zero where nobody reports it.
     mode
-        The state.
+        The present state.
+    longest_silence
+        Of the observer since the last reset, s.
     """
 
-    def __init__(self, settings: SupervisionSettings) -> None:
+    def __init__(self, arm: Arm, settings: SupervisionSettings, period: float = 0.001) -> None:
+        """`period`: nominal time between joint states, s."""
         self.mode = Mode.WAITING
+        self._arm = arm
+        self._pause_ns = _PAUSE_PERIODS * round(period * NANOSECONDS)
+        self._timeout_ns = max(round(settings.observer_timeout * NANOSECONDS), self._pause_ns)
+        self._patience_ns = max(round(settings.observer_patience * NANOSECONDS), self._timeout_ns)
+        self._velocity_debounce = states_in(settings.velocity_debounce, period)
         self._settings = settings
         self._first_reason = ""
         self._escalation = ""
-        self._stopped_ns: int | None = None
-        self._slowest = math.inf
-        self._speeding_up = 0
-        self._rest_is_due = False
-        self._speed_limits = settings.velocity_share * np.array(iiwa14.VELOCITY_LIMITS)
+        self._stop_watch = StopWatch(arm, settings, period)
+        self._speed_limits = settings.velocity_share * arm.velocity_limits
         self._speed_list = self._speed_limits.tolist()
+        self._position_limits = list(zip(arm.lower.tolist(), arm.upper.tolist(), strict=True))
         self._speeding = 0
         self._observer_ns: int | None = None
-        self._observer_stopped = ""
+        self._verdict = Verdict()
+        self._own: Verdict | None = None
+        """Of the controller's own watch; None without one."""
+        self._own_ns = 0
+        self.longest_silence = 0.0
+        self.model_error = np.zeros(arm.n)
+        self._has_begun = self._is_early = False
+        """Whether there was a joint state; and whether, in simulated time, the last report came before it."""
+        self._has_forgiven = False
+        """Whether a pause of this process was taken off the observer's silence; its next report permits another."""
         self._clock_ns: int | None = None
 
     def happens(self, event: Event) -> bool:
@@ -103,7 +124,18 @@ class Supervisor:
         if event is Event.RESET:
             self._first_reason = self._escalation = ""
             self._speeding = 0
+            self.longest_silence = 0.0
         return self.mode is not before
+
+    @property
+    def torque_known(self) -> bool:
+        """Whether the acting torque is known, as the observer and the controller's own watch report it."""
+        return self._verdict.torque_known and (self._own is None or self._own.torque_known)
+
+    @property
+    def own_reason(self) -> str:
+        """Why the controller's own watch stops the arm; empty while it does not, or without one."""
+        return "" if self._own is None else self._own.reason
 
     @property
     def stopped(self) -> bool:
@@ -113,92 +145,125 @@ class Supervisor:
     @property
     def stop_reason(self) -> str:
         """Why the arm is stopped: the first reason, and why the stop was not enough; empty while it is not."""
-        return f"{self._first_reason}; {self._escalation}" if self._escalation else self._first_reason
+        return with_sequel(self._first_reason, self._escalation)
 
     def stop(self, reason: str) -> None:
         """Latch the compliant stop; the first reason is kept."""
         if not self.stopped:
             self.mode = TRANSITIONS[self.mode, Event.STOP]
             self._first_reason = reason
-            self._stopped_ns, self._slowest, self._speeding_up, self._rest_is_due = None, math.inf, 0, True
+            own_error = () if self._own is None else self._own.model_error
+            error = np.array(own_error or self._verdict.model_error)
+            is_usable = self._settings.correct_stop and error.shape == (self._arm.n,) and np.isfinite(error).all()
+            self.model_error = error if is_usable else np.zeros(self._arm.n)
+            self._stop_watch.begin()
 
-    def watch_stop(self, v: Array, clock_ns: int) -> None:
-        """Give up the compliant stop when it does not bring the arm to rest in time, or the arm gets faster in it.
+    def watch_stop(self, q: Array, v: Array, clock_ns: int) -> None:
+        """Give up the compliant stop if it fails, and end it in the drive's brakes when it has brought rest.
 
-        The arm may be moved slowly by hand once it has rested.
+        With a drive that has none, damping goes on either way: silence would leave the last torque in force, undamped.
         """
         if self.mode is not Mode.STOPPED:
             return
-        if self._stopped_ns is None:
-            self._stopped_ns = clock_ns
-        settings = self._settings
-        speeds = np.abs(v)
-        speed = float(speeds.max())
-        self._slowest = min(self._slowest, speed)
-        self._speeding_up = self._speeding_up + 1 if speed > self._slowest + settings.stop_speed_gain else 0
-        name = iiwa14.JOINT_NAMES[int(speeds.argmax())]
-        since = (clock_ns - self._stopped_ns) / NANOSECONDS
-        if self._speeding_up >= settings.velocity_debounce:
-            self._escalate(f"in the stop {name} got faster, {speed:.2f} rad/s after {1000 * since:.0f} ms")
-        elif since >= settings.rest_within and self._rest_is_due:
-            self._rest_is_due = False
-            if speed > settings.reset_velocity:
-                self._escalate(f"{name} still moves with {speed:.2f} rad/s {1000 * since:.0f} ms after the stop")
+        why = self._stop_watch.look(q, v, clock_ns)
+        if not self._settings.drive_brakes:
+            if why and not self._escalation:
+                self._escalation = f"{why}; {_GOES_ON}"
+        elif why:
+            self._give_up(why)
+        elif self._stop_watch.is_over:
+            self.happens(Event.RESTED)
 
-    def _escalate(self, why: str) -> None:
+    def _give_up(self, why: str) -> None:
         if self.happens(Event.NO_REST):
             self._escalation = f"{why}; {_GIVEN_UP}" if why else _GIVEN_UP
 
     def check_reset(self, q: Array, v: Array, clock_ns: int) -> None:
-        """Refuse a reset unless the arm rests within its limits and the observer lives and is content.
+        """Refuse a reset unless the arm rests within its limits and the observer is alive and not stopped.
 
         Raises
         ------
         InputError
-            With what is in the way.
+            If one of these does not hold; the message says which.
         """
-        check_start(q, v)
+        check_start(self._arm, q, v)
         speed = float(np.abs(v).max())
         limit = self._settings.reset_velocity
         if not speed <= limit:
             raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {limit:g} rad/s: wait for it")
-        if self._observer_stopped:
-            raise InputError(f"the observer is stopped ({self._observer_stopped}): reset the observer first")
-        if self._observer_silence(clock_ns) is not None:
+        if self._verdict.reason:
+            raise InputError(f"the observer is stopped ({self._verdict.reason}): reset the observer first")
+        if self._silent_for(clock_ns) > self._timeout_ns:
             raise InputError("the observer is silent: start it, then reset")
 
-    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
-        """Take the observer's sign of life; a non-empty reason stops the arm.
+    def hear_observer(self, verdict: Verdict, clock_ns: int) -> None:
+        """Take a report of the observer, which is also its heartbeat; a reason in it stops the arm once it has started.
 
-        `distrust`: what is wrong with the joint states or the model, on which a compliant stop would rely, too.
+        `clock_ns`: time of its arrival on the watchdogs' clock.
         """
-        self._observer_ns = clock_ns
-        self._observer_stopped = stopped_because
-        if stopped_because:
-            self.stop(stopped_because)
-        if distrust:
-            self.stop(distrust)
-            self._escalate("" if distrust == self._first_reason else distrust)
+        self._observer_ns, self._has_forgiven = clock_ns, False
+        self._is_early = clock_ns == 0 and not self._has_begun
+        self._verdict = verdict
+        self._act_on(verdict)
+
+    def hear_own(self, verdict: Verdict, clock_ns: int) -> None:
+        """Take a report of the controller's own watch, which counts as much as the observer's."""
+        self._own, self._own_ns = verdict, clock_ns
+        self._act_on(verdict)
+
+    def _act_on(self, verdict: Verdict) -> None:
+        if self.mode is Mode.WAITING:
+            return
+        if verdict.reason:
+            self.stop(verdict.reason)
+        if verdict.distrust:
+            self.stop(verdict.distrust)
+            self._give_up("" if verdict.distrust == self._first_reason else verdict.distrust)
+
+    def not_vouched(self, clock_ns: int) -> str:
+        """Why the arm must not be started: nobody watches it, or not as it should be; empty when it may."""
+        if not self._settings.require_observer:
+            return ""
+        self._has_begun = True
+        if self._observer_ns is None or self._heard_before_time(clock_ns):
+            return "nothing heard from the observer yet: start it, or set supervision.require_observer to false"
+        if self._silent_for(clock_ns) > self._timeout_ns:
+            return "the observer is silent: start it again"
+        doubt = self._verdict.reason or self._verdict.doubt
+        if self._own is not None:
+            doubt = doubt or self._own.reason or self._own.doubt
+        return f"the observer does not vouch for the arm: {doubt}" if doubt else ""
 
     def watch_observer(self, clock_ns: int) -> None:
-        """Stop when the observer has been silent for too long; one that was never heard of is not waited for."""
+        """Stop when the observer has been silent for too long; unless required, it may never have reported.
+
+        While the controller's own watch vouches for the arm, nothing goes unseen meanwhile, and it may take longer.
+        """
+        self._heard_before_time(clock_ns)
         pause_ns = 0 if self._clock_ns is None else clock_ns - self._clock_ns
         self._clock_ns = clock_ns
-        if self._observer_ns is not None and pause_ns > _PAUSE_NS:
-            # This process was held up itself, and what the observer said meanwhile is still to be read.
-            self._observer_ns += pause_ns
-        silence = self._observer_silence(clock_ns)
-        if silence is not None:
-            self.stop(f"observer silent for {1000 * silence:.0f} ms")
+        if pause_ns > self._pause_ns:
+            # This process was held up itself, with its own watch, and has not yet read what the observer reported.
+            self._own_ns += pause_ns
+            if self._observer_ns is not None and not self._has_forgiven:
+                self._observer_ns += pause_ns
+                self._has_forgiven = True
+        silence_ns = self._silent_for(clock_ns)
+        self.longest_silence = max(self.longest_silence, silence_ns / NANOSECONDS)
+        own = self._own
+        is_watched = own is not None and not own.doubt and clock_ns - self._own_ns <= self._timeout_ns
+        if silence_ns > (self._patience_ns if is_watched else self._timeout_ns):
+            self.stop(StopReason(StopCode.OBSERVER_SILENT, f"observer silent for {silence_ns / 1e6:.0f} ms"))
 
     def watch_joints(self, q: Array, v: Array) -> None:
         """Stop when a joint is beyond its position limit, or faster than permitted for some states in a row."""
-        # For seven numbers a loop is faster than NumPy.
-        for index, (angle, limit) in enumerate(zip(q.tolist(), iiwa14.POSITION_LIMITS, strict=True)):
-            if not -limit <= angle <= limit:
-                self.stop(
-                    f"{iiwa14.JOINT_NAMES[index]} at {angle:.3f} rad is beyond its position limit, {limit:.3f} rad"
-                )
+        # For so few numbers a loop is faster than NumPy.
+        for index, (angle, (lower, upper)) in enumerate(zip(q.tolist(), self._position_limits, strict=True)):
+            if not lower <= angle <= upper:
+                limit = lower if angle < lower else upper
+                name = self._arm.joint_names[index]
+                text = f"{name} at {angle:.3f} rad is beyond its position limit, {limit:.3f} rad"
+                self.stop(StopReason(StopCode.POSITION_LIMIT, text))
         for speed, limit in zip(v.tolist(), self._speed_list, strict=True):
             if not -limit <= speed <= limit:
                 break
@@ -206,43 +271,45 @@ class Supervisor:
             self._speeding = 0
             return
         self._speeding += 1
-        if self._speeding >= self._settings.velocity_debounce:
+        if self._speeding >= self._velocity_debounce:
             joint = int(np.argmax(np.abs(v) / self._speed_limits))
-            self.stop(
-                f"{iiwa14.JOINT_NAMES[joint]} moves with {abs(v[joint]):.2f} rad/s, permitted "
-                f"{self._speed_limits[joint]:.2f} rad/s"
-            )
+            speed, limit = abs(v[joint]), self._speed_limits[joint]
+            text = f"{self._arm.joint_names[joint]} moves with {speed:.2f} rad/s, permitted {limit:.2f} rad/s"
+            self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
     def watch_hold(self, held_for: float, had_plan: bool) -> None:
-        """Stop when there has been no valid plan for too long, s, after one."""
+        """Stop when there has been no valid plan for too long after one; `held_for` is in s."""
         limit = self._settings.hold_limit
         if had_plan and held_for > limit:
-            self.stop(f"no valid plan for {limit:g} s")
+            self.stop(StopReason(StopCode.NO_PLAN, f"no valid plan for {limit:g} s"))
 
-    def _observer_silence(self, clock_ns: int) -> float | None:
-        """Seconds of silence when they exceed the limit, else None."""
-        if self._observer_ns is None:
-            return None
-        silence = (clock_ns - self._observer_ns) / NANOSECONDS
-        return silence if silence > self._settings.observer_timeout else None
+    def _heard_before_time(self, clock_ns: int) -> bool:
+        """Whether the observer's last report came before simulated time began; it counts from now on."""
+        if not self._is_early:
+            return False
+        self._observer_ns, self._is_early = clock_ns, False
+        return True
+
+    def _silent_for(self, clock_ns: int) -> int:
+        """Time since the observer's last report, ns; 0 before the first."""
+        return 0 if self._observer_ns is None else clock_ns - self._observer_ns
 
 
-def check_start(q: Array, v: Array) -> None:
+def check_start(arm: Arm, q: Array, v: Array) -> None:
     """Raise `InputError` unless the arm can be held in this state: finite, and within the position limits."""
-    check_state(q, v)
-    beyond = np.abs(q) > np.array(iiwa14.POSITION_LIMITS)
+    check_state(arm, q, v)
+    beyond = (q < arm.lower) | (q > arm.upper)
     if beyond.any():
-        names = [name for name, is_beyond in zip(iiwa14.JOINT_NAMES, beyond, strict=True) if is_beyond]
+        names = [name for name, is_beyond in zip(arm.joint_names, beyond, strict=True) if is_beyond]
         raise InputError(f"joint_states: {', '.join(names)} beyond the position limit; move the arm back by hand")
 
 
-def check_state(q: Array, v: Array) -> None:
-    """Raise `InputError` unless positions and velocities are seven finite numbers each."""
+def check_state(arm: Arm, q: Array, v: Array) -> None:
+    """Raise `InputError` unless positions and velocities are a finite number for each joint."""
     for name, values in (("position", q), ("velocity", v)):
-        if values.shape != (iiwa14.N_JOINTS,) or values.dtype != float:
+        if values.shape != (arm.n,) or values.dtype != float:
             raise InputError(
-                f"joint_states: {name} has shape {values.shape}, type {values.dtype}; "
-                f"expected ({iiwa14.N_JOINTS},), float64"
+                f"joint_states: {name} has shape {values.shape}, type {values.dtype}; expected ({arm.n},), float64"
             )
         # A sum is finite exactly when no summand is NaN or infinite (opposite infinities make NaN).
         if not math.isfinite(sum(values.tolist())):

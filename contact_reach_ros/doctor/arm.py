@@ -1,27 +1,26 @@
-"""Whether the joint states of an arm are what the stack expects: names, rate, clock, and torques that fit the model."""
+"""Checks of the joint states of an arm: names, rate, clock, and torques that fit the model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.doctor.findings import Finding, failed, passed, warned
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.doctor.findings import Finding, check, failed, graded, passed, warned
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.timing import RateCheck
 from contact_reach_ros.units import NANOSECONDS
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-RATE = 1000.0
-"""Of joint states, Hz."""
-
-_TICK_NS = NANOSECONDS / RATE
 _GOOD_SHARE, _BAD_SHARE = 0.01, 0.1
+_SAME_STEP = 1e-6
 _LONG_GAP_NS = 20e6
 """Silence at which the driver's watchdog holds the arm, ns."""
 _GOOD_SKEW_MS, _BAD_SKEW_MS = 10.0, 100.0
@@ -45,7 +44,7 @@ class JointRecord:
     stamps_ns, received_ns
         (n,) header.stamp, and arrival on the clock of this machine.
     position, velocity, effort
-        (n, 7) in the arm's order, rad, rad/s and N m; NaN where a message had none.
+        (n, joints) in the arm's order, rad, rad/s and N m; NaN where a message had none.
     """
 
     names: Sequence[tuple[str, ...]]
@@ -56,71 +55,93 @@ class JointRecord:
     effort: Array
 
 
-def joint_names(record: JointRecord, command_order: Sequence[str] | None = None) -> Finding:
-    """Names and order of the joints.
+@check("joint names and order")
+def joint_names(record: JointRecord, arm: Arm, command_order: Sequence[str] | None = None) -> Finding:
+    """Check names and order of the joints.
 
     Parameters
     ----------
     record
         What was heard.
+    arm
+        Whose joints are expected.
     command_order
-        Parameter `joints` of a controller of ros2_control that takes the commands; None if there is no such thing.
+        Parameter `joints` of a controller of ros2_control that takes the commands; None if there is none.
     """
-    name, wanted = "joint names and order", iiwa14.JOINT_NAMES
+    wanted = arm.joint_names
     ordered = f"[{', '.join(wanted)}]"
     fix_order = (
         f"set the driver's joint order (parameter joints of effort_controller in ros2_control) to {ordered}: commands "
         "carry no names, a torque in another order goes to another joint"
     )
     if command_order is not None and tuple(command_order) != wanted:
-        return failed(name, f"effort_controller takes commands in the order {', '.join(command_order)}", fix_order)
+        return failed(f"effort_controller takes commands in the order {', '.join(command_order)}", fix_order)
     for names in record.names:
         missing = [joint for joint in wanted if joint not in names]
         if missing:
             fix = f"let the driver publish all of {ordered}, by its joint-name or prefix parameter"
-            return failed(name, f"joint_states lacks {', '.join(missing)}; it has {', '.join(names) or 'none'}", fix)
+            return failed(f"joint_states lacks {', '.join(missing)}; it has {', '.join(names) or 'none'}", fix)
     strange = [names for names in record.names if tuple(joint for joint in names if joint in wanted) != wanted]
     if strange and command_order is None:
-        return failed(name, f"joint_states come in the order {', '.join(strange[0])}", fix_order)
+        return failed(f"joint_states come in the order {', '.join(strange[0])}", fix_order)
     others = sorted({joint for names in record.names for joint in names} - set(wanted))
     found = ", ".join(wanted) + (f", and {', '.join(others)}, which are ignored" if others else "")
-    return passed(name, found if not strange else f"{found}; states in another order are read by name")
+    return passed(found if not strange else f"{found}; states in another order are read by name")
 
 
-def driver_rate(record: JointRecord, simulated_time: bool) -> Finding:
-    """Rate of the joint states, and how regular their stamps are."""
-    name, count = "driver rate", len(record.stamps_ns)
+@check("driver rate")
+def driver_rate(record: JointRecord, simulated_time: bool, nominal: float) -> Finding:
+    """Check the rate of the joint states against the nominal one, Hz, and how regular their stamps are."""
+    count = len(record.stamps_ns)
     if count < 2:
         fix = f"{_MISSING}; see the driver's log and its lifecycle state"
-        return failed(name, f"{count} joint states in the time that was listened", fix)
+        return failed(f"{count} joint states while listening", fix)
     span_ns = float(record.received_ns[-1] - record.received_ns[0])
     rate = (count - 1) * NANOSECONDS / span_ns if span_ns > 0 else float("inf")
     steps = np.diff(record.stamps_ns).astype(float)
     jitter_us, gap_us = float(steps.std()) / 1000, float(steps.max()) / 1000
-    values = {"rate_hz": rate, "stamp_jitter_us": jitter_us, "longest_gap_us": gap_us}
+    values: dict[str, Any] = {"rate_hz": rate, "stamp_jitter_us": jitter_us, "longest_gap_us": gap_us}
     backwards = int((steps < 0).sum())
     if backwards:
         fix = "end the second publisher of joint_states, or let the driver stamp with one clock that never goes back"
-        return failed(name, f"{backwards} of {count} stamps are older than the one before", fix, **values)
+        return failed(f"{backwards} of {count} stamps are older than the one before", fix, **values)
     if simulated_time:
-        found = (
-            f"lockstep: a state every {np.median(steps) / 1e6:g} ms of simulated time, {rate:.0f} a second of real time"
+        step_ms = float(np.median(steps)) / 1e6
+        found = f"lockstep: a state every {step_ms:g} ms of simulated time, {rate:.0f} a second of real time"
+        other = abs(step_ms * nominal / 1000.0 - 1.0) > _SAME_STEP
+        fix = f"let the simulation publish every {1000.0 / nominal:g} ms, or set state_rate of every node"
+        return graded(
+            found + (_consequence(1000.0 / step_ms if step_ms else np.inf, nominal) if other else ""),
+            fix,
+            fail=other,
+            **values,
         )
-        if np.median(steps) == _TICK_NS:
-            return passed(name, found, **values)
-        return failed(name, found, f"let the simulation publish every {_TICK_NS / 1e6:g} ms", **values)
+    off = abs(rate - nominal) / nominal
     found = f"{rate:.0f} Hz, stamps vary by {jitter_us:.0f} us, longest gap {gap_us / 1000:.1f} ms"
-    off = abs(rate - RATE) / RATE
-    fix = f"set the driver to {RATE:.0f} Hz; if it is, permit real-time priority and end what else computes"
-    if off > _BAD_SHARE:
-        return failed(name, found, fix, **values)
-    if off > _GOOD_SHARE or steps.max() > _LONG_GAP_NS:
-        return warned(name, found, fix, **values)
-    return passed(name, found, **values)
+    return graded(
+        found + (_consequence(rate, nominal) if off > _BAD_SHARE else ""),
+        f"set the driver to {nominal:.0f} Hz, or state_rate of every node to the driver's rate; if both are, permit "
+        "real-time priority and end other busy programs",
+        fail=off > _BAD_SHARE,
+        warn=off > _GOOD_SHARE or steps.max() > _LONG_GAP_NS,
+        **values,
+    )
 
 
+def _consequence(rate: float, nominal: float) -> str:
+    """What follows from joint states at another rate than the nominal one, both in Hz."""
+    if rate <= 0.0 or abs(nominal / rate - 1.0) > RateCheck.TOLERANCE:
+        follows = "the observer does not vouch for the arm, which is not started or is stopped as blind"
+    elif rate < nominal:
+        follows = "pushes and faults, which are counted in states, are noticed that much later"
+    else:
+        follows = "debounces, which are counted in states, are that much shorter: false stops"
+    return f"; the nodes count on {nominal:.0f} Hz (state_rate): {follows}, and gains were checked for another delay"
+
+
+@check("clocks")
 def clock_skew(record: JointRecord, clock_ns: Stamps | None) -> Finding:
-    """How far the driver's clock is from this machine's, or from /clock.
+    """Check how far the driver's clock is from this machine's, or from /clock.
 
     Parameters
     ----------
@@ -129,58 +150,52 @@ def clock_skew(record: JointRecord, clock_ns: Stamps | None) -> Finding:
     clock_ns
         (n,) value of /clock at the arrival of each state; None in real time.
     """
-    name = "clocks"
     if not len(record.stamps_ns):
-        return failed(name, "no joint states to read a clock from", _MISSING)
+        return failed("no joint states to read a clock from", _MISSING)
     now = record.received_ns if clock_ns is None else clock_ns
     # Messages are late, clocks are not: the least delay is the best guess.
     late_ms = (now - record.stamps_ns) / 1e6
     skew = float(late_ms.min() if late_ms.min() > 0 else np.median(late_ms))
     of = "this machine's clock" if clock_ns is None else "/clock"
+    fix = "let the simulation stamp joint states with the time that it publishes on /clock"
+    if clock_ns is None:
+        fix = (
+            "synchronise the computers' clocks (chrony, or PTP for a robot), or stamp with the system clock in the "
+            "driver; the simulated driver falls behind for good when it is held up for more than 20 ms: start it again"
+        )
     found = f"joint states are stamped {abs(skew):.1f} ms {'before' if skew >= 0 else 'after'} {of}"
-    fix = (
-        "synchronise the computers' clocks (chrony, or PTP for a robot), or stamp with the system clock in the driver; "
-        "the simulated driver falls behind for good when it is held up for more than 20 ms: start it again"
-        if clock_ns is None
-        else "let the simulation stamp joint states with the time that it publishes on /clock"
-    )
-    if abs(skew) > _BAD_SKEW_MS:
-        return failed(name, found, fix, skew_ms=skew)
-    if abs(skew) > _GOOD_SKEW_MS:
-        return warned(name, found, fix, skew_ms=skew)
-    return passed(name, found, skew_ms=skew)
+    return graded(found, fix, fail=abs(skew) > _BAD_SKEW_MS, warn=abs(skew) > _GOOD_SKEW_MS, skew_ms=skew)
 
 
+@check("gravity against torque")
 def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Finding:
-    """Measured torque of the arm at rest against the model's g(q), joint by joint.
+    """Compare the measured torque of the arm at rest with the model's g(q), joint by joint.
 
-    What is left over counts against the contact budget before anything is touched.
+    The difference counts against the contact budget before anything is touched.
     """
-    name = "gravity against torque"
     again = "run doctor again when the brakes are open and the arm is at rest (no goal)"
     known: NDArray[np.bool_] = np.isfinite(record.effort.sum(axis=1))
     if not len(known) or not known[-1]:
         found = "the effort of joint_states is NaN or missing: the brakes are closed, or the driver measures no torque"
         fix = f"{again}; if the driver measures none, set the observer's torque_source: commanded"
-        return warned(name, f"not compared: {found}", fix)
+        return warned(f"not compared: {found}", fix)
     q, v, effort = record.position[known], record.velocity[known], record.effort[known]
     if np.abs(v.mean(axis=0)).max() > _REST_SPEED or np.ptp(q, axis=0).max() > _REST_TRAVEL:
-        return warned(name, "not compared: the arm moves", again)
+        return warned("not compared: the arm moves", again)
     measured, expected = effort.mean(axis=0), model.gravity_at(q.mean(axis=0))
     residual = measured - expected
-    worst = int(np.abs(residual).argmax())
+    joints = model.arm.joint_names
     found = (
-        f"measured minus model: {', '.join(f'{value:+.2f}' for value in residual)} Nm, A1 to A7; "
-        f"largest at {iiwa14.JOINT_NAMES[worst]}"
+        f"measured minus model: {', '.join(f'{value:+.2f}' for value in residual)} Nm, {joints[0]} to {joints[-1]}; "
+        f"largest at {joints[int(np.abs(residual).argmax())]}"
     )
     values = {"residual_nm": residual.tolist(), "measured_nm": measured.tolist(), "model_nm": expected.tolist()}
-    fix = "give the model the payload and tool that the arm carries, calibrate the torque sensors, and look for contact"
     if np.abs(measured).max() < _SMALL_TORQUE < np.abs(expected).max():
         found = "measured torques are about zero where gravity is not: the driver takes gravity out of them"
         fix = "let the driver report torques with gravity, and see supervision.gravity_compensation of the controller"
-        return failed(name, found, fix, **values)
-    if (np.abs(residual) > _BAD_SHARE_OF_THRESHOLD * np.array(budget.torque_thresholds)).any():
-        return failed(name, f"{found}: more than half of the contact budget is gone", fix, **values)
-    if np.abs(residual).max() > _GOOD_RESIDUAL:
-        return warned(name, found, fix, **values)
-    return passed(name, found, **values)
+        return failed(found, fix, **values)
+    fix = "give the model the payload and tool that the arm carries, calibrate the torque sensors, and look for contact"
+    spent = bool((np.abs(residual) > _BAD_SHARE_OF_THRESHOLD * np.array(budget.torque_thresholds)).any())
+    if spent:
+        found += ": more than half of the contact budget is gone"
+    return graded(found, fix, fail=spent, warn=bool(np.abs(residual).max() > _GOOD_RESIDUAL), **values)

@@ -1,215 +1,204 @@
-"""Whether this machine can keep a 1 kHz loop."""
+"""Checks whether this machine can keep a 1 kHz loop."""
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
-import re
 import resource
-import shutil
+import sys
 import threading
-from collections.abc import Collection
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
-from contact_reach_ros.cpus import isolated_cpus
-from contact_reach_ros.doctor.findings import Finding, failed, passed, warned
+import numpy as np
+
+from contact_reach_ros.doctor.findings import Finding, check, graded, passed, warned
+from contact_reach_ros.ros.scheduling import isolated_cpus
+from contact_reach_ros.units import NANOSECONDS
 
 PRIORITY = 80
 """SCHED_FIFO priority that is asked for: the highest of the nodes, the driver's."""
 
-TYPICAL_BAG_RATE = 0.4e6
-"""Of a whole stack in real time, compressed, bytes/s."""
-
-_CAP_IPC_LOCK = 14
+_TIMER_S = 2.0
+_TICK_NS = 1_000_000
+_GOOD_P99_US = 250.0
+_GOOD_MISSED, _BAD_MISSED = 0.001, 0.05
+_REPORTED_EVERY = 1000
 _MANY_CORES = 4
-_ENOUGH_MEMORY = 4 * 2**30
-_MINUTE = 60.0
-_FAIR_SERVER = (6, 12)
-_SERVERS = Path("/sys/kernel/debug/sched/fair_server")
-_SERVED_BY_DEFAULT = (50.0, 1000.0)
-"""Time of a fair server and its period, ms."""
-_LITTLE_DISK, _FEW_MINUTES = 1e9, 10.0
 
 _CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
-_LIMITS = "/etc/security/limits.d/"
+_LIMITS = "/etc/security/limits.d/contact_reach.conf"
 
 
+@check("real-time priority")
 def realtime_permission() -> Finding:
-    """Whether threads may have SCHED_FIFO priority."""
-    name = "real-time priority"
+    """Check whether threads may have SCHED_FIFO priority."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    refusal: list[OSError] = []
-
-    def ask() -> None:
-        # Of this short-lived thread only, which does nothing else.
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        except OSError as error:
-            refusal.append(error)
-
-    thread = threading.Thread(target=ask)
+    refusals: list[str] = []
+    # Of this short-lived thread only, which does nothing else.
+    thread = threading.Thread(target=lambda: refusals.append(_become_realtime(PRIORITY)))
     thread.start()
     thread.join()
-    if not refusal:
-        return passed(name, f"SCHED_FIFO {PRIORITY} granted (rtprio limit {limit})", granted=True, limit=limit)
-    fix = f'as root: echo "$USER - rtprio 90" > {_LIMITS}rtprio.conf, then log in again'
-    if any(mark.exists() for mark in _CONTAINERS):
-        fix = "start the container with --cap-add=sys_nice --ulimit rtprio=99"
-    found = f"SCHED_FIFO {PRIORITY} refused ({refusal[0].strerror}; rtprio limit {limit}): ticks are missed under load"
-    return warned(name, found, fix, granted=False, limit=limit)
-
-
-def memory_lock() -> Finding:
-    """Whether the nodes may keep their memory from being swapped out."""
-    name = "locked memory"
-    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if _capable(_CAP_IPC_LOCK) or limit == resource.RLIM_INFINITY:
-        return passed(name, "unlimited")
-    words = f"limit {limit / 2**20:.0f} MiB"
-    if limit >= _ENOUGH_MEMORY:
-        return passed(name, words)
-    fix = f'as root: echo "$USER - memlock unlimited" > {_LIMITS}memlock.conf, then log in again'
-    return warned(name, f"{words}: pages of the loops may be swapped out", fix)
-
-
-def _capable(capability: int) -> bool:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("CapEff:"):
-            return bool(int(line.split()[1], 16) >> capability & 1)
-    return False
-
-
-def processors() -> Finding:
-    """Cores that this process may use, and how busy they are."""
-    name = "processors"
-    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
-    found = f"{cores} cores, load {load:.1f} over the last minute"
-    values = {"cores": cores, "load": load}
-    if cores < 2:
-        fix = "use a machine with two cores or more, or set planning.deadline and period so that plans leave time"
-        return warned(name, f"{found}: the planner takes the loops' core", fix, **values)
-    if load > cores:
-        fix = "end what else computes (see top), or give the loops a core of their own with the parameter cpus"
-        return warned(name, f"{found}: more work than cores", fix, **values)
-    return passed(name, found, **values)
-
-
-def frequency_scaling(devices: Path = Path("/sys/devices/system/cpu")) -> Finding:
-    """Whether cores slow down when they are idle, and take long to speed up."""
-    name = "frequency scaling"
-    governors = {file.read_text().strip() for file in devices.glob("cpu[0-9]*/cpufreq/scaling_governor")}
-    if not governors:
-        return passed(name, "none that this system shows, as in most virtual machines")
-    found = f"governor {', '.join(sorted(governors))}"
-    if governors == {"performance"}:
-        return passed(name, found)
-    return warned(name, f"{found}: wake-ups are late", "sudo cpupower frequency-set -g performance")
-
-
-def kernel(realtime: Path = Path("/sys/kernel/realtime"), version: str = "") -> Finding:
-    """Whether the kernel is a real-time one."""
-    name = "kernel"
-    version = version or platform.version()
-    release = platform.release()
-    if "PREEMPT_RT" in version or (realtime.is_file() and realtime.read_text().strip() == "1"):
-        return passed(name, f"{release}, PREEMPT_RT")
+    if not refusals[0]:
+        return passed(f"SCHED_FIFO {PRIORITY} granted (rtprio limit {limit})", granted=True, limit=limit)
     fix = (
-        "for a real arm install a PREEMPT_RT kernel (Ubuntu: sudo pro enable realtime-kernel); simulation runs without"
+        f'as root: printf "$USER - rtprio 90\\n$USER - memlock unlimited\\n" > {_LIMITS}, then log in again; memlock '
+        "keeps the loops' memory from being swapped out"
     )
-    return warned(name, f"{release}, without PREEMPT_RT: rare late wake-ups of milliseconds are possible", fix)
+    if any(mark.exists() for mark in _CONTAINERS):
+        fix = "start the container with --cap-add=sys_nice --ulimit rtprio=99 --ulimit memlock=-1"
+    found = f"SCHED_FIFO {PRIORITY} refused ({refusals[0]}; rtprio limit {limit}): ticks are missed under load"
+    return warned(found, fix, granted=False, limit=limit)
 
 
-def realtime_throttling(
-    settings: Path = Path("/proc/sys/kernel"),
-    cores: int | None = None,
-    release: str = "",
-    servers: Path = _SERVERS,
-    isolated: Collection[int] | None = None,
-) -> Finding:
-    """Whether Linux stops real-time threads that take most of a CPU, which on few of them the loops may.
-
-    Up to Linux 6.11 a sysctl says how much of each CPU they may take; from 6.12 on a fair server on each CPU gives that
-    time to ordinary programs that wait, and the sysctl does nothing any more.
-    """
-    name = "real-time throttling"
-    release = release or platform.release()
-    served = _version(release) >= _FAIR_SERVER
-    times = _fair_server_times(servers) if served else _throttling_times(settings)
-    if times is None and not served:
-        return passed(name, "not shown by this system")
-    if times is not None and times[0] <= 0.0:
-        return passed(name, "off")
-    isolated = isolated_cpus() if isolated is None else isolated
-    if served and isolated:
-        return passed(name, f"none on CPU {max(isolated)}, which isolcpus keeps for driver and controller")
-    cores = len(os.sched_getaffinity(0)) if cores is None else cores
-    kept, period = times or _SERVED_BY_DEFAULT
-    found = f"{kept:.0f} ms in {period:.0f} ms are kept from real-time threads"
-    if served:
-        found += " where ordinary programs wait" if times else " where ordinary programs wait, unless that is changed"
-    if cores >= _MANY_CORES:
-        return passed(name, f"{found}: on {cores} cores the loops never take so much of one")
-    fix = "sudo sysctl kernel.sched_rt_runtime_us=-1: all real-time threads of the stack sleep between their ticks"
-    if served:
-        fix = f"sudo sh -c 'for f in {servers}/cpu*/runtime; do echo 0 > $f; done'"
-        if cores > 1:
-            fix += (
-                f"; where the kernel is locked down, boot with isolcpus={cores - 1}: "
-                "driver and controller have that CPU to themselves then"
-            )
-    return warned(name, f"{found}; on {cores} core(s) a slow phase of the machine then stops the arm's loops", fix)
+@check("processors")
+def processors() -> Finding:
+    """Check the number of cores that this process may use, and how busy they are."""
+    cores, load, isolated = len(os.sched_getaffinity(0)), os.getloadavg()[0], isolated_cpus()
+    found = f"{cores} cores, load {load:.1f} over the last minute"
+    values = {"cores": cores, "load": load, "isolated": sorted(isolated)}
+    if load > cores:
+        fix = "end other busy programs (see top), or give the loops a core of their own with the parameter cpus"
+        return warned(f"{found}: more work than cores", fix, **values)
+    if isolated:
+        return passed(f"{found}; CPU {max(isolated)} is kept for driver and controller by isolcpus", **values)
+    if cores < _MANY_CORES:
+        return warned(
+            f"{found}: Linux stops the arm's loops for 50 ms when they fill 95 % of a core",
+            "switch this throttling off or isolate a core, see docs/realtime.md, or use a machine with "
+            f"{_MANY_CORES} cores",
+            **values,
+        )
+    return passed(found, **values)
 
 
-def _version(release: str) -> tuple[int, int]:
-    found = re.match(r"(\d+)\.(\d+)", release)
-    return (int(found[1]), int(found[2])) if found else (0, 0)
+@check("timer at 1 kHz")
+def timer_jitter(seconds: float = _TIMER_S) -> Finding:
+    """Measure how late a 1 kHz timer wakes up over some seconds."""
+    enabled = gc.isenabled()
+    gc.disable()
+    test = TimerTest(seconds)
+    test.start()
+    test.join()
+    if enabled:
+        gc.enable()
+    p50, p99 = np.percentile(test.late_ns, [50, 99]) / 1000
+    most, ticks = test.late_ns.max() / 1000, len(test.late_ns) + test.missed
+    missed = test.missed / max(ticks, 1)
+    how = "SCHED_FIFO" if test.realtime else "without real-time priority"
+    return graded(
+        f"late by p50 {p50:.0f}, p99 {p99:.0f}, max {most:.0f} us; missed {test.missed} of {ticks} ticks in "
+        f"{seconds:g} s, {how}",
+        "; ".join(late_wake_up_fixes(test.realtime)),
+        fail=missed > _BAD_MISSED,
+        warn=missed > _GOOD_MISSED or p99 > _GOOD_P99_US,
+        p50_us=float(p50),
+        p99_us=float(p99),
+        max_us=float(most),
+        missed=int(test.missed),
+        missed_fraction=float(missed),
+        realtime=test.realtime,
+    )
 
 
-def _throttling_times(settings: Path) -> tuple[float, float] | None:
-    """What the sysctl keeps from real-time threads, ms, and in which time; None where it is not shown."""
-    try:
-        runtime, period = (int((settings / f"sched_rt_{part}_us").read_text()) for part in ("runtime", "period"))
-    except (OSError, ValueError):
-        return None
-    return (0.0 if runtime < 0 else (period - runtime) / 1e3), period / 1e3
-
-
-def _fair_server_times(servers: Path) -> tuple[float, float] | None:
-    """The most that a CPU's fair server takes, ms, and in which time; None where only root may look."""
-    try:
-        times = [
-            (int((server / "runtime").read_text()) / 1e6, int((server / "period").read_text()) / 1e6)
-            for server in servers.iterdir()
-        ]
-    except (OSError, ValueError):
-        return None
-    return max(times, default=None)
-
-
-def disk(folder: Path, rate: float | None = None) -> Finding:
-    """Room for bags.
+def late_wake_up_fixes(
+    realtime: bool,
+    cpus: Path = Path("/sys/devices/system/cpu"),
+    kernel: Path = Path("/sys/kernel/realtime"),
+    version: str = "",
+) -> list[str]:
+    """List what helps against late wake-ups on this machine, most effective first.
 
     Parameters
     ----------
-    folder
-        Where bags go.
-    rate
-        Measured size of a bag over time, bytes/s; the usual one when None.
+    realtime
+        Whether threads may have SCHED_FIFO priority.
+    cpus
+        Folder in which Linux shows its CPUs.
+    kernel
+        File that only real-time kernels have.
+    version
+        Of the kernel; this machine's when empty.
     """
-    name = "disk for bags"
-    existing = folder.resolve()
-    while not existing.is_dir():
-        existing = existing.parent
-    free = shutil.disk_usage(existing).free
-    minutes = free / (rate or TYPICAL_BAG_RATE) / _MINUTE
-    how = "at the rate measured now" if rate else "at the usual rate"
-    found = f"{free / 1e9:.1f} GB free in {existing}, {minutes:,.0f} minutes of recording {how}"
-    values = {"free_gb": free / 1e9, "minutes": minutes, "measured": rate is not None}
-    fix = f"make room in {existing}, or let bags go elsewhere (parameter bag, demo --output)"
-    if not os.access(existing, os.W_OK):
-        return failed(name, f"{existing} cannot be written", fix, **values)
-    if free < _LITTLE_DISK / 10 or minutes < 1.0:
-        return failed(name, found, fix, **values)
-    if free < _LITTLE_DISK or minutes < _FEW_MINUTES:
-        return warned(name, found, fix, **values)
-    return passed(name, found, **values)
+    fixes = [] if realtime else ["permit real-time priority (see above)"]
+    fixes.append("end other busy programs (see top)")
+    governors = {file.read_text().strip() for file in cpus.glob("cpu[0-9]*/cpufreq/scaling_governor")}
+    if governors - {"performance"}:
+        fixes.append(f"sudo cpupower frequency-set -g performance (governor {', '.join(sorted(governors))} now)")
+    if "PREEMPT_RT" not in (version or platform.version()) and not kernel.is_file():
+        fixes.append("for a real arm install a PREEMPT_RT kernel (Ubuntu: sudo pro enable realtime-kernel)")
+    return [*fixes, "turn deep idle states off"]
+
+
+class TimerTest(threading.Thread):
+    """Sleeps at 1 kHz for a while as the driver's loop does, with SCHED_FIFO priority where that is permitted.
+
+    Parameters
+    ----------
+    seconds
+        How long.
+    priority
+        Its priority.
+
+    Attributes
+    ----------
+    late_ns
+        (n,), delay of each wake-up, ns.
+    missed
+        Ticks that had passed before it woke up.
+    realtime
+        Whether it had SCHED_FIFO priority.
+    """
+
+    def __init__(self, seconds: float, priority: int = PRIORITY) -> None:
+        super().__init__(name="timer test")
+        self._priority = priority
+        self.late_ns = np.zeros(int(seconds * NANOSECONDS / _TICK_NS), dtype=np.int64)
+        self.missed = 0
+        self.realtime = False
+
+    def run(self) -> None:
+        """Take all ticks; the thread only sleeps and notes the time."""
+        self.realtime = not _become_realtime(self._priority)
+        for tick, (late_ns, missed) in zip(range(len(self.late_ns)), _wake_ups(), strict=False):
+            self.late_ns[tick] = late_ns
+            self.missed += missed
+
+
+def report_ticks(priority: int) -> None:
+    """Sleep at 1 kHz until killed, and print every 1000 wake-ups how many ticks were due and how many were missed."""
+    gc.disable()
+    _become_realtime(priority)
+    all_missed = 0
+    for tick, (_, missed) in enumerate(_wake_ups(), start=1):
+        all_missed += missed
+        if tick % _REPORTED_EVERY == 0:
+            print(tick + all_missed, all_missed, flush=True)
+
+
+def _become_realtime(priority: int) -> str:
+    """Give the calling thread SCHED_FIFO priority; returns why that is refused, else an empty text."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _wake_ups() -> Iterator[tuple[int, int]]:
+    """Sleep until the next millisecond each time; yields the delay, ns, and how many ticks had passed by then."""
+    due_ns = time.monotonic_ns() + _TICK_NS
+    while True:
+        left_ns = due_ns - time.monotonic_ns()
+        if left_ns > 0:
+            time.sleep(left_ns / NANOSECONDS)
+        late_ns = time.monotonic_ns() - due_ns
+        missed = max(late_ns, 0) // _TICK_NS
+        yield late_ns, missed
+        due_ns += (1 + missed) * _TICK_NS
+
+
+if __name__ == "__main__":
+    report_ticks(int(sys.argv[1]))

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from contact_reach_ros.doctor import machine
-from contact_reach_ros.doctor.findings import Check, Finding, failed
-from contact_reach_ros.doctor.jitter import timer_jitter
-from contact_reach_ros.doctor.planner import planner_speed
-from contact_reach_ros.doctor.report import Report, exit_code, print_table, write_json
-from contact_reach_ros.doctor.software import python_packages
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.doctor import arm as joints
+from contact_reach_ros.doctor import machine, software
+from contact_reach_ros.doctor.findings import Finding, Report, check, exit_code, failed, print_table, write_json
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, parameters_in
+from contact_reach_ros.resources import config_file
 
-_TIMER_S, _QUICK_TIMER_S = 5.0, 0.5
+_LISTEN_S = 1.0
 
 
 @dataclass(frozen=True)
 class DoctorOptions:
     """What the command line asks for."""
 
-    quick: bool = False
-    """A short timer test, and no planner."""
     parameters: str = ""
     """Parameter file of the nodes; the package's own when empty."""
     discovery: str = "host"
     """How far to look for nodes."""
-    bags: Path = Path("bags")
     json: Path | None = None
 
 
@@ -36,52 +35,74 @@ def run_doctor(options: DoctorOptions) -> int:
     """Make all checks and print them; returns the exit code: 1 if something failed, else 0."""
     console = Console()
     with console.status("looking at this machine and its software ..."):
-        report = examine(options)
+        report = examine(options, load_arm("iiwa14"))
     print_table(report, console)
     if options.json is not None:
         write_json(report, options.json)
     return exit_code(report)
 
 
-def examine(options: DoctorOptions) -> Report:
+def examine(options: DoctorOptions, arm: Arm) -> Report:
     """Make all checks; findings by part."""
-    seconds = _QUICK_TIMER_S if options.quick else _TIMER_S
     report = {
-        "machine": _make(
-            [
-                Check("real-time priority", machine.realtime_permission),
-                Check("locked memory", machine.memory_lock),
-                Check("timer at 1 kHz", lambda: timer_jitter(seconds)),
-                Check("processors", machine.processors),
-                Check("frequency scaling", machine.frequency_scaling),
-                Check("real-time throttling", machine.realtime_throttling),
-                Check("kernel", machine.kernel),
-            ]
-        ),
-        "software": _make([Check("Python packages", python_packages)]),
+        "machine": [machine.realtime_permission(), machine.timer_jitter(), machine.processors()],
+        "software": [software.python_packages()],
     }
     try:
         # rclpy is only needed, and only has to be installed, for what follows.
-        from contact_reach_ros.nodes.doctor import RosDoctor
+        from contact_reach_ros.doctor import stack
+        from contact_reach_ros.ros.discovery import choose_discovery
     except ImportError as error:
-        fix = "source /opt/ros/jazzy/setup.bash, or install the wheels: pip install -c constraints.txt '.[ros]'"
-        report["software"].append(failed("rclpy", f"cannot be imported ({error}): no node can run", fix))
-        report["recording"] = _make([Check("disk for bags", lambda: machine.disk(options.bags))])
-        if not options.quick:
-            report["planner"] = _make([Check("planner", lambda: planner_speed({}))])
+        report["software"].append(_without_ros(error))
         return report
-    doctor = RosDoctor(options.parameters, options.discovery)
-    report["software"] += _make(doctor.software())
-    if not options.quick:
-        report["planner"] = _make([Check("planner", lambda: planner_speed(doctor.planner_parameters()))])
-    try:
-        parts = doctor.stack(options.bags)
-    except Exception as error:  # as in every check: what is wrong is reported
-        fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
-        report["stack"] = [failed("nodes", f"{type(error).__name__}: {error}", fix)]
-        return report
-    return {**report, **{part: _make(checks) for part, checks in parts.items()}}
+    choose_discovery(options.discovery)
+    file = Path(options.parameters) if options.parameters else config_file(DEFAULT_PARAMETERS)
+    report["software"] += [
+        software.ros_version(),
+        stack.discovery_in_use(),
+        stack.running_sockets(),
+        software.parameter_file(file),
+        software.contact_budget(file, arm),
+    ]
+    return {**report, **_stack(options, file, arm)}
 
 
-def _make(checks: Sequence[Check]) -> list[Finding]:
-    return [finding for check in checks for finding in check.run()]
+@check("gravity against torque")
+def _gravity(record: joints.JointRecord, file: Path, arm: Arm) -> Finding:
+    budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
+    return joints.gravity(record, RobotModel(arm), budget)
+
+
+@check("rclpy")
+def _without_ros(error: ImportError) -> Finding:
+    fix = "source /opt/ros/jazzy/setup.bash, or install the wheels with make venv"
+    return failed(f"cannot be imported ({error}): no node can run", fix)
+
+
+def _stack(options: DoctorOptions, file: Path, arm: Arm) -> dict[str, list[Finding]]:
+    """Check what is running; looks around first, which takes seconds."""
+    from contact_reach_ros.doctor import stack
+    from contact_reach_ros.doctor.listening import Look, look_around
+    from contact_reach_ros.messages import topics
+
+    looks: list[Look] = []
+
+    @check("nodes", "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file")
+    def nodes() -> Finding:
+        looks.append(look_around(options.discovery, _LISTEN_S, arm))
+        return stack.nodes(looks[0].graph)
+
+    parts = {"stack": [nodes()]}
+    if looks and looks[0].graph.running:
+        graph = looks[0].graph
+        checks = (stack.lifecycle, stack.time_source, stack.gains, stack.safety_state)
+        parts["stack"] += [check(graph) for check in checks]
+        parts["topics"] = [stack.topic(graph, topic) for topic in topics.ALL]
+        record, clock = looks[0].joint_record(), looks[0].clock_at_states()
+        parts["arm"] = [
+            joints.joint_names(record, arm, looks[0].command_order),
+            joints.driver_rate(record, clock is not None, graph.nominal_rate),
+            joints.clock_skew(record, clock),
+            _gravity(record, file, arm),
+        ]
+    return parts

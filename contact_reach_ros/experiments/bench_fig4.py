@@ -1,8 +1,7 @@
-"""`contact-reach bench fig4`: where the arm goes with every method, as in Fig. 4 of the paper."""
+"""`contact-reach bench fig4`: the paths of all methods, as in Fig. 4 of the paper."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,39 +13,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.camera import Camera, frame
+from contact_reach_ros.drawing.offscreen import Picture
+from contact_reach_ros.drawing.palette import GREY, METHOD_COLOURS, SKY_BLUE, WHITE
+from contact_reach_ros.drawing.parts import arm_shapes, environment_shapes, floor, obstacle_shapes, target_shapes
+from contact_reach_ros.drawing.renderer import find_renderer, render
+from contact_reach_ros.drawing.shapes import Shape
+from contact_reach_ros.drawing.view import Ghost, View
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.figures import (
-    DPI,
-    WIDTH,
-    FigureOptions,
-    Report,
-    check,
-    direction_to_camera,
-    outcome,
-    pixels,
-    record,
-    run_method,
-    save,
-    say_renderer,
-    table,
-    write_report,
-)
+from contact_reach_ros.experiments import figures
+from contact_reach_ros.experiments.figures import DPI, WIDTH, FigureOptions, WatchedEpisode
 from contact_reach_ros.experiments.grid import Setup
-from contact_reach_ros.experiments.machine import machine
-from contact_reach_ros.experiments.watched_episode import WatchedEpisode
+from contact_reach_ros.experiments.output import Report, say, table, write_report
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.palette import GREY, METHOD_COLOURS, SKY_BLUE, WHITE
-from contact_reach_ros.rendering.camera import Camera, frame
-from contact_reach_ros.rendering.parts import arm_shapes, floor, obstacle_shapes, target_shapes
-from contact_reach_ros.rendering.renderer import Picture, render
-from contact_reach_ros.rendering.shapes import Shape
-from contact_reach_ros.rendering.view import Ghost, View
-from contact_reach_ros.robot.kinematics import link_frames
-from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.world.files import read_scene
 
-Array = NDArray[np.float64]
 Runs = Mapping[str, WatchedEpisode]
 
 SCENES = ("free", "ball", "wall")
@@ -60,7 +45,7 @@ _TITLE, _LINE = 0.3, 0.19
 """Heights of a title and of a line of text, inches."""
 _START_OPACITY, _END_OPACITY = 0.3, 0.4
 _DIFFERENT = 0.1
-"""Distance between postures that can be told apart, m."""
+"""Distance at which postures look different, m."""
 _THICKEST, _THINNEST = 4.0, 1.4
 """Widths of the paths, points."""
 _TARGET: dict[str, Any] = {
@@ -90,29 +75,29 @@ def bench_fig4(bench: Fig4, output: Path, file: Path | None, setup: Setup | None
     SceneError
         If a scene cannot be made.
     """
-    check(bench, output)
+    figures.check(bench, output)
     setup = setup or Setup(budget=load_budget())
     scenes = {scene.name: scene for scene in map(read_scene, bench.scenes)}
     if len(scenes) < len(bench.scenes):
         raise SettingsError(f"--scenes {' '.join(bench.scenes)}: expected different names")
+    renderer = find_renderer(bench.renderer)
     runs = {
-        name: {method: run_method(method, scene, bench, setup, bench.seed) for method in bench.methods}
+        name: {method: figures.run_method(method, scene, bench, setup) for method in bench.methods}
         for name, scene in scenes.items()
     }
     width = min(_WIDEST_PANEL, WIDTH / len(runs))
-    views = [_view(each, *pixels(width - _GAP, _PICTURE_RATIO * width)) for each in runs.values()]
-    rendering = render(views, bench.renderer)
-    say_renderer(rendering)
-    save(_figure(runs, views, rendering.pictures, width), output)
+    views = [_view(each, *figures.pixels(width - _GAP, _PICTURE_RATIO * width)) for each in runs.values()]
+    pictures = render(views, renderer)
+    say(f"pictures by {renderer}")
+    figures.save(_figure(runs, views, pictures, width), output)
     report = {
-        "bench": "fig4",
-        "options": dataclasses.asdict(bench),
-        "renderer": rendering.renderer,
-        "machine": machine(),
-        "episodes": {name: {method: record(run, setup) for method, run in each.items()} for name, each in runs.items()},
+        **figures.report_of("fig4", bench, renderer),
+        "episodes": {
+            name: {method: figures.record(run, setup) for method, run in each.items()} for name, each in runs.items()
+        },
     }
     write_report(report, file)
-    rows = [[name, method, outcome(run)] for name, each in runs.items() for method, run in each.items()]
+    rows = [[name, method, figures.outcome(run)] for name, each in runs.items() for method, run in each.items()]
     print(table(["scene", "method", "time, largest force"], rows))
     return report
 
@@ -121,30 +106,32 @@ def _view(runs: Runs, width: int, height: int) -> View:
     """Start and ends of the arm, and the obstacles as the first method left them."""
     first = next(iter(runs.values()))
     scene = first.scene
+    arm = scene.arm
     ends = {method: run.result.joints[-1] for method, run in runs.items() if len(run.result.joints)}
-    fixed: list[Shape] = [*obstacle_shapes(scene, first.last_obstacles), *target_shapes(scene.target)]
-    ghosts = [Ghost(arm_shapes(scene.start, GREY), _START_OPACITY)]
+    around = [*obstacle_shapes(scene, first.last_obstacles), *environment_shapes(scene)]
+    fixed: list[Shape] = [*around, *target_shapes(scene.target)]
+    ghosts = [Ghost(arm_shapes(arm, scene.start, GREY), _START_OPACITY)]
     drawn: list[Array] = []
     for method, joints in ends.items():
-        # Arms that are in almost the same place would only spoil each other.
-        if all(_apart(joints, other) > _DIFFERENT for other in drawn):
+        # Arms in almost the same place would blur each other.
+        if all(_apart(arm, joints, other) > _DIFFERENT for other in drawn):
             if drawn:
-                ghosts.append(Ghost(arm_shapes(joints, METHOD_COLOURS[method]), _END_OPACITY))
+                ghosts.append(Ghost(arm_shapes(arm, joints, METHOD_COLOURS[method]), _END_OPACITY))
             else:
-                fixed += arm_shapes(joints)
+                fixed += arm_shapes(arm, joints)
             drawn.append(joints)
     shapes = [*fixed, *(shape for ghost in ghosts for shape in ghost.shapes)]
-    return View(fixed, frame(shapes, width, height, direction_to_camera(scene)), floor(), ghosts)
+    return View(fixed, frame(shapes, width, height, figures.direction_to_camera(scene)), floor(), ghosts)
 
 
-def _apart(first: Array, second: Array) -> float:
+def _apart(arm: Arm, first: Array, second: Array) -> float:
     """How far the origins of the links are apart in two postures, at most, m."""
-    between = np.subtract(link_frames(first)[1], link_frames(second)[1])
+    between = np.subtract(link_frames(arm, first)[1], link_frames(arm, second)[1])
     return float(np.linalg.norm(between, axis=1).max())
 
 
 def _figure(runs: Mapping[str, Runs], views: list[View], pictures: list[Picture], width: float) -> Figure:
-    """One column per scene: its name, the picture, and what came of each method."""
+    """One column per scene: its name, the picture, and the outcome of each method."""
     most = max(len(each) for each in runs.values())
     below, above, common = (most + 0.5) * _LINE, _TITLE, 1.5 * _LINE
     picture_height = _PICTURE_RATIO * width
@@ -153,9 +140,7 @@ def _figure(runs: Mapping[str, Runs], views: list[View], pictures: list[Picture]
     for column, ((name, each), view, picture) in enumerate(zip(runs.items(), views, pictures, strict=True)):
         low, share = (common + below) / total_height, 1.0 / len(runs)
         box = (column * share, low, share - _GAP / total_width, picture_height / total_height)
-        axes = figure.add_axes(box)
-        axes.set_axis_off()
-        axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
+        axes = figures.show(figure, box, view, picture)
         _draw_paths(axes, view.camera, each)
         axes.set_title(name, fontsize=11, weight="bold")
         axes.legend(
@@ -216,5 +201,5 @@ def _handle(method: str, run: WatchedEpisode) -> Line2D:
         linestyle="-" if reached else "none",
         marker="" if reached else "x",
         markeredgewidth=2.0,
-        label=f"{method}: {outcome(run)}",
+        label=f"{method}: {figures.outcome(run)}",
     )

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,46 +13,30 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
-from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.figures import (
-    DPI,
-    WIDTH,
-    FigureOptions,
-    Report,
-    check,
-    direction_to_camera,
-    outcome,
-    pixels,
-    record,
-    run_method,
-    save,
-    say_renderer,
-    table,
-    write_report,
-)
-from contact_reach_ros.experiments.grid import Setup
-from contact_reach_ros.experiments.machine import machine
-from contact_reach_ros.experiments.watched_episode import WatchedEpisode
-from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.palette import BLACK, GREY, METHOD_COLOURS, WHITE
-from contact_reach_ros.plant.plant import TICK
-from contact_reach_ros.rendering.camera import Camera, frame
-from contact_reach_ros.rendering.parts import (
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.camera import Camera, frame
+from contact_reach_ros.drawing.offscreen import Picture
+from contact_reach_ros.drawing.palette import BLACK, GREY, METHOD_COLOURS, WHITE
+from contact_reach_ros.drawing.parts import (
     arm_shapes,
+    environment_shapes,
     floor,
     obstacle_shapes,
     path_shapes,
     target_shapes,
 )
-from contact_reach_ros.rendering.renderer import Picture, render
-from contact_reach_ros.rendering.shapes import Shape
-from contact_reach_ros.rendering.view import View
-from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.drawing.renderer import find_renderer, render
+from contact_reach_ros.drawing.shapes import Shape
+from contact_reach_ros.drawing.view import View
+from contact_reach_ros.experiments import figures
+from contact_reach_ros.experiments.figures import DPI, WIDTH, FigureOptions, WatchedEpisode
+from contact_reach_ros.experiments.grid import Setup
+from contact_reach_ros.experiments.output import Report, say, table, write_report
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.simulation.plant import TICK
+from contact_reach_ros.world.files import read_scene
 
-Array = NDArray[np.float64]
 Runs = Mapping[str, WatchedEpisode]
 
 METHODS_SHOWN = ("contact_reach", "reference_posture")
@@ -81,19 +64,10 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class Fig5(FigureOptions):
-    """What is run.
-
-    Attributes
-    ----------
-    scene
-        Name or YAML file.
-    seeds
-        Seeds whose largest forces are compared: `seed`, which is the one drawn, `seed` + 1, ...
-    """
+    """What is run; `scene` is a name or a YAML file."""
 
     methods: tuple[str, ...] = METHODS_SHOWN
     scene: str = "wall"
-    seeds: int = 1
 
 
 @dataclass(frozen=True)
@@ -120,32 +94,21 @@ def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None
     SceneError
         If the scene cannot be made.
     """
-    check(bench, output)
-    if bench.seeds < 1:
-        raise SettingsError(f"--seeds {bench.seeds}: expected at least 1")
+    figures.check(bench, output)
+    renderer = find_renderer(bench.renderer)
     setup = setup or Setup(budget=load_budget())
     scene_file = read_scene(bench.scene)
-    seeds = list(range(bench.seed, bench.seed + bench.seeds))
-    runs: dict[str, WatchedEpisode] = {}
-    records: dict[str, list[dict[str, Any]]] = {}
-    for method in bench.methods:
-        for seed in seeds:
-            run = run_method(method, scene_file, bench, setup, seed)
-            runs.setdefault(method, run)
-            records.setdefault(method, []).append({"seed": seed, **record(run, setup)})
+    runs = {method: figures.run_method(method, scene_file, bench, setup) for method in bench.methods}
+    records = {method: figures.record(run, setup) for method, run in runs.items()}
     chosen = {method: _moments(method, run) for method, run in runs.items()}
     pictured = [moment for moments in chosen.values() for moment in moments]
     views = _views(runs, pictured)
-    rendering = render(views, bench.renderer)
-    say_renderer(rendering)
+    pictures = render(views, renderer)
+    say(f"pictures by {renderer}")
     permitted = setup.budget.permitted_force
-    peaks = {method: [entry["max_contact_force"] for entry in entries] for method, entries in records.items()}
-    save(_figure(runs, pictured, views, rendering.pictures, permitted, seeds, peaks), output)
+    figures.save(_figure(runs, pictured, views, pictures, permitted), output)
     report = {
-        "bench": "fig5",
-        "options": dataclasses.asdict(bench),
-        "renderer": rendering.renderer,
-        "machine": machine(),
+        **figures.report_of("fig5", bench, renderer),
         "permitted_force_N": permitted,
         "tick_s": TICK,
         "episodes": records,
@@ -156,27 +119,9 @@ def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None
         "profiles_N": {method: _profile(run).tolist() for method, run in runs.items()},
     }
     write_report(report, file)
-    rows = [[method, outcome(run), f"{entry['contact_impulse']:.2f}"] for method, run, entry in _first(runs, records)]
+    rows = [[method, figures.outcome(run), f"{records[method]['contact_impulse']:.2f}"] for method, run in runs.items()]
     print(table(["method", "time, largest force", "impulse [N s]"], rows))
-    if len(seeds) > 1:
-        print(_paired(peaks))
     return report
-
-
-def _first(runs: Runs, records: Mapping[str, list[dict[str, Any]]]) -> Iterator[tuple[str, WatchedEpisode, Any]]:
-    for method, run in runs.items():
-        yield method, run, records[method][0]
-
-
-def _paired(peaks: Mapping[str, list[float]]) -> str:
-    """Mean largest forces, and what each method's is over the first one's."""
-    means = {method: float(np.mean(values)) for method, values in peaks.items()}
-    reference = next(iter(means.values()))
-    rows = [
-        [method, f"{mean:.2f}", f"{mean / reference:.2f}" if reference > 0.0 else "–"] for method, mean in means.items()
-    ]
-    count = len(next(iter(peaks.values())))
-    return "\n" + table(["method", f"mean largest force of {count} seeds [N]", "over the first method's"], rows)
 
 
 def _profile(run: WatchedEpisode) -> Array:
@@ -209,47 +154,40 @@ def _views(runs: Runs, moments: list[Moment]) -> list[View]:
     width = WIDTH / _COLUMNS
     stages = [_shapes(runs[moment.method], moment) for moment in moments]
     every = [shape for stage in stages for shape in stage]
-    # One camera for all: what moves in the pictures has moved.
-    camera: Camera = frame(every, *pixels(width, _PICTURE_RATIO * width), direction_to_camera(scene))
+    # With one camera for all, only motion makes the pictures differ.
+    camera: Camera = frame(every, *figures.pixels(width, _PICTURE_RATIO * width), figures.direction_to_camera(scene))
     return [View(stage, camera, floor()) for stage in stages]
 
 
 def _shapes(run: WatchedEpisode, moment: Moment) -> list[Shape]:
-    """The arm, what it touches and how it came there."""
+    """The arm, the obstacles, the target and the path so far."""
     result, tick = run.result, moment.tick
     path = np.concatenate([result.start_position[None], result.positions[: tick + 1]])
     return [
-        *arm_shapes(result.joints[tick]),
+        *arm_shapes(run.scene.arm, result.joints[tick]),
         *obstacle_shapes(run.scene, run.obstacles[tick], _FOAM_OPACITY),
+        *environment_shapes(run.scene),
         *target_shapes(run.scene.target),
         *path_shapes(path, METHOD_COLOURS[moment.method]),
     ]
 
 
 def _resultants(run: WatchedEpisode, tick: int) -> tuple[Array, Array]:
-    """Points (n, 3), m, and forces (n, 3) on the arm, N: the sum on each body that is touched, in the contacts' middle.
+    """Points (n, 3), m, and forces (n, 3) on the arm, N: the sum on each link that is touched, in the contacts' middle.
 
     The middle is that of the points weighted with their forces.
     """
     contacts = run.contacts[tick]
     weights = np.linalg.norm(contacts.forces, axis=1)
     points, forces = [], []
-    for body in np.unique(contacts.bodies[weights > 0.0]):
-        here = contacts.bodies == body
+    for link in np.unique(contacts.links[weights > 0.0]):
+        here = contacts.links == link
         points.append(np.average(contacts.points[here], axis=0, weights=weights[here]))
         forces.append(contacts.forces[here].sum(axis=0))
     return np.reshape(points, (-1, 3)), np.reshape(forces, (-1, 3))
 
 
-def _figure(
-    runs: Runs,
-    moments: list[Moment],
-    views: list[View],
-    pictures: list[Picture],
-    permitted: float,
-    seeds: list[int],
-    peaks: Mapping[str, list[float]],
-) -> Figure:
+def _figure(runs: Runs, moments: list[Moment], views: list[View], pictures: list[Picture], permitted: float) -> Figure:
     """A row of pictures for each method, below them the curves."""
     moments_of = {method: [moment for moment in moments if moment.method == method] for method in runs}
     shown = [method for method, its in moments_of.items() if its]
@@ -263,24 +201,15 @@ def _figure(
         row = shown.index(moment.method)
         column = _COLUMNS + moments_of[moment.method].index(moment) - len(moments_of[moment.method])
         low = height - (row + 1) * (picture_height + title)
-        axes = figure.add_axes((column / _COLUMNS, low / height, 1.0 / _COLUMNS, picture_height / height))
-        axes.set_axis_off()
-        axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
+        box = (column / _COLUMNS, low / height, 1.0 / _COLUMNS, picture_height / height)
+        axes = figures.show(figure, box, view, picture)
         _draw_forces(axes, view.camera, *_resultants(runs[moment.method], moment.tick))
         force = runs[moment.method].result.contact_forces[moment.tick]
         label = f"({letters[moment]}) {moment.name}: {moment.time:.2f} s, {force:.1f} N"
         axes.set_title(label, fontsize=9, color=METHOD_COLOURS[moment.method], pad=3.0)
-    compared = len(seeds) > 1
-    left, gap, right = 0.6, 0.75, 0.15
-    beside = 2.2 if compared else 0.0
-    curves_width = WIDTH - left - right - (beside + gap if compared else 0.0)
-    curves = figure.add_axes((left / WIDTH, bottom / height, curves_width / WIDTH, _CURVES / height))
+    left, right = 0.6, 0.15
+    curves = figure.add_axes((left / WIDTH, bottom / height, 1.0 - (left + right) / WIDTH, _CURVES / height))
     _draw_curves(curves, runs, letters, permitted)
-    if compared:
-        start = left + curves_width + gap
-        _draw_peaks(
-            figure.add_axes((start / WIDTH, bottom / height, beside / WIDTH, _CURVES / height)), seeds, peaks, permitted
-        )
     return figure
 
 
@@ -296,7 +225,7 @@ def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitte
     for method, run in runs.items():
         forces = run.result.contact_forces
         time = TICK * np.arange(1, len(forces) + 1)
-        label = f"{method}: {outcome(run)}"
+        label = f"{method}: {figures.outcome(run)}"
         axes.plot(time, forces, color=METHOD_COLOURS[method], linewidth=1.5, label=label)
     axes.axhline(permitted, color=GREY, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
     methods = list(runs)
@@ -320,23 +249,6 @@ def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitte
     arrow = f"force on a body, {100 * _FORCE_SCALE:g} cm/N"
     axes.plot([], [], color=BLACK, marker=r"$\rightarrow$", markersize=14.0, linestyle="none", label=arrow)
     axes.legend(loc="best", fontsize=8.0, framealpha=1.0, edgecolor="none", borderaxespad=0.2)
-    _finish(axes)
-
-
-def _draw_peaks(axes: Axes, seeds: list[int], peaks: Mapping[str, list[float]], permitted: float) -> None:
-    values = np.array(list(peaks.values()))
-    axes.vlines(seeds, values.min(axis=0), values.max(axis=0), color="#bbbbbb", linewidth=1.2)
-    for method, heights in peaks.items():
-        axes.plot(seeds, heights, color=METHOD_COLOURS[method], marker="o", markersize=5, linestyle="none")
-    axes.axhline(permitted, color=GREY, linewidth=1.0, linestyle="--")
-    axes.set_xlabel("seed", fontsize=9)
-    axes.set_ylabel("largest force [N]", fontsize=9)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.margins(x=0.08)
-    _finish(axes)
-
-
-def _finish(axes: Axes) -> None:
     axes.set_ylim(bottom=0.0)
     axes.tick_params(labelsize=8.5)
     axes.grid(True, color="#dddddd", linewidth=0.6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
+import math
 import time
 from pathlib import Path
 from typing import TypedDict
@@ -13,28 +13,30 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
-from contact_reach_ros.planning.problem import Spheres
-from contact_reach_ros.plant.plant import TICK, Actuation, Plant
-from contact_reach_ros.plant.press import press_in_model, press_in_plant
-from contact_reach_ros.plant.settings import JointSettings, SensorSettings
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.free_path import free_path
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene, WallSettings
-from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
+from contact_reach_ros.experiments.output import write_report
+from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
+from contact_reach_ros.simulation.press import press_in_model, press_in_plant
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.timing import Histogram
 from contact_reach_ros.units import NANOSECONDS
-
-Array = NDArray[np.float64]
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.kinds.wall import WallSettings
+from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 AGREEMENT = 0.2
 """How far displacements of planner and plant may be apart, as a share of the planner's."""
 MAX_FORCE = 100.0
 """To press nodes with, N."""
 _PRESS_TICKS = 1000
-_RISE = 1.0 - 1.0 / np.e
+_RISE = 1.0 - math.exp(-1.0)
 
 _PATH_S = 4.0
 _HOLD_S = 1.0
@@ -55,13 +57,15 @@ class Press(TypedDict):
     time_ratio: float
 
 
-def bench_foam(name: str, seed: int, force: float, fit: bool, file: Path | None) -> dict[str, object]:
+def bench_foam(
+    scene: str = "wall", seed: int = 0, force: float = 10.0, fit: bool = False, file: Path | None = None
+) -> dict[str, object]:
     """Press nodes of the scene's upper wall, push the arm through, print tables and write JSON to `file`.
 
     Parameters
     ----------
-    name, seed
-        Of the scene.
+    scene, seed
+        Name or YAML file of the scene, and its seed.
     force
         What nodes are pressed with, N.
     fit
@@ -76,10 +80,10 @@ def bench_foam(name: str, seed: int, force: float, fit: bool, file: Path | None)
     """
     if not 0.0 < force <= MAX_FORCE:
         raise InputError(f"force = {force:g} N: expected a number above 0, at most {MAX_FORCE:g}")
-    scene = make_scene(read_scene(name), seed)
-    if not scene.walls:
-        raise SceneError(f"scene '{name}' has no walls; expected one that has, such as 'wall'")
-    presses = [press(scene, force, *node) for node in _surface_nodes(scene)]
+    walls = make_scene(read_scene(scene), load_arm(), seed)
+    if not any(obstacle.kind == WallSettings.KIND for obstacle in walls.obstacles):
+        raise SceneError(f"scene '{scene}' has no walls; expected one that has, such as 'wall'")
+    presses = [press(walls, force, *node) for node in _surface_nodes(walls)]
     print(f"a node pressed with {force:g} N: displacement and time to {100 * _RISE:.0f} % of it, plant and planner")
     for row in presses:
         print(
@@ -89,15 +93,14 @@ def bench_foam(name: str, seed: int, force: float, fit: bool, file: Path | None)
         )
     report: dict[str, object] = {"force_N": force, "press": presses}
     if fit:
-        report["fit"] = _print_fit(scene, force, presses)
+        report["fit"] = _print_fit(walls, force, presses)
     else:
-        steps = report["step_us"] = time_steps(scene)
+        steps = report["step_us"] = time_steps(walls)
         print(
             f"CPU time of one step of 1 ms while the arm pushes along its free path, least of {_REPETITIONS} runs, us"
         )
         print("  " + "  ".join(f"{key} {value:.0f}" for key, value in steps.items()))
-    if file is not None:
-        file.write_text(json.dumps(report, indent=2) + "\n")
+    write_report(report, file)
     return report
 
 
@@ -139,20 +142,20 @@ def fit_scale(scene: Scene, newtons: float, presses: list[Press]) -> float:
 
     (known,) = (entry for entry in WallSettings.declared() if entry.name == "planner_stiffness_scale")
     bounds = np.log([known.minimum or 0.0, known.maximum or np.inf])
-    now = np.log(scene.walls[-1].settings.planner_stiffness_scale)
+    now = np.log(_upper_wall(scene).material.planner_scale)
     return float(np.exp(scipy.optimize.least_squares(misses, [now], bounds=bounds).x[0]))
 
 
 def _print_fit(scene: Scene, newtons: float, presses: list[Press]) -> dict[str, float]:
-    settings = scene.walls[-1].settings
+    material = _upper_wall(scene).material
     scale = fit_scale(scene, newtons, presses)
     spheres = _planner_spheres(scene, scale)
     fitted = [row["plant_mm"] / _model_mm(spheres, _number(scene, row["node"]), newtons) for row in presses]
-    in_use = settings.planner_stiffness_scale
+    in_use = material.planner_scale
     error, left = (
         float(np.abs(np.subtract(ratios, 1.0)).max()) for ratios in ([row["ratio"] for row in presses], fitted)
     )
-    print(f"the planner's springs, edge_stiffness = {settings.edge_stiffness:g} N/m times planner_stiffness_scale")
+    print(f"the planner's springs, edge_stiffness = {material.edge_stiffness:g} N/m times planner_stiffness_scale")
     for label, value, off in (("in use", in_use, error), ("fitted", scale, left)):
         print(f"  {label}  {value:.3f}, displacements off by {100 * off:.0f} % at most")
     verdict = "agrees" if left <= AGREEMENT else "does not agree"
@@ -164,10 +167,10 @@ def _print_fit(scene: Scene, newtons: float, presses: list[Press]) -> dict[str, 
 def _planner_spheres(scene: Scene, scale: float) -> Spheres:
     """The mesh at rest as a planner would see it with this scale."""
     walls = tuple(
-        dataclasses.replace(wall, settings=dataclasses.replace(wall.settings, planner_stiffness_scale=scale))
-        for wall in scene.walls
+        dataclasses.replace(wall, material=dataclasses.replace(wall.material, planner_scale=scale))
+        for wall in scene.obstacles
     )
-    return obstacle_spheres(dataclasses.replace(scene, walls=walls), rest_positions(scene))
+    return obstacle_spheres(dataclasses.replace(scene, obstacles=walls), rest_positions(scene))
 
 
 def _model_mm(spheres: Spheres, node: int, newtons: float) -> float:
@@ -177,8 +180,12 @@ def _model_mm(spheres: Spheres, node: int, newtons: float) -> float:
 
 def _number(scene: Scene, node: tuple[int, int, int]) -> int:
     """Number of a node of the upper wall among all spheres."""
-    wall = scene.walls[-1]
-    return len(rest_positions(scene)) - len(wall.rest) + int(np.ravel_multi_index(node, wall.settings.nodes))
+    wall = _upper_wall(scene)
+    return len(rest_positions(scene)) - len(wall.rest) + int(np.ravel_multi_index(node, wall.lattice))
+
+
+def _upper_wall(scene: Scene) -> Obstacle:
+    return scene.obstacles[-1]
 
 
 def time_steps(scene: Scene) -> dict[str, float]:
@@ -186,7 +193,7 @@ def time_steps(scene: Scene) -> dict[str, float]:
 
     Every repetition takes the very same steps, so the least time of each is what it costs where nothing disturbs it.
     """
-    model = RobotModel()
+    model = RobotModel(scene.arm)
     path = free_path(model, scene.start, scene.target)
     if path is None:
         raise SceneError(f"scene '{scene.name}': its target cannot be reached on a straight line")
@@ -216,6 +223,6 @@ def _time_push(scene: Scene, model: RobotModel, path: Array) -> tuple[NDArray[np
 
 def _surface_nodes(scene: Scene) -> list[tuple[int, int, int]]:
     """Middle, quarter and end of the wall, front and back, at the gap and next to the fixture."""
-    along_x, along_y, along_z = scene.walls[-1].settings.nodes
+    along_x, along_y, along_z = _upper_wall(scene).lattice
     places = ((0, along_x - 1), (along_y // 2, along_y // 4, 0), sorted({0, along_z - 2}))
     return [(x, y, z) for x, y, z in itertools.product(*places)]

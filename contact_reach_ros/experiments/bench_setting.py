@@ -3,34 +3,39 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
 from contact_reach_ros.experiments.grid import episode_seeds
 from contact_reach_ros.experiments.machine import machine
+from contact_reach_ros.experiments.metrics import measure
+from contact_reach_ros.experiments.output import write_report
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.speed_limit import least_duration
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene
-from contact_reach_ros.scenes.spheres import sphere_capacity
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import sphere_capacity
 
 LATENCY = "latency"
 """Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""
 
 
 def bench_setting(
-    name: str, values: Sequence[Any], scenes: Sequence[str], targets: int, file: Path | None
+    name: str,
+    values: Sequence[Any],
+    scenes: Sequence[str] = ("ball", "wall"),
+    targets: int = 10,
+    file: Path | None = None,
 ) -> dict[str, Any]:
     """Run episodes, print a table in Markdown and write JSON to `file`.
 
@@ -51,17 +56,18 @@ def bench_setting(
         If the setting is unknown or a value is out of range.
     """
     variants = [_variant(name, value) for value in values]
-    permitted = load_budget().permitted_force
+    arm, permitted = load_arm(), load_budget().permitted_force
     report: dict[str, Any] = {"setting": name, "targets": targets, "machine": machine(), "scenes": {}}
     print(f"| scene | {name} | reached | time / limit | largest force, N | mean force, N | over the budget, ms |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for scene_name in scenes:
         scene_file = read_scene(scene_name)
-        concrete = [make_scene(scene_file, seed) for seed in range(targets)]
+        concrete = [make_scene(scene_file, arm, seed) for seed in range(targets)]
         rows = report["scenes"][scene_file.name] = []
         for value, (settings, options) in zip(values, variants, strict=True):
-            planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted, sphere_capacity(scene_file))
-            method = ReferenceMethod(planner, ControllerSettings())
+            capacity = sphere_capacity(scene_file)
+            planner = RecedingHorizonPlanner(arm, settings, ImpedanceSettings(), permitted, capacity)
+            method = Method(planner, ControllerSettings())
             results = [_episode(target, scene, method, options) for target, scene in enumerate(concrete)]
             row = {"value": value, **_summary(settings, concrete, results, permitted)}
             rows.append(row)
@@ -71,12 +77,11 @@ def bench_setting(
                 f"| {force['mean']:.1f} ± {force['sd']:.1f} | {row['mean_force']:.2f} | {row['over_budget_ms']:.0f} |",
                 flush=True,
             )
-    if file is not None:
-        file.write_text(json.dumps(report, indent=2) + "\n")
+    write_report(report, file)
     return report
 
 
-def _episode(target: int, scene: Scene, method: ReferenceMethod, options: EpisodeOptions) -> EpisodeResult:
+def _episode(target: int, scene: Scene, method: Method, options: EpisodeOptions) -> EpisodeResult:
     """With random numbers of its own, as in Table I: episodes with the same ones would all be lucky, or none."""
     solver_seed, noise_seed = episode_seeds(target, 0)
     method.reseed(solver_seed)
@@ -87,6 +92,7 @@ def _variant(name: str, value: Any) -> tuple[PlanningSettings, EpisodeOptions]:
     """Settings with that value, and without a deadline, so that results do not depend on the machine."""
     options = EpisodeOptions(budget=load_budget())
     if name == LATENCY:
+        # As in Table I, the next plan is begun when the last one is ready.
         return PlanningSettings(deadline=0.0), dataclasses.replace(options, latency=float(value), period=float(value))
     return PlanningSettings.from_mapping({"deadline": 0.0, name: value}, "bench setting"), options
 
@@ -94,19 +100,21 @@ def _variant(name: str, value: Any) -> tuple[PlanningSettings, EpisodeOptions]:
 def _summary(
     settings: PlanningSettings, scenes: Sequence[Scene], results: Sequence[EpisodeResult], permitted: float
 ) -> dict[str, Any]:
-    ratios = [
-        result.duration / least_duration(result.start_position, scene.target, settings, ImpedanceSettings())
+    measured = [
+        measure(result, scene.target, settings, ImpedanceSettings(), permitted)
         for scene, result in zip(scenes, results, strict=True)
-        if result.reached
     ]
-    peaks = [float(result.contact_forces.max()) for result in results]
+    ratios = [metrics.time_ratio for metrics in measured if metrics.time_ratio is not None]
     return {
         "reached": len(ratios),
-        "time_ratio": {
-            "mean": float(np.mean(ratios)) if ratios else float("nan"),
-            "sd": float(np.std(ratios)) if ratios else float("nan"),
-        },
-        "largest_force": {"mean": float(np.mean(peaks)), "sd": float(np.std(peaks))},
+        "time_ratio": _mean_and_deviation(ratios),
+        "largest_force": _mean_and_deviation([metrics.max_contact_force for metrics in measured]),
         "mean_force": float(np.mean([result.contact_forces.mean() for result in results])),
-        "over_budget_ms": float(np.mean([(result.contact_forces > permitted).sum() for result in results])),
+        "over_budget_ms": 1e3 * float(np.mean([metrics.over_budget for metrics in measured])),
     }
+
+
+def _mean_and_deviation(values: Sequence[float]) -> dict[str, float]:
+    if not values:
+        return {"mean": float("nan"), "sd": float("nan")}
+    return {"mean": float(np.mean(values)), "sd": float(np.std(values))}

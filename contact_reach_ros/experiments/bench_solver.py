@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,20 +12,22 @@ import jax
 import numpy as np
 import scipy.stats
 
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.experiments.episode import EpisodeOptions
 from contact_reach_ros.experiments.machine import machine
+from contact_reach_ros.experiments.output import write_report
 from contact_reach_ros.experiments.recorded_runs import RecordedPlan, RecordingPlanner, record_runs
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.cost import Problem
-from contact_reach_ros.planning.objectives import action_bounds, make_objective, scaled_cost
-from contact_reach_ros.planning.settings import SOLVER_METHODS, PlanningSettings
-from contact_reach_ros.planning.solver.cma_es import fresh
-from contact_reach_ros.planning.solver.hybrid import HybridSolver
+from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
+from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver import SOLVERS, make_solver
+from contact_reach_ros.planning.solver.solver import Solver
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.spheres import sphere_capacity
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.spheres import sphere_capacity
 
 PAPER = {"hybrid": 0.34, "cma": 0.22, "gradient": 0.40}
 """Cost decrease after ten steps in the paper's wall scene, whose cost has another scale than ours."""
@@ -37,7 +38,9 @@ STARTS = 3
 """How many starts the multi-start takes the best of: standing still and random motions."""
 
 
-def bench_solver(scene: str, seeds: int, file: Path | None, settings: PlanningSettings | None = None) -> dict[str, Any]:
+def bench_solver(
+    scene: str = "wall", seeds: int = 20, file: Path | None = None, settings: PlanningSettings | None = None
+) -> dict[str, Any]:
     """Run every method from the same states; print a table and write JSON to `file`.
 
     The states are spread over real closed-loop runs, half of them with contact where there is that much. From each, all
@@ -62,67 +65,62 @@ def bench_solver(scene: str, seeds: int, file: Path | None, settings: PlanningSe
     settings = dataclasses.replace(settings or PlanningSettings(), deadline=0.0)
     scene_file, options = read_scene(scene), EpisodeOptions(budget=load_budget())
     gains, permitted_force = ImpedanceSettings(), options.budget.permitted_force
-    planner = RecordingPlanner(settings, gains, permitted_force, sphere_capacity(scene_file))
+    arm = load_arm()
+    planner = RecordingPlanner(arm, settings, gains, permitted_force, sphere_capacity(scene_file))
     planner.warm_up(print)
     runs = record_runs(planner, scene_file, 4 * seeds, 0, options, episodes=3)
     states = _spread_states(runs.warm, seeds)
 
-    bounds = action_bounds(settings)
-    cost = scaled_cost(make_objective(settings, gains), bounds)
-    spread = np.full(len(bounds), settings.sigma)
-    still = single(np.zeros(len(bounds)))
-    start = fresh(still, single(spread))
+    space = ReferenceSpace(arm, settings, gains)
+    cost, size = scaled_cost(space), len(space.bounds)
+    still, spread = np.zeros(size), np.full(size, settings.sigma)
     single_cost = jax.jit(cost)
     limited = dataclasses.replace(settings, max_steps=STEPS, stagnation_steps=STEPS)
-    solvers: dict[str, HybridSolver[Problem]] = {
-        method: HybridSolver(cost, len(bounds), dataclasses.replace(limited, solver=method))
-        for method in SOLVER_METHODS
-    }
+    solvers = {method: make_solver(cost, size, dataclasses.replace(limited, solver=method)) for method in SOLVERS}
     for solver in solvers.values():
-        solver.warm_up(states[0].solve.problem, start)
+        solver.warm_up(states[0].solve.problem, solver.init(still, spread))
     curves: dict[str, list[np.ndarray]] = {method: [] for method in solvers}
     seconds: dict[str, list[float]] = {method: [] for method in solvers}
     for number, state in enumerate(states):
         problem = state.solve.problem
-        start_cost = float(single_cost(problem, still[:, None])[0])
+        start_cost = float(single_cost(problem, single(still[:, None]))[0])
         for method, solver in solvers.items():
             began = time.perf_counter()
-            solution = solver.solve(problem, start, start_cost, number)
+            solution = solver.solve(problem, solver.init(still, spread), start_cost, number)
             seconds[method].append(time.perf_counter() - began)
             curves[method].append(start_cost - np.array(solution.costs))
     report: dict[str, Any] = {
         method: _summary([curve[-1] for curve in curves[method]], seconds[method], curves[method]) for method in solvers
     }
-    report["multi_start"] = _compare_starts(solvers["hybrid"], single_cost, states, settings)
+    report["multi_start"] = _compare_starts(solvers["hybrid"], single_cost, states, settings, size)
     report["scene"] = scene_file.name
     report["states"] = len(states)
     report["states_with_contact"] = sum(state.touches for state in states)
     report["machine"] = machine()
     print(_table(report))
-    if file is not None:
-        file.write_text(json.dumps(report, indent=2) + "\n")
+    write_report(report, file)
     return report
 
 
 def _compare_starts(
-    solver: HybridSolver[Problem],
+    solver: Solver[Problem],
     single_cost: Callable[..., jax.Array],
     states: Sequence[RecordedPlan],
     settings: PlanningSettings,
+    size: int,
 ) -> dict[str, Any]:
     """What more starts bring: the best of the first ones, and the time that they take together."""
     random = np.random.default_rng(settings.seed)
-    size = len(action_bounds(settings))
     spread = np.full(size, settings.sigma)
     decreases, seconds = np.zeros((len(states), STARTS)), np.zeros((len(states), STARTS))
     for number, state in enumerate(states):
         problem = state.solve.problem
         still_cost = float(single_cost(problem, single(np.zeros((size, 1))))[0])
         for index in range(STARTS):
-            mean = single(random.uniform(-1.0, 1.0, size) if index else np.zeros(size))
-            cost = float(single_cost(problem, mean[:, None])[0])
+            mean = random.uniform(-1.0, 1.0, size) if index else np.zeros(size)
+            cost = float(single_cost(problem, single(mean[:, None]))[0])
             began = time.perf_counter()
-            solution = solver.solve(problem, fresh(mean, single(spread)), cost, number)
+            solution = solver.solve(problem, solver.init(mean, spread), cost, number)
             seconds[number, index] = time.perf_counter() - began
             decreases[number, index] = still_cost - solution.cost
     best = np.maximum.accumulate(decreases, axis=1)

@@ -1,26 +1,22 @@
-"""`contact-reach bench table1`: the paper's Table I, and what is demanded of it."""
+"""`contact-reach bench table1`: the paper's Table I, compared with the paper and with our own requirements."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import shlex
-import signal
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, Progress
 
-from contact_reach_ros.baselines.methods import METHODS
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments import paper
+from contact_reach_ros.experiments.baselines.methods import METHODS
 from contact_reach_ros.experiments.grid import (
     GOALS,
     Cell,
@@ -35,21 +31,20 @@ from contact_reach_ros.experiments.grid import (
     reason,
     run_cell,
 )
-from contact_reach_ros.experiments.journal import Journal, journal_of, read_journal, write_whole
-from contact_reach_ros.experiments.latency import LatencyTask, measure_latency, rounded_up
+from contact_reach_ros.experiments.latency import LatencyTask, measure_latencies, rounded_up
 from contact_reach_ros.experiments.machine import machine
+from contact_reach_ros.experiments.output import Report, read_report, say, write_report, write_whole
 from contact_reach_ros.experiments.table1_report import document, tables
-from contact_reach_ros.experiments.workers import Crew, DaskCrew, ProcessCrew, run_all
+from contact_reach_ros.experiments.workers import run_all, workers
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.scene import SceneFile
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.scene import SceneFile
 
-Report = dict[str, Any]
+if TYPE_CHECKING:
+    from distributed import Client
 
 SCENES = ("free", "ball", "wall", "ball_mismatch", "wall_mismatch")
 """In the order of the paper's table."""
-
-_TERMINATED = 128 + signal.SIGTERM
 
 
 @dataclass(frozen=True)
@@ -65,13 +60,13 @@ class Table1:
     targets, repeats
         Targets per scene, with the seeds `seed`, `seed` + 1, ..., and repeats of each with other random numbers.
     timeout
-        To reach the goal, s of simulated time.
+        Time to reach the goal, simulated, s.
     latency
-        Of the plans, s; measured if there is none.
+        Latency of the plans, s; measured if None.
     workers
-        Processes.
+        Processes on this machine; one per core if None.
     scheduler
-        Address of a Dask scheduler that has the workers instead.
+        Address of a Dask scheduler whose workers run the episodes instead.
     """
 
     scenes: tuple[str, ...] = SCENES
@@ -91,12 +86,12 @@ def bench_table1(
 ) -> Report:
     """Run the episodes, print the table in Markdown, write JSON to `file` and the page of results to `results`.
 
-    While it runs, what is finished is kept beside `file`; `resume` goes on from there, or from `file` itself.
+    Finished episodes are kept beside `file` while it runs; `resume` continues from there, or from `file` itself.
 
     Raises
     ------
     SettingsError
-        If an option is out of range, or what is to be resumed was run with other settings.
+        If an option is out of range, or the run to be resumed has other settings.
     SceneError
         If a scene cannot be made.
     """
@@ -110,45 +105,58 @@ def bench_table1(
         scenes, bench.goals, bench.methods, range(bench.seed, bench.seed + bench.targets), range(bench.repeats)
     )
     _refuse_to_drop(file, grid, done)
-    # A scene that cannot be made is known before hours are spent on the others.
+    # A scene that cannot be made is found before hours are spent on the others.
     for name, target in dict.fromkeys((cell.scene, cell.target) for cell in grid if cell not in done):
-        concrete_scene(scenes[name], target)
-    with _terminated_like_interrupted():
-        todo = [cell for cell in grid if cell not in done]
-        if todo:
-            with _crew(bench) as crew:
-                _add_latencies(crew, bench, scenes, setup, todo, latencies)
-                header["latencies"] = latencies
-                journal = None if file is None else Journal(journal_of(file))
-                if journal is not None:
-                    journal.start(header, list(done.values()))
-                tasks = [
-                    EpisodeTask(cell, scenes[cell.scene], latencies[cell.scene][cell.method]["latency_s"], setup)
-                    for cell in todo
-                ]
-                _run(crew, tasks, done, journal)
-    report = {**header, "latencies": latencies, "episodes": [done[cell] for cell in grid]}
-    if file is not None:
-        write_whole(file, json.dumps(report, indent=1, allow_nan=False) + "\n")
-        journal_of(file).unlink(missing_ok=True)
-    show(report, results)
-    return report
+        concrete_scene(scenes[name], load_arm(setup.arm), target)
+
+    def report() -> Report:
+        return {**header, "latencies": latencies, "episodes": [done[cell] for cell in grid if cell in done]}
+
+    partial = None if file is None else partial_of(file)
+    todo = [cell for cell in grid if cell not in done]
+    if todo:
+        with workers(bench.workers, bench.scheduler) as client:
+            _add_latencies(client, bench, scenes, setup, todo, latencies)
+            tasks = [
+                EpisodeTask(cell, scenes[cell.scene], latencies[cell.scene][cell.method]["latency_s"], setup)
+                for cell in todo
+            ]
+            write_report(report(), partial)
+            try:
+                for _ in _run(client, tasks, done):
+                    write_report(report(), partial)
+            except BaseException:
+                if partial is not None:
+                    say(
+                        f"interrupted: {len(done)} of {len(grid)} episodes are in {partial}; --resume goes on with them"
+                    )
+                raise
+    write_report(report(), file)
+    if partial is not None:
+        partial.unlink(missing_ok=True)
+    show(report(), results)
+    return report()
+
+
+def partial_of(file: Path) -> Path:
+    """The file with the report of an unfinished run, beside that of the finished one."""
+    return file.with_name(f"{file.name}.partial")
 
 
 def report_table1(file: Path, results: Path | None, other: Path | None = None) -> Report:
     """Print the table of a finished run and write the page of results, from its JSON alone.
 
-    `other`: the JSON of a run with other goals, to say on the page which condition decides.
+    `other`: the JSON of a run with other goals; the page then compares the two conditions.
 
     Raises
     ------
     SettingsError
-        If there is no such file, it is not that of a finished run, or the two were run with different settings.
+        If there is no such file, it holds no finished run, or the two runs have different settings.
     """
-    report = _read_report(file)
-    second = None if other is None else _read_report(other)
+    report = read_report(file, "table1")
+    second = None if other is None else read_report(other, "table1")
     if second is not None:
-        _check_same(report["settings"], second["settings"], str(file))
+        check_same(report["settings"], second["settings"], str(file))
     show(report, results, second)
     return report
 
@@ -192,7 +200,7 @@ def _read_scenes(bench: Table1) -> dict[str, SceneFile]:
 
 
 def _header(bench: Table1, setup: Setup, scenes: dict[str, SceneFile]) -> Report:
-    """All that is known of the run before it; the same after a way through JSON."""
+    """Everything known before the run, in the types that JSON returns."""
     options = setup.options(paper.METHOD, GOALS[0], latency=0.1)
     header = {
         "bench": "table1",
@@ -219,7 +227,7 @@ def _header(bench: Table1, setup: Setup, scenes: dict[str, SceneFile]) -> Report
 
 
 def command(bench: Table1) -> str:
-    """The command line of a run, without what does not change its results and where they go."""
+    """The command line of a run, without options that do not change its results."""
     words = ["contact-reach", "bench", "table1"]
     standard = Table1()
     for name in ("scenes", "goals", "methods"):
@@ -232,9 +240,9 @@ def command(bench: Table1) -> str:
 
 
 def _refuse_to_lose(file: Path | None, resume: bool) -> None:
-    if file is not None and not resume and journal_of(file).exists():
+    if file is not None and not resume and partial_of(file).exists():
         raise SettingsError(
-            f"{journal_of(file)} holds the episodes of a run that was interrupted: go on with it by --resume, or "
+            f"{partial_of(file)} holds the episodes of a run that was interrupted: go on with it by --resume, or "
             "remove the file"
         )
 
@@ -249,27 +257,28 @@ def _refuse_to_drop(file: Path | None, grid: Sequence[Cell], done: dict[Cell, Re
 
 
 def _earlier(file: Path | None, header: Report) -> tuple[dict[str, Any], dict[Cell, Record]]:
-    """Latencies and episodes of an unfinished or finished run with the same settings; none if there is none."""
+    """Latencies and episodes of an unfinished or finished run with the same settings, if there is one."""
     assert file is not None
-    journal = journal_of(file)
-    if journal.exists():
-        earlier, records = read_journal(journal)
-        source = journal
-    elif file.exists():
-        earlier = _read_report(file)
-        records, source = earlier["episodes"], file
-    else:
+    source = next((path for path in (partial_of(file), file) if path.exists()), None)
+    if source is None:
         return {}, {}
-    _check_same(earlier["settings"], header["settings"], str(source))
+    earlier = read_report(source, "table1")
+    check_same(earlier["settings"], header["settings"], str(source))
     header["machine"] = earlier["machine"]
-    return earlier["latencies"], {cell_of(record): record for record in records}
+    return earlier["latencies"], {cell_of(record): record for record in earlier["episodes"]}
 
 
-def _check_same(earlier: Any, now: Any, where: str) -> None:
-    """Raise `SettingsError` where a setting that both runs have differs."""
+def check_same(earlier: Any, now: Any, where: str) -> None:
+    """Compare the settings of two runs.
+
+    Raises
+    ------
+    SettingsError
+        If a setting that both runs have differs; `where` and the setting are named.
+    """
     if isinstance(earlier, dict) and isinstance(now, dict):
         for key in earlier.keys() & now.keys():
-            _check_same(earlier[key], now[key], f"{where}: {key}")
+            check_same(earlier[key], now[key], f"{where}: {key}")
     elif earlier != now:
         raise SettingsError(
             f"{where} was {earlier!r} and is {now!r} now: a run can only go on with the settings it began with; set it "
@@ -277,35 +286,15 @@ def _check_same(earlier: Any, now: Any, where: str) -> None:
         )
 
 
-def _read_report(file: Path) -> Report:
-    try:
-        report = json.loads(file.read_text())
-    except OSError as error:
-        raise SettingsError(
-            f"{file}: cannot be read ({error.strerror}); expected the JSON of a finished run"
-        ) from error
-    except ValueError as error:
-        raise SettingsError(f"{file}: not JSON ({error}); expected that of a finished run") from error
-    if not isinstance(report, dict) or report.get("bench") != "table1":
-        raise SettingsError(f"{file}: is not a result of bench table1")
-    return report
-
-
-def _crew(bench: Table1) -> Crew:
-    if bench.scheduler is not None:
-        return DaskCrew(bench.scheduler)
-    return ProcessCrew(bench.workers or os.cpu_count() or 1)
-
-
 def _add_latencies(
-    crew: Crew,
+    client: Client,
     bench: Table1,
     scenes: dict[str, SceneFile],
     setup: Setup,
     todo: Sequence[Cell],
     latencies: dict[str, Any],
 ) -> None:
-    """Find the latencies that the cells need, one after the other on workers that have nothing else to do."""
+    """Measure the latencies that the cells need, one at a time on otherwise idle workers."""
     for scene, method in dict.fromkeys((cell.scene, cell.method) for cell in todo):
         known = latencies.setdefault(scene, {})
         if bench.latency is not None:
@@ -318,29 +307,25 @@ def _add_latencies(
             known[method] = given
     missing = dict.fromkeys((c.method, c.scene) for c in todo if c.method not in latencies[c.scene])
     tasks = [LatencyTask(scenes[scene], method, bench.seed, setup) for method, scene in sorted(missing)]
-    for task in tasks:
-        # One at a time: `run_all` would keep all workers busy.
-        ((_, found),) = run_all(crew, measure_latency, [task])
-        if isinstance(found, BaseException):
-            raise SettingsError(f"the time of a plan of {task.method} in {task.scene.name} cannot be measured: {found}")
+    for task, found in measure_latencies(client, tasks):
         latencies[task.scene.name][task.method] = found
-        _say(f"{task.scene.name}, {task.method}: a plan takes {1e3 * found['latency_s']:.0f} ms")
+        say(f"{task.scene.name}, {task.method}: a plan takes {1e3 * found['latency_s']:.0f} ms")
 
 
-def _run(crew: Crew, tasks: list[EpisodeTask], done: dict[Cell, Record], journal: Journal | None) -> None:
+def _run(client: Client, tasks: list[EpisodeTask], done: dict[Cell, Record]) -> Iterator[None]:
+    """Run the tasks; yields after each of them, with its record among those that are `done`."""
     total = len(done) + len(tasks)
-    try:
-        with _progress(len(done), total) as advance:
-            for task, found in run_all(crew, run_cell, by_program(tasks)):
-                record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
-                done[task.cell] = record
-                if journal is not None:
-                    journal.append(record)
-                advance(_line(record))
-    except BaseException:
-        if journal is not None:
-            _say(f"interrupted: {len(done)} of {total} episodes are in {journal.file}; --resume goes on with them")
-        raise
+    # On the error output, which leaves the table alone.
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bar = progress.add_task("episodes", total=total, completed=len(done))
+        for task, found in run_all(client, run_cell, by_program(tasks)):
+            record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
+            done[task.cell] = record
+            line = f"{len(done)}/{total} {_line(record)}"
+            progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            progress.advance(bar)
+            yield
 
 
 def _line(record: Record) -> str:
@@ -349,52 +334,3 @@ def _line(record: Record) -> str:
     if record["reached"]:
         return f"{start} {record['time']:.2f} s, {record['max_contact_force']:.2f} N"
     return f"{start} not reached, {record['stop_reason'] or record['failure'] or 'out of time'}"
-
-
-@contextmanager
-def _progress(done: int, total: int) -> Iterator[Callable[[str], None]]:
-    """A bar on a terminal, else a line per episode; both on the error output, which leaves the table alone."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-
-        def say(line: str) -> None:
-            nonlocal done
-            done += 1
-            _say(f"{done}/{total} {line}")
-
-        yield say
-        return
-    columns = (
-        TextColumn("episodes"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("", total=total, completed=done)
-        yield lambda line: progress.update(bar, advance=1, description=line)
-
-
-@contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM, too, unwind the stack, so that the workers are ended."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        sys.exit(_TERMINATED)
-
-    try:
-        before = signal.signal(signal.SIGTERM, end)
-    except ValueError:
-        # Not in the main thread, where signals are somebody else's affair.
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.grid import Record
-
-Array = NDArray[np.float64]
 
 RESAMPLES = 10000
 """Of the bootstrap; its seed is fixed, so that the same episodes give the same interval."""

@@ -37,7 +37,7 @@ class ControlBench:
     """
 
     seconds: float = 60.0
-    load: int = 2
+    load: int = 0
     scene: str = "ball"
     seed: int = 0
     pages: int = 0
@@ -107,7 +107,7 @@ class Part(NamedTuple):
 
     @property
     def timer_missed_fraction(self) -> float:
-        """The same of the bare timer."""
+        """Share of the bare timer's ticks that were missed."""
         due, missed = np.subtract(self.last.timer, self.first.timer).tolist()
         return float(missed / max(due, 1))
 

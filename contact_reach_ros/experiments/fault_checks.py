@@ -1,19 +1,24 @@
-"""What an episode with faults has to be like, whatever went wrong."""
+"""Bounds on an episode with faults, whatever the faults are."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.experiments.episode import EpisodeResult
-from contact_reach_ros.plant.plant import TICK
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.simulation.fault_kinds import Schedule
+from contact_reach_ros.simulation.plant import TICK
+from contact_reach_ros.timing import PAUSE
 
 LASTING_FORCE = 140.0
 """Largest contact force that may last, N: what ISO/TS 15066 permits on hands, and the largest that a contact budget
-accepts. The budget's thresholds keep below it where the lever arm is longer than 0.21 m: 30 Nm on A2 are
+accepts. The budget's thresholds stay below it where the lever arm is longer than 0.21 m: 30 Nm on A2 are
 140 N there."""
 TRANSIENT_FORCE = 280.0
 """Largest contact force at any time, N: twice as much, as ISO/TS 15066 permits in an impact."""
@@ -23,6 +28,17 @@ STILL = 0.05
 """Joint speed below which the arm is still, rad/s, as for a reset."""
 SPEED_SHARE = 1.25
 """Largest joint speed as a share of the data sheet's limit: a stop at the limit needs some time to act."""
+
+FORCE, LASTING, TORQUE, TORQUE_RATE, SPEED = BOUNDS = (
+    "contact force",
+    "lasting contact force",
+    "torque",
+    "torque rate",
+    "joint speed",
+)
+MOVED_BY_OTHERS = ("push", "foreign_commands")
+"""Kinds with which a joint's speed is not the controller's doing."""
+_ROUNDING = 1e-9
 
 
 class End(Enum):
@@ -39,7 +55,7 @@ class End(Enum):
 
 
 def end_of(result: EpisodeResult) -> End:
-    """How the episode ended."""
+    """Classify the end of an episode."""
     if result.reached:
         return End.REACHED
     if not result.end_speed <= STILL:
@@ -47,42 +63,36 @@ def end_of(result: EpisodeResult) -> End:
     return End.STOPPED if result.stop_reason else End.HELD
 
 
-def speed_share(result: EpisodeResult) -> float:
-    """Largest joint speed in the episode, as a share of the joint's limit."""
+def speed_share(result: EpisodeResult, arm: Arm) -> float:
+    """Return the largest joint speed in the episode as a share of the joint's limit."""
     if len(result.joints) < 2:
         return 0.0
     speeds = np.abs(np.diff(result.joints, axis=0)) / TICK
-    return float((speeds / np.array(iiwa14.VELOCITY_LIMITS)).max())
+    return float((speeds / arm.velocity_limits).max())
 
 
-def torque_violations(result: EpisodeResult, limits: LimitSettings) -> list[str]:
-    """What is wrong with the commanded torques; NaN before the first command is none."""
-    torques = result.torques
-    sent = np.flatnonzero(~np.isnan(torques).all(axis=1))
-    if len(sent) == 0:
-        return []
-    torques = torques[sent[0] :]
-    if not np.isfinite(torques).all():
-        return ["a commanded torque is not finite"]
-    excess = np.abs(torques) / (limits.torque_share * np.array(iiwa14.TORQUE_LIMITS))
-    if excess.max() > 1.0 + 1e-9:
-        joint = iiwa14.JOINT_NAMES[int(excess.max(axis=0).argmax())]
-        return [f"the torque on {joint} is {excess.max():.2f} times its cap"]
-    return []
+def bounds_used(result: EpisodeResult, limits: LimitSettings, arm: Arm, faults: Schedule) -> dict[str, float]:
+    """How much of each bound an episode came to use, as a share that is at most 1; infinite where it is not finite.
+
+    Only what was sent counts as torque, and a change of it only from one command to the next: after a pause the
+    controller starts again. Where others move the arm, its speed counts for nothing.
+    """
+    is_moved = any(fault.name in MOVED_BY_OTHERS for fault in faults)
+    forces, torques = result.contact_forces, result.commands
+    changes = np.abs(np.diff(torques, axis=0))[np.diff(result.command_times) <= PAUSE]
+    rates = torque_rates(arm, limits) * result.period
+    window = round(TRANSIENT_TIME / TICK) + 1
+    used = {
+        FORCE: forces.max(initial=0.0) / TRANSIENT_FORCE,
+        # The largest force that is exceeded for longer than an impact takes.
+        LASTING: minimum_filter1d(forces, window, mode="constant").max(initial=0.0) / LASTING_FORCE,
+        TORQUE: (np.abs(torques) / (limits.torque_share * arm.torque_limits)).max(initial=0.0),
+        TORQUE_RATE: (changes / rates).max(initial=0.0),
+        SPEED: 0.0 if is_moved else speed_share(result, arm) / SPEED_SHARE,
+    }
+    return {bound: float(share) if np.isfinite(share) else float("inf") for bound, share in used.items()}
 
 
-def force_violations(result: EpisodeResult) -> list[str]:
-    """Where contact forces are above what may last, or may ever be; also a simulation that is no longer finite."""
-    forces = result.contact_forces
-    if not (np.isfinite(forces).all() and np.isfinite(result.joints).all()):
-        return ["the simulation is not finite"]
-    found = []
-    if len(forces) and forces.max() > TRANSIENT_FORCE:
-        found.append(f"a contact force of {forces.max():.0f} N, at most {TRANSIENT_FORCE:g} N at any time")
-    longest = current = 0
-    for is_above in (forces > LASTING_FORCE).tolist():
-        current = current + 1 if is_above else 0
-        longest = max(longest, current)
-    if longest * TICK > TRANSIENT_TIME:
-        found.append(f"a contact force above {LASTING_FORCE:g} N for {longest * TICK:.1f} s")
-    return found
+def violations(used: Mapping[str, float]) -> list[str]:
+    """The bounds that were exceeded, and by how much."""
+    return [f"{bound}: {share:.2f} times what is permitted" for bound, share in used.items() if share > 1.0 + _ROUNDING]

@@ -1,33 +1,34 @@
-"""What the figures of the paper have in common: episodes of one seed by several methods, and pictures of them."""
+"""Common parts of the paper's figures: episodes with what pictures need of them, options, files."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from contact_reach_ros.baselines.methods import METHODS
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.camera import FRONT_SIDE, SIDE
+from contact_reach_ros.drawing.offscreen import Picture
+from contact_reach_ros.drawing.palette import METHOD_COLOURS, WHITE, rgb
+from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError, SettingsError
+from contact_reach_ros.experiments.baselines.method import Method
+from contact_reach_ros.experiments.baselines.methods import METHODS
+from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
 from contact_reach_ros.experiments.grid import Setup, concrete_scene, episode_seeds, prepared
-from contact_reach_ros.experiments.journal import write_whole
+from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.metrics import measure
-from contact_reach_ros.experiments.watched_episode import WatchedEpisode, watch_episode
-from contact_reach_ros.palette import METHOD_COLOURS, WHITE, rgb
-from contact_reach_ros.rendering.camera import FRONT_SIDE, SIDE
-from contact_reach_ros.rendering.renderer import Rendering, check_renderer
-from contact_reach_ros.scenes.scene import Scene, SceneFile
-
-Array = NDArray[np.float64]
-Report = dict[str, Any]
+from contact_reach_ros.experiments.output import Report, say
+from contact_reach_ros.simulation.plant import TICK, Contacts, Plant
+from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.spheres import rest_positions
 
 WIDTH = 9.0
 """Of a whole figure, inches."""
@@ -46,7 +47,7 @@ class FigureOptions:
     methods
         Some of `METHODS`.
     seed
-        Of the target and of what stands around the arm; with repeat 0 of a table, it seeds solver and noise.
+        Of target and obstacles; with repeat 0 of a table, it seeds solver and noise.
     latency
         Of the plans, s: a constant, so that the figure does not depend on the machine.
     renderer
@@ -59,15 +60,64 @@ class FigureOptions:
     renderer: str = "auto"
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class WatchedEpisode:
+    """An episode, from the moment the goal was given.
+
+    Attributes
+    ----------
+    scene
+        That it took place in.
+    result
+        Of `run_episode`.
+    obstacles
+        (n, K, 3) where the obstacles are after each tick of the result, m, in the order of `rest_positions`.
+    contacts
+        (n) contacts with the arm after each tick.
+    """
+
+    scene: Scene
+    result: EpisodeResult
+    obstacles: Array
+    contacts: list[Contacts]
+
+    @property
+    def last_obstacles(self) -> Array:
+        """(K, 3) where the obstacles are at the end, m."""
+        return self.obstacles[-1] if len(self.obstacles) else rest_positions(self.scene)
+
+    @property
+    def peak_force(self) -> float:
+        """Largest contact force on one body, N."""
+        return float(self.result.contact_forces.max(initial=0.0))
+
+
+def watch_episode(scene: Scene, method: Method, options: EpisodeOptions) -> WatchedEpisode:
+    """Run an episode as `run_episode` does and keep what pictures need."""
+    settle_ticks = round(options.settle / TICK)
+    obstacles: list[Array] = []
+    contacts: list[Contacts] = []
+
+    def watch(tick: int, plant: Plant) -> None:
+        # The result does not hold the time before the goal was given either.
+        if tick >= settle_ticks:
+            obstacles.append(plant.obstacle_positions())
+            contacts.append(plant.contacts())
+
+    result = run_episode(scene, method, options, watch)
+    moved = np.reshape(obstacles, (len(obstacles), *rest_positions(scene).shape))
+    return WatchedEpisode(scene, result, moved, contacts)
+
+
 def check(options: FigureOptions, output: Path) -> None:
-    """Refuse what cannot be run or drawn, before anything is run.
+    """Refuse bad options before anything is run.
 
     Raises
     ------
     SettingsError
         If a method is unknown, a value is out of range, or `output` is no PNG file.
     RenderingError
-        If the renderer is unknown, or there can be no folder for `output`.
+        If there can be no folder for `output`.
     """
     for method in options.methods:
         if method not in METHODS:
@@ -80,21 +130,20 @@ def check(options: FigureOptions, output: Path) -> None:
         raise SettingsError(f"--latency {options.latency:g}: expected 0.001 to 1 s")
     if output.suffix.lower() != ".png":
         raise SettingsError(f"--output {output}: expected a file that ends in .png")
-    check_renderer(options.renderer)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise _unwritable(output, error) from error
 
 
-def run_method(method: str, file: SceneFile, options: FigureOptions, setup: Setup, seed: int) -> WatchedEpisode:
-    """Run a method on a seed, the orientation of the start held."""
-    scene = concrete_scene(file, seed)
-    solver_seed, noise_seed = episode_seeds(seed, repeat=0)
-    planner = prepared(method, file, setup)
-    planner.reseed(solver_seed)
-    watched = watch_episode(scene, planner, setup.options(method, "hold", options.latency, noise_seed))
-    say(f"{scene.name}, seed {seed}, {method}: {outcome(watched)}")
+def run_method(method: str, file: SceneFile, options: FigureOptions, setup: Setup) -> WatchedEpisode:
+    """Run a method once, the orientation of the start held."""
+    scene = concrete_scene(file, load_arm(setup.arm), options.seed)
+    solver_seed, noise_seed = episode_seeds(options.seed, repeat=0)
+    ready = prepared(method, file, setup)
+    ready.reseed(solver_seed)
+    watched = watch_episode(scene, ready, setup.options(method, "hold", options.latency, noise_seed))
+    say(f"{scene.name}, {method}: {outcome(watched)}")
     return watched
 
 
@@ -116,20 +165,27 @@ def record(watched: WatchedEpisode, setup: Setup) -> Report:
     return dataclasses.asdict(metrics)
 
 
+def report_of(bench: str, options: FigureOptions, renderer: str) -> Report:
+    """What the reports of all figures begin with."""
+    return {"bench": bench, "options": dataclasses.asdict(options), "renderer": renderer, "machine": machine()}
+
+
+def show(figure: Figure, box: tuple[float, float, float, float], view: View, picture: Picture) -> Axes:
+    """Add a picture to a figure, with axes in its camera's pixels; `box` is left, bottom, width and height."""
+    axes = figure.add_axes(box)
+    axes.set_axis_off()
+    axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
+    return axes
+
+
 def direction_to_camera(scene: Scene) -> tuple[float, float, float]:
-    """From where one sees what happens in a scene: walls so that the gap between them shows."""
-    return SIDE if scene.walls else FRONT_SIDE
+    """Direction to a camera that sees into the gap between walls, if there are any."""
+    return SIDE if any(obstacle.is_deformable for obstacle in scene.obstacles) else FRONT_SIDE
 
 
 def pixels(width: float, height: float) -> tuple[int, int]:
     """Of a picture that fills so many inches of a figure."""
     return round(DPI * width), round(DPI * height)
-
-
-def say_renderer(rendering: Rendering) -> None:
-    """Say what made the pictures, and what could not."""
-    refused = f"; {'; '.join(rendering.refusals)}" if rendering.refusals else ""
-    say(f"pictures by {rendering.renderer}{refused}")
 
 
 def save(figure: Figure, output: Path) -> None:
@@ -167,20 +223,3 @@ def _few_colours(pixels: NDArray[np.uint8]) -> Image.Image:
     picture = Image.fromarray(indices)
     picture.putpalette([*rest, *kept.ravel().tolist()])
     return picture
-
-
-def write_report(report: Report, file: Path | None) -> None:
-    """Write a report as JSON, if there is a file for it."""
-    if file is not None:
-        write_whole(file, json.dumps(report, indent=1, allow_nan=False) + "\n")
-
-
-def say(line: str) -> None:
-    """A line on the error output."""
-    print(line, file=sys.stderr, flush=True)
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.reference import PoseKnots, PostureKnots
+from contact_reach_ros.control.references import References
+from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
-from contact_reach_ros.observer.safety import SafetyMonitor, SafetySettings
-from contact_reach_ros.plant.drive import Drive, WatchdogSettings
-from contact_reach_ros.plant.plant import TICK, Plant
-from contact_reach_ros.plant.settings import JointSettings, SensorSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.scene import MismatchSettings, Scene
+from contact_reach_ros.observer.observer import Observer
+from contact_reach_ros.observer.safety import SafetyMonitor
+from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.simulation.plant import TICK
+from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.scene import MismatchSettings, Scene
 
-Array = NDArray[np.float64]
-
-REACH = np.array([1.2, 0.5, 0.8, 0.6, 1.2, 0.6, 1.5])
-"""How far postures lie from home, (7,), rad: where arms work, with elbow and wrist bent."""
+REACH = (1.2, 0.5, 0.8, 0.6, 1.2, 0.6, 1.5)
+"""How far postures lie from home, joint by joint, rad: where arms work, elbow and wrist bent; repeated for more joints.
+"""
 SPEED_SHARES = (0.1, 0.5)
 """Least and greatest peak speed of a motion, as shares of the speed limits."""
 START = 0.8
 """Until the arm has been handed over and is watched in full, s."""
 
+LONGEST_CONTROLLED = 0.005
+"""Period of states up to which the package's controller moves the arm, s; slower ones are for watching."""
+
+_SUPERVISION = SupervisionSettings(max_position_error=10.0, max_rotation_error=3.2, max_posture_error=7.0)
+"""The references lead the arm by more than a planner's do."""
+
 _TICK_NS = int(TICK * NANOSECONDS)
-_HOME = np.array(iiwa14.HOME_POSITION)
 _PLAN_TICKS = 40
 _KNOTS = 4
 _REST = 0.3
@@ -37,70 +43,96 @@ _REST = 0.3
 class FreeMotion:
     """One arm that moves from one random posture to the next, in lockstep.
 
-    The references come as the planner's do: each 40 ms four knots of as long.
+    The references come as the planner's do: each 40 ms four knots of as long, but further ahead.
 
     Attributes
     ----------
     plant
-        The simulation; who pushes the arm does it here.
-    observer, monitor
-        What watches; a stop does not reach the controller.
-    position, velocity
-        Of the last state, (7,), rad and rad/s.
+        The simulation, which can be pushed.
+    observer
+        Watches the arm; a stop does not reach the controller.
+    state
+        The last joint state.
     """
 
-    def __init__(self, mismatch: MismatchSettings, seed: int, budget: ContactBudget) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        mismatch: MismatchSettings,
+        seed: int,
+        budget: ContactBudget,
+        period: float = TICK,
+        settings: ObserverSettings | None = None,
+        moves: bool = True,
+    ) -> None:
+        """`period` of the states that the observer sees, s; beyond `LONGEST_CONTROLLED` another controller moves it.
+
+        `settings` of the observer, None for the defaults. Unless it `moves`, the arm is held in its home posture.
+        """
+        control_period = period if period <= LONGEST_CONTROLLED else TICK
+        self._every = round(period / control_period)
+        self._arm = arm
         self._random = np.random.default_rng(seed)
-        self.plant = Plant(
-            Scene("free motion", seed, _HOME, np.zeros(3), mismatch=mismatch), SensorSettings(), JointSettings()
-        )
-        self._drive = Drive(self.plant, WatchdogSettings())
-        self.observer = MomentumObserver(MomentumSettings(), RobotModel())
-        self.monitor = SafetyMonitor(SafetySettings(), budget)
-        self._controller = Controller(ControllerSettings(), RobotModel())
-        self._kinematics = RobotModel()
-        reading = self.plant.read()
-        self.position, self.velocity = reading.position, reading.velocity
-        self._controller.start(self.position, self.velocity, 0)
-        self._from = self._to = _HOME
-        self._begin, self._duration = START, 0.0
+        self._home, self._reach = np.array(arm.home), np.resize(REACH, arm.n)
+        scene = Scene("free motion", arm, seed, self._home, np.zeros(3), mismatch=mismatch)
+        self._robot = SimulatedRobot(scene, period=control_period)
+        self.plant = self._robot.plant
+        self.observer = Observer(arm, settings or ObserverSettings(), budget, period)
+        self._controller = Controller(arm, ControllerSettings(supervision=_SUPERVISION), control_period)
+        (self.state,) = self._robot.read()
+        self._from = self._to = self._home
+        self._begin, self._duration = START if moves else math.inf, 0.0
 
     @property
     def controller_stopped(self) -> str:
         """Why the controller stopped the arm, as for its speed after a push; empty while the motion goes on."""
         return self._controller.stop_reason
 
+    @property
+    def is_handed_over(self) -> bool:
+        """Whether the hand-over is complete, and the arm watched in full."""
+        return self.observer.momentum.known_for >= self.monitor.budget.handover_time
+
+    @property
+    def monitor(self) -> SafetyMonitor:
+        """The observer's state machine."""
+        return self.observer.monitor
+
     def tick(self) -> None:
-        """Advance by one state."""
-        steps = self.plant.steps
-        now_ns = steps * _TICK_NS
-        if steps % _PLAN_TICKS == 0:
-            self._plan(steps * TICK, now_ns)
-        torque = self._controller.tick(self.position, self.velocity, now_ns, now_ns)
+        """Advance by one state of the observer."""
+        for _ in range(self._every):
+            self._control()
+        report = self.observer.update(self.state)
+        if report is not None and report.due:
+            self._controller.hear(report.verdict._replace(reason="", distrust=""), self.state.stamp_ns)
+
+    def _control(self) -> None:
+        robot, state = self._robot, self.state
+        now_ns = state.stamp_ns
+        if self.plant.steps % _PLAN_TICKS == 0:
+            self._plan(self.plant.time, now_ns)
+        torque = self._controller.update(state, now_ns)
         if torque is not None:
-            self._drive.command(torque, now_ns)
-        self._drive.tick(now_ns)
-        reading = self.plant.read()
-        self.position, self.velocity = reading.position, reading.velocity
-        acting = reading.torque if np.isfinite(reading.torque.sum()) else None
-        residual = self.observer.update(self.position, self.velocity, acting, now_ns + _TICK_NS)
-        self.monitor.update(residual, self.velocity, self.observer.known_for)
+            robot.command(torque, now_ns)
+            self.observer.command(torque)
+        robot.step(now_ns)
+        (self.state,) = robot.read()
 
     def _plan(self, now: float, now_ns: int) -> None:
         if now > self._begin + self._duration:
             self._choose(now)
         times = now + _PLAN_TICKS * TICK * np.arange(_KNOTS)
         postures = np.array([self._posture(time) for time in times])
-        positions, rotations = zip(*(self._kinematics.flange_pose(posture) for posture in postures), strict=True)
+        positions, rotations = zip(*(self._controller.model.tip_pose(posture) for posture in postures), strict=True)
         ends_ns = tuple(_PLAN_TICKS * _TICK_NS * (knot + 1) for knot in range(_KNOTS))
-        references = self._controller.references
-        references.offer_poses(PoseKnots(now_ns, ends_ns, np.array(positions), np.array(rotations)), now_ns)
-        references.offer_postures(PostureKnots(now_ns, ends_ns, postures), now_ns)
+        self._controller.references.offer(
+            References(now_ns, ends_ns, np.array(positions), np.array(rotations), postures), now_ns
+        )
 
     def _choose(self, now: float) -> None:
         """The next posture, and how long it takes; sometimes after a rest."""
-        random, limits = self._random, np.array(iiwa14.VELOCITY_LIMITS)
-        self._from, self._to = self._to, _HOME + random.uniform(-REACH, REACH)
+        random, limits = self._random, self._arm.velocity_limits
+        self._from, self._to = self._to, self._home + random.uniform(-self._reach, self._reach)
         # The peak speed of a minimum-jerk motion is 15/8 of its mean.
         share = random.uniform(*SPEED_SHARES)
         self._duration = float((1.875 * np.abs(self._to - self._from) / (share * limits)).max())

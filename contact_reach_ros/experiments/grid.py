@@ -1,4 +1,4 @@
-"""The episodes of Table I: each a pure function of its cell and the settings, to be run in any process in any order."""
+"""The episodes of Table I: each a pure function of its cell and the settings, in any process and any order."""
 
 from __future__ import annotations
 
@@ -13,34 +13,38 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.baselines.method import Method
-from contact_reach_ros.baselines.methods import PATH_METHODS, make_method
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.experiments.baselines.method import Method
+from contact_reach_ros.experiments.baselines.methods import PATH_METHODS, make_method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
+from contact_reach_ros.experiments.paper import JOINT_TORQUE
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene, SceneFile
-from contact_reach_ros.scenes.spheres import sphere_capacity
+from contact_reach_ros.simulation.drive import WatchdogSettings
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.spheres import sphere_capacity
 
 GOALS = ("hold", "free")
-"""What goals ask for: the orientation of the start held, or a position only."""
+"""Goals with the orientation of the start held, or with a position only."""
 
 Record = dict[str, Any]
 """Cell, figures and timing of one episode, as JSON has them."""
 
 PATH_PATIENCE = 4
-"""So many times as long have the methods that follow a path: it may be long, but it ends at the goal."""
+"""Factor on the time limit of methods that follow a path: it may be long, but it ends at the goal."""
 
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
 
 _SOLVER_SEEDS = 2**24
-"""Few enough that a search of several runs can make seeds of 32 bits of each."""
+"""Few enough that a search of several runs can derive seeds of 32 bits from each."""
 
-_process = threading.Lock()
-"""Methods are kept, and each can run one episode at a time; a Dask worker may have several threads."""
+episode_lock = threading.Lock()
+"""Held during an episode: methods are reused, and a Dask worker may have several threads."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Cell:
     target
         Seed of the scene: its target and where its obstacles are.
     repeat
-        With the target it seeds solver and sensor noise; the scene does not depend on it.
+        Seeds solver and sensor noise together with the target; the scene does not depend on it.
     """
 
     scene: str
@@ -72,6 +76,8 @@ class Cell:
 class Setup:
     """What all episodes have in common."""
 
+    arm: str = DEFAULT_ARM
+    """Name of the arm; each process loads it."""
     planning: PlanningSettings = field(default_factory=lambda: PlanningSettings(deadline=0.0))
     """Without a deadline, so that results do not depend on how busy the machine is."""
     controller: ControllerSettings = field(default_factory=ControllerSettings)
@@ -80,7 +86,7 @@ class Setup:
     """Time to reach the goal, s, for methods that follow no path."""
 
     def options(self, method: str, goal: str, latency: float, noise_seed: int | None = None) -> EpisodeOptions:
-        """How an episode is run with plans that take `latency`, s, one after the other."""
+        """Options of an episode in which each plan takes `latency`, s, and the next one is begun when it is ready."""
         return EpisodeOptions(
             period=latency,
             latency=latency,
@@ -88,6 +94,8 @@ class Setup:
             hold_orientation=goal == "hold",
             budget=self.budget,
             noise_seed=noise_seed,
+            # Nothing but the plan keeps torques that are applied as they are from moving the arm too fast.
+            watchdog=WatchdogSettings(speed_share=0.0) if method == JOINT_TORQUE else WatchdogSettings(),
         )
 
 
@@ -115,11 +123,11 @@ def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
 
 
 def run_cell(task: EpisodeTask) -> Record:
-    """Run an episode; one that cannot be run is reported as failed, with the reason."""
+    """Run an episode; one that cannot run is recorded as failed, with the reason."""
     begin = time.perf_counter()
     try:
-        with _process:
-            scene = concrete_scene(task.scene, task.cell.target)
+        with episode_lock:
+            scene = concrete_scene(task.scene, load_arm(task.setup.arm), task.cell.target)
             method = prepared(task.cell.method, task.scene, task.setup)
             solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
             method.reseed(solver_seed)
@@ -140,7 +148,7 @@ def run_cell(task: EpisodeTask) -> Record:
 
 
 def reason(error: BaseException) -> str:
-    """What a record says of an error."""
+    """An error as records state it."""
     return f"{type(error).__name__}: {error}"
 
 
@@ -157,25 +165,37 @@ def cell_of(record: Record) -> Cell:
 
 
 def by_program(tasks: Sequence[EpisodeTask]) -> list[EpisodeTask]:
-    """In an order in which workers seldom have to prepare another method."""
+    """Sort tasks so that workers seldom have to prepare another method."""
     return sorted(tasks, key=lambda task: (task.cell.method, sphere_capacity(task.scene)))
 
 
 @functools.lru_cache(maxsize=16)
-def concrete_scene(file: SceneFile, target: int) -> Scene:
-    """The scene of a seed; looking for a place for walls takes a while."""
-    return make_scene(file, target)
+def concrete_scene(file: SceneFile, arm: Arm, target: int) -> Scene:
+    """The scene of a seed, cached because placing walls takes a while."""
+    return make_scene(file, arm, target)
 
 
 def prepared(method: str, file: SceneFile, setup: Setup) -> Method:
-    """A method that is ready to plan, kept for the next episode in this process."""
-    return _prepared(method, sphere_capacity(file), setup.budget.permitted_force, setup.planning, setup.controller)
+    """A method that is ready to plan, cached for the next episode in this process."""
+    return _prepared(
+        load_arm(setup.arm),
+        method,
+        sphere_capacity(file),
+        setup.budget.permitted_force,
+        setup.planning,
+        setup.controller,
+    )
 
 
 @functools.cache
 def _prepared(
-    name: str, capacity: int, permitted_force: float, planning: PlanningSettings, controller: ControllerSettings
+    arm: Arm,
+    name: str,
+    capacity: int,
+    permitted_force: float,
+    planning: PlanningSettings,
+    controller: ControllerSettings,
 ) -> Method:
-    method = make_method(name, capacity, permitted_force, planning.seed, planning, controller)
+    method = make_method(arm, name, capacity, permitted_force, planning.seed, planning, controller)
     method.warm_up(lambda line: None)
     return method

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
-from contact_reach_ros.baselines.method import Method
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.episode import run_episode
 from contact_reach_ros.experiments.grid import GOALS, Setup, concrete_scene, prepared
-from contact_reach_ros.planning.problem import Goal, Plan, Spheres
-from contact_reach_ros.scenes.scene import SceneFile
+from contact_reach_ros.experiments.workers import run_all
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planner import PlanningCore
+from contact_reach_ros.world.scene import SceneFile
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from distributed import Client
 
 MIN_LATENCY = 0.01
-"""Nobody is asked for plans more often, s: those who plan once only hand out the next piece of their path."""
+"""Least latency, s: methods that plan once only hand out the next piece of their path."""
 
 _PLANS, _ENOUGH_PLANS, _PATIENCE = 30, 4, 6.0
 """Plans that the median is taken of; fewer, but not fewer than enough, when they take longer than this, s."""
@@ -30,7 +35,7 @@ _PERIODS = (0.08, 0.5)
 
 @dataclass(frozen=True)
 class LatencyTask:
-    """What is to be measured; `target` is the seed of the first scene that the arm moves in."""
+    """What to measure; `target` is the seed of the scene that the arm moves in."""
 
     scene: SceneFile
     method: str
@@ -43,32 +48,25 @@ class _Enough(Exception):  # noqa: N818
 
 
 class _Stopwatch:
-    """A method whose plans are timed; the first of each run, which has nothing to start from, is not counted."""
+    """Times the plans of a core; the first of each run, which has nothing to start from, is not counted."""
 
-    def __init__(self, method: Method) -> None:
-        self._method = method
+    def __init__(self, core: PlanningCore) -> None:
+        self._core = core
         self._begin = time.perf_counter()
         self._first = True
         self.seconds: list[float] = []
         self.cpu_seconds: list[float] = []
 
-    @property
-    def stop_reason(self) -> str:
-        return self._method.stop_reason
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._core, name)
 
-    def warm_up(self, progress: Any) -> None:
-        self._method.warm_up(progress)
-
-    def reseed(self, seed: int) -> None:
-        self._method.reseed(seed)
-
-    def start(self, q: Array, v: Array, now_ns: int) -> None:
+    def reset(self) -> None:
         self._first = True
-        self._method.start(q, v, now_ns)
+        self._core.reset()
 
-    def plan(self, q: Array, v: Array, now_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
+    def plan(self, *request: Any) -> Plan:
         wall, cpu = time.perf_counter(), time.process_time()
-        plan = self._method.plan(q, v, now_ns, effect_ns, goal, spheres)
+        plan = self._core.plan(*request)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         if not self._first:
             self.seconds.append(wall)
@@ -82,12 +80,6 @@ class _Stopwatch:
             raise _Enough
         return plan
 
-    def torque(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
-        return self._method.torque(q, v, now_ns, clock_ns)
-
-    def observer_report(self, stopped_because: str, clock_ns: int, distrust: str = "") -> None:
-        self._method.observer_report(stopped_because, clock_ns, distrust)
-
 
 def measure_latency(task: LatencyTask) -> dict[str, Any]:
     """Median time of a plan, to be run on one process with no other task at the same time.
@@ -98,14 +90,15 @@ def measure_latency(task: LatencyTask) -> dict[str, Any]:
     way to the first target has `MIN_LATENCY` and no medians.
     """
     method = prepared(task.method, task.scene, task.setup)
-    watch = _Stopwatch(method)
+    watch = _Stopwatch(method.planner)
+    timed = dataclasses.replace(method, planner=watch)
     method.reseed(task.target)
     period = _PERIODS[0]
-    # Each scene's first target once with either goal; usually the first of them is enough.
-    scene = concrete_scene(task.scene, task.target)
+    # Usually the first of the goals gives plans enough.
+    scene = concrete_scene(task.scene, load_arm(task.setup.arm), task.target)
     for goal in GOALS:
         try:
-            run_episode(scene, watch, task.setup.options(task.method, goal, period))
+            run_episode(scene, timed, task.setup.options(task.method, goal, period))
         except _Enough:
             break
         if watch.seconds:
@@ -119,6 +112,22 @@ def measure_latency(task: LatencyTask) -> dict[str, Any]:
         "cpu_median_s": cpu_median,
         "plans": len(watch.seconds),
     }
+
+
+def measure_latencies(client: Client, tasks: Sequence[LatencyTask]) -> Iterator[tuple[LatencyTask, dict[str, Any]]]:
+    """Yield each task with the result of `measure_latency`, one after the other on otherwise idle workers.
+
+    Raises
+    ------
+    SettingsError
+        If a measurement ends in an error.
+    """
+    for task in tasks:
+        # One at a time: together, they would keep all workers busy.
+        ((_, found),) = run_all(client, measure_latency, [task])
+        if isinstance(found, BaseException):
+            raise SettingsError(f"the time of a plan of {task.method} in {task.scene.name} cannot be measured: {found}")
+        yield task, found
 
 
 def rounded_up(seconds: float) -> float:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeResult
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
-from contact_reach_ros.plant.plant import TICK
-
-Array = NDArray[np.float64]
+from contact_reach_ros.simulation.plant import TICK
 
 JERK_WINDOW = 0.1
 """Length of the filter that jerk is measured with, s."""
@@ -44,15 +42,15 @@ class EpisodeMetrics:
         Largest magnitude of the observer's residual on any joint, Nm. What observer and controller do not know of the
         arm, such as friction, is part of it, as on a real robot.
     path_length
-        Of the flange, m.
+        Of the tip, m.
     path_ratio
         `path_length` over the distance between the ends of the path; None if the goal was not reached.
     jerk
-        Root mean square of the flange's jerk, m/s³, see `rms_jerk`; None for an episode shorter than the filter.
+        Root mean square of the tip's jerk, m/s³, see `rms_jerk`; None for an episode shorter than the filter.
     end_error
         Distance from the target at the end, m; None if the episode ended at once.
     end_speed
-        Of the flange over the last 10 ms, m/s: a goal counts as reached when the flange is near, even if it passes by.
+        Of the tip over the last 10 ms, m/s: a goal counts as reached when the tip is near, even if it passes by.
     stop_reason, failure
         As in `EpisodeResult`.
     plans, solver_steps
@@ -89,7 +87,7 @@ def measure(
     target
         (3,), m.
     planning, gains
-        What bounds the speed of the flange.
+        What bounds the speed of the tip.
     permitted_force
         ε of the contact budget, N.
     """
@@ -127,7 +125,7 @@ def rms_jerk(positions: Array) -> float | None:
     Parameters
     ----------
     positions
-        (n, 3) of the flange after each tick, m.
+        (T, 3) of the tip after each tick, m.
     """
     window = round(JERK_WINDOW / TICK) + 1
     if len(positions) < window:

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.objectives import action_bounds
-from contact_reach_ros.planning.obstacles import clearances
-from contact_reach_ros.planning.problem import Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.transfer.pipeline import N_ACTION
-from contact_reach_ros.plant.plant import TICK, Actuation, Plant
-from contact_reach_ros.plant.settings import JointSettings, SensorSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.free_path import MIN_MOBILITY
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene
-from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
-
-Array = NDArray[np.float64]
+from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.free_path import MIN_MOBILITY
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 _LIMIT_MARGIN = 0.3
 _START_SPEED = 0.2
@@ -36,118 +35,119 @@ _GAP = 0.001
 class Case:
     """One start state with its actions and, unless it is None, a ball."""
 
+    arm: Arm
     q: Array
-    """(7,), rad."""
+    """(n,), rad."""
     v: Array
-    """(7,), rad/s."""
+    """(n,), rad/s."""
     actions: Array
-    """(H, 13)."""
-    ball: Ball | None
+    """(H, 6 + n)."""
+    ball: Obstacle | None
 
     @property
     def scene(self) -> Scene:
         """The arm at `q` and the ball."""
-        return Scene("case", 0, self.q, np.zeros(3), () if self.ball is None else (self.ball,))
+        return Scene("case", self.arm, 0, self.q, np.zeros(3), () if self.ball is None else (self.ball,))
 
     @property
     def spheres(self) -> Spheres:
-        """What a planner is told of the ball."""
+        """The ball as a planner sees it."""
         return obstacle_spheres(self.scene, rest_positions(self.scene))
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What became of the arm."""
+    """How the arm moved."""
 
     positions: Array
-    """(H, 3) flange at the ends of the knots, m."""
+    """(H, 3) tip at the ends of the knots, m."""
     rotations: Array
     """(H, 3, 3)."""
-    speed: float
-    """Of the fastest joint, rad/s."""
+    speed_share: float
+    """Speed of the fastest joint as a share of the arm's highest speed limit."""
     margin: float
     """Of the joint nearest to its limit, rad."""
     eigenvalue: float
     """Smallest of J M⁻¹ Jᵀ on the way, 1/kg."""
     forces: Array
-    """(H, 6) sum of the normal forces on each capsule, largest value within the knot, N."""
+    """(H, L) sum of the normal forces on each of `contact_links`, largest value within the knot, N."""
 
 
 def simulate(case: Case) -> Motion:
     """The simulated robot under the actions, latched as the controller latches them."""
-    joints = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
-    plant = Plant(case.scene, SensorSettings(), joints)
+    arm = case.arm
+    plant = Plant(case.scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
     plant.set_actuation(Actuation.COMMANDED)
     data = plant.data
-    data.qvel[: iiwa14.N_JOINTS] = case.v
-    law, model = ImpedanceLaw(ImpedanceSettings()), RobotModel()
+    data.qvel[: arm.n] = case.v
+    law, model = ImpedanceLaw(arm, ImpedanceSettings()), RobotModel(arm)
     positions, rotations, forces = [], [], []
-    limits = np.array(iiwa14.POSITION_LIMITS)
     speed, margin, eigenvalue = 0.0, np.inf, np.inf
     for action in case.actions:
-        q, v = data.qpos[: iiwa14.N_JOINTS], data.qvel[: iiwa14.N_JOINTS]
+        q, v = data.qpos[: arm.n], data.qvel[: arm.n]
         model.update(q, v)
         rotation = pin.exp3(action[3:6]) @ model.rotation
         reference = Reference(model.position + action[:3], rotation, q + action[6:])
-        force = np.zeros(len(iiwa14.CAPSULES))
+        force = np.zeros(len(plant.contact_links))
         for tick in range(round(PlanningSettings().knot_duration / TICK)):
             model.update(q, v)
             error = pose_error(model.position, model.rotation, reference)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
             force = np.maximum(force, plant.normal_forces())
             speed = max(speed, float(np.abs(v).max()))
-            margin = min(margin, float((limits - np.abs(q)).min()))
+            margin = min(margin, float(np.minimum(arm.upper - q, q - arm.lower).min()))
             if tick % 10 == 0:
                 eigenvalue = min(eigenvalue, model.smallest_mobility())
         model.update(q, v)
         positions.append(model.position.copy())
         rotations.append(model.rotation.copy())
         forces.append(force)
-    return Motion(np.array(positions), np.array(rotations), speed, margin, eigenvalue, np.array(forces))
+    share = speed / max(arm.velocity_limits)
+    return Motion(np.array(positions), np.array(rotations), share, margin, eigenvalue, np.array(forces))
 
 
-def draw_free(random: np.random.Generator, count: int) -> list[Case]:
+def draw_free(arm: Arm, random: np.random.Generator, count: int) -> list[Case]:
     """States away from singularities and joint limits, actions anywhere within their bounds."""
-    return [_draw(random) for _ in range(count)]
+    return [_draw(arm, random) for _ in range(count)]
 
 
-def _draw(random: np.random.Generator) -> Case:
+def _draw(arm: Arm, random: np.random.Generator) -> Case:
     settings = PlanningSettings()
-    limits = np.array(iiwa14.POSITION_LIMITS) - _LIMIT_MARGIN
-    bounds = action_bounds(settings).reshape(settings.horizon, N_ACTION)
-    model = _model()
+    bounds = action_bounds(arm, settings).reshape(settings.horizon, -1)
+    model = _model(arm)
     while True:
-        q = random.uniform(-limits, limits)
+        q = random.uniform(arm.lower + _LIMIT_MARGIN, arm.upper - _LIMIT_MARGIN)
         model.update(q, np.zeros_like(q))
         if model.smallest_mobility() >= MIN_MOBILITY:
             break
-    v = random.normal(0.0, _START_SPEED, iiwa14.N_JOINTS)
-    return Case(q, v, random.uniform(-1.0, 1.0, bounds.shape) * bounds, None)
+    v = random.normal(0.0, _START_SPEED, arm.n)
+    return Case(arm, q, v, random.uniform(-1.0, 1.0, bounds.shape) * bounds, None)
 
 
 @functools.cache
-def _model() -> RobotModel:
-    return RobotModel()
+def _model(arm: Arm) -> RobotModel:
+    return RobotModel(arm)
 
 
-def draw_contact(random: np.random.Generator, count: int, settings: BallSettings) -> list[Case]:
-    """The same with a ball next to a link, in the way of where the actions lead that link."""
+def draw_contact(arm: Arm, random: np.random.Generator, count: int, settings: BallSettings) -> list[Case]:
+    """Such states at rest, with a ball next to a link, in the way of where the actions lead that link."""
     cases: list[Case] = []
     while len(cases) < count:
-        case = _draw(random)
-        ball = _ball_in_the_way(random, case, settings)
-        if ball is not None:
-            cases.append(Case(case.q, np.zeros(iiwa14.N_JOINTS), case.actions, ball))
+        case = _draw(arm, random)
+        case = dataclasses.replace(case, v=np.zeros(arm.n), ball=_ball_in_the_way(random, case, settings))
+        # Not in the arm, which may be wider elsewhere.
+        if case.ball is not None and clearances(arm, case.q, case.spheres)[0] > 0.5 * _GAP:
+            cases.append(case)
     return cases
 
 
-def _ball_in_the_way(random: np.random.Generator, case: Case, settings: BallSettings) -> Ball | None:
+def _ball_in_the_way(random: np.random.Generator, case: Case, settings: BallSettings) -> Obstacle | None:
     """A ball just off a middle link, on the side that the actions' posture change moves it to."""
-    capsule = iiwa14.CAPSULES[int(random.integers(1, 5))]
+    capsule = case.arm.capsules[int(random.integers(1, len(case.arm.capsules) - 1))]
     along = np.asarray(capsule.start) + random.uniform() * np.subtract(capsule.end, capsule.start)
 
     def point(q: Array) -> tuple[Array, Array]:
-        rotations, origins = link_frames(q)
+        rotations, origins = link_frames(case.arm, q)
         rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
         return origin + rotation @ along, rotation @ np.subtract(capsule.end, capsule.start)
 
@@ -157,5 +157,5 @@ def _ball_in_the_way(random: np.random.Generator, case: Case, settings: BallSett
     length = float(np.linalg.norm(direction))
     if length < 1e-3:
         return None
-    ball = Ball(here + (capsule.radius + settings.radius + _GAP) * direction / length, settings)
-    return ball if clearances(case.q, Case(case.q, case.v, case.actions, ball).spheres)[0] > 0.5 * _GAP else None
+    (ball,) = settings.at(here + (capsule.radius + settings.radius + _GAP) * direction / length)
+    return ball

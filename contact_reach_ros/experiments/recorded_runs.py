@@ -5,29 +5,33 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.planning.cost import Problem
-from contact_reach_ros.planning.problem import Goal, Plan, Spheres
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planner import Request
+from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution
-from contact_reach_ros.planning.solver.hybrid import CostFunction, HybridSolver, Solution
-from contact_reach_ros.plant.plant import TICK, Plant
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene, SceneFile
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
+from contact_reach_ros.planning.solver.solver import CostFunction, Solution
+from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.units import NANOSECONDS
-
-Array = NDArray[np.float64]
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.spheres import Spheres
 
 NOTICEABLE_FORCE = 0.1
 """N."""
@@ -40,24 +44,12 @@ class Solve:
     """One call of the solver: what it was given, what it found and how long that took."""
 
     problem: Problem
-    distribution: Distribution
+    state: Distribution
     start_cost: float
     number: int
     seconds: float
     cpu_seconds: float
     solution: Solution
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """What a planner was asked."""
-
-    q: Array
-    v: Array
-    state_ns: int
-    effect_ns: int
-    goal: Goal
-    spheres: Spheres
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +82,11 @@ class PredictionError:
     """Where the arm really was when a plan took effect, less where the planner had expected it."""
 
     position: float
-    """m, flange."""
+    """Of the tip, m."""
     rotation: float
-    """rad, flange."""
+    """Of the tip, rad."""
     joints: float
-    """rad, the largest over the joints."""
+    """Largest over the joints, rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,43 +110,38 @@ class _RecordingSolver(HybridSolver[Problem]):
     last: Solve
 
     def solve(
-        self,
-        problem: Problem,
-        distribution: Distribution,
-        start_cost: float,
-        number: int,
-        until: float = math.inf,
+        self, problem: Problem, state: Distribution, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
         cpu, wall = time.process_time(), time.perf_counter()
-        solution = super().solve(problem, distribution, start_cost, number, until)
+        solution = super().solve(problem, state, start_cost, number, until)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        self.last = Solve(problem, distribution, start_cost, number, wall, cpu, solution)
+        self.last = Solve(problem, state, start_cost, number, wall, cpu, solution)
         return solution
 
 
 class RecordingPlanner(RecedingHorizonPlanner):
-    """The planner under test; it keeps what it is asked and how long it takes."""
-
-    _solver: _RecordingSolver
+    """The planner under test; it keeps requests, plans and how long they take."""
 
     def __init__(
-        self, settings: PlanningSettings, gains: ImpedanceSettings, permitted_force: float, capacity: int
+        self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, permitted_force: float, capacity: int
     ) -> None:
-        super().__init__(settings, gains, permitted_force, capacity)
+        def make(cost: CostFunction[Any], n: int, settings: PlanningSettings) -> _RecordingSolver:
+            self._recording = _RecordingSolver(cost, n, settings)
+            return self._recording
+
+        super().__init__(arm, settings, gains, permitted_force, capacity, solver=make)
+        self.arm = arm
         self.recorded: list[RecordedPlan] = []
 
-    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Goal, spheres: Spheres) -> Plan:
+    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
         """As the planner does, and remember it."""
-        first = self._memory is None
+        first = self.memory is None
         cpu, wall = time.process_time(), time.perf_counter()
         plan = super().plan(q, v, state_ns, effect_ns, goal, spheres)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         request = Request(np.array(q), np.array(v), state_ns, effect_ns, goal, spheres)
-        self.recorded.append(RecordedPlan(request, plan, self._solver.last, first, wall, cpu))
+        self.recorded.append(RecordedPlan(request, plan, self._recording.last, first, wall, cpu))
         return plan
-
-    def _make_solver(self, cost: CostFunction[Problem]) -> _RecordingSolver:
-        return _RecordingSolver(cost, len(self._bounds), self._settings)
 
 
 def record_runs(
@@ -173,31 +160,31 @@ def record_runs(
     recorded: list[RecordedPlan] = []
     errors: list[PredictionError] = []
     reached = 0
-    method = ReferenceMethod(planner, ControllerSettings())
+    method = Method(planner, ControllerSettings())
     while sum(not plan.first for plan in recorded) < plans or len(scenes) < episodes:
-        scene = make_scene(file, seed + len(scenes))
+        scene = make_scene(file, planner.arm, seed + len(scenes))
         scenes.append(scene)
         planner.recorded.clear()
         path: list[Array] = []
 
         def watch(tick: int, plant: Plant, path: list[Array] = path) -> None:
-            path.append(plant.data.qpos[: iiwa14.N_JOINTS].copy())
+            path.append(plant.data.qpos[: planner.arm.n].copy())
 
         result = run_episode(scene, method, options, watch)
         reached += result.reached
         recorded += planner.recorded
         # After tick t the plant stands at the instant of tick t + 1.
         errors += [
-            _prediction_error(entry.plan, path[index])
+            _prediction_error(planner.arm, entry.plan, path[index])
             for entry in planner.recorded
             if (index := entry.plan.effect_ns // _TICK_NS - 1) < len(path)
         ]
     return RecordedRuns(scenes, recorded, errors, reached)
 
 
-def _prediction_error(plan: Plan, q: Array) -> PredictionError:
+def _prediction_error(arm: Arm, plan: Plan, q: Array) -> PredictionError:
     expected_q = plan.predicted_q[0]
-    expected, actual = link_frames(expected_q), link_frames(q)
+    expected, actual = link_frames(arm, expected_q), link_frames(arm, q)
     turned = Rotation.from_matrix(actual[0][-1] @ expected[0][-1].T)
     return PredictionError(
         position=float(np.linalg.norm(actual[1][-1] - expected[1][-1])),

@@ -11,13 +11,14 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.drawing.palette import BLUE
 from contact_reach_ros.experiments.recorded_runs import RecordingPlanner
-from contact_reach_ros.palette import BLUE
-from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 POPULATIONS = (50, 100, 200, 400)
 HORIZONS = (1, 3, 5)
@@ -29,7 +30,9 @@ _ROUNDS = 3
 Curve = dict[str, list[float]]
 
 
-def measure_scaling(settings: PlanningSettings, gains: ImpedanceSettings, permitted_force: float) -> dict[str, Curve]:
+def measure_scaling(
+    arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, permitted_force: float
+) -> dict[str, Curve]:
     """Time of one solver step, ms, against k (elite and line search in proportion), H and nodes.
 
     What is not varied has the value of the settings; k and H are varied with one node, which is all in free space.
@@ -48,24 +51,26 @@ def measure_scaling(settings: PlanningSettings, gains: ImpedanceSettings, permit
     }
     curves: dict[str, Curve] = {}
     for name, entries in variants.items():
-        times = [_step_ms(changed, gains, permitted_force, nodes) for _, changed, nodes in entries]
+        times = [_step_ms(arm, changed, gains, permitted_force, nodes) for _, changed, nodes in entries]
         curves[name] = {"value": [value for value, _, _ in entries], "step_ms": times}
     return curves
 
 
-def _step_ms(settings: PlanningSettings, gains: ImpedanceSettings, permitted_force: float, nodes: int) -> float:
+def _step_ms(
+    arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, permitted_force: float, nodes: int
+) -> float:
     """Median time of a solver step from home to a goal nearby, ms, with nodes out of the arm's way."""
     settings = dataclasses.replace(settings, max_steps=_STEPS, stagnation_steps=_STEPS)
-    planner = RecordingPlanner(settings, gains, permitted_force, nodes)
-    q = np.array(iiwa14.HOME_POSITION)
-    flange = link_frames(q)[1][-1]
-    centers = flange + np.array([0.6, 0.0, 0.0]) + 0.02 * np.arange(nodes)[:, None] * np.array([0.0, 0.0, 1.0])
+    planner = RecordingPlanner(arm, settings, gains, permitted_force, nodes)
+    q = np.array(arm.home)
+    tip = link_frames(arm, q)[1][-1]
+    centers = tip + np.array([0.6, 0.0, 0.0]) + 0.02 * np.arange(nodes)[:, None] * np.array([0.0, 0.0, 1.0])
     ones = np.ones(nodes)
     spheres = Spheres(centers, centers, 0.05 * ones, 100.0 * ones, 30.0 * ones)
     planner.warm_up(lambda line: None)
     for _ in range(_ROUNDS):
         planner.reset()
-        planner.plan(q, np.zeros(iiwa14.N_JOINTS), 0, 0, Goal(flange + 0.1), spheres)
+        planner.plan(q, np.zeros(arm.n), 0, 0, Target(tip + 0.1), spheres)
     return float(np.median([1e3 * entry.solve.seconds / entry.plan.steps for entry in planner.recorded]))
 
 

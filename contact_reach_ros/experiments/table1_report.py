@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from contact_reach_ros.baselines.methods import METHODS, PATH_METHODS
 from contact_reach_ros.experiments import paper
-from contact_reach_ros.experiments.claims import Claim, Ratio, Results, claims, number, plus_minus, ratio_text
+from contact_reach_ros.experiments.baselines.methods import METHODS
+from contact_reach_ros.experiments.claims import Claim, Ratio, Results, claims, plus_minus, ratio_text
 from contact_reach_ros.experiments.grid import PATH_PATIENCE
-
-Report = dict[str, Any]
+from contact_reach_ros.experiments.output import Report, table
 
 GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
 
@@ -49,6 +48,12 @@ A ratio is that of the means over all episodes, on targets for which both method
 interval of a bootstrap over targets; *paired median* is the median over targets of the ratio within a target. Forces \
 count from all episodes, times only from those that reached the goal."""
 
+_CONDITIONS_LEGEND = "Where the whole interval of a ratio is above 1, planning the null space pays for certain."
+
+_LOSSES_LEGEND = """\
+A method that plans more often, see below, moves x_d on more often and is faster by that; `joint_torque` is not held \
+to the speed γ Kp/Kd. Table I has time, force and path of all."""
+
 
 def _legend(settings: Report) -> str:
     timeout = settings["timeout"]
@@ -58,13 +63,13 @@ def _legend(settings: Report) -> str:
 def tables(report: Report) -> str:
     """Tables and claims, for the terminal."""
     results = Results(report["episodes"])
-    return "\n".join([*_tables(report, results), "", *_claims(report, results)])
+    return "\n".join([*_tables(report, results), "", _claims(report, results)])
 
 
 def document(report: Report, page: Path, other: Report | None = None) -> str:
-    """The page of results, to be written to `page`; pictures beside it are shown.
+    """The page of results, for the file `page`, with the pictures beside it.
 
-    `other`: a run with other goals, to say which condition decides.
+    `other`: a run with other goals, which shows which condition decides.
     """
     results = Results(report["episodes"])
     both = report if other is None else _joined(report, other)
@@ -87,7 +92,7 @@ def document(report: Report, page: Path, other: Report | None = None) -> str:
         "",
         "## What is demanded",
         "",
-        *_claims(report, results),
+        _claims(report, results),
         "",
         _RATIO_LEGEND.format(share=95),
         "",
@@ -95,9 +100,13 @@ def document(report: Report, page: Path, other: Report | None = None) -> str:
         "",
         *_conditions(both, Results(both["episodes"])),
         "",
+        _CONDITIONS_LEGEND,
+        "",
         "## Where a baseline is ahead",
         "",
         *_losses(report, results),
+        "",
+        _LOSSES_LEGEND,
         *_failures(report),
         "",
         "## Time of a plan",
@@ -167,11 +176,8 @@ def _tables(report: Report, results: Results) -> Iterator[str]:
             yield ""
         yield f"### Goals: {GOAL_NAMES[goal]}"
         yield ""
-        yield _row(headings)
-        yield "|---" * len(headings) + "|"
-        for scene in report["grid"]["scenes"]:
-            for method in report["grid"]["methods"]:
-                yield _row(_cells(results, scene, goal, method))
+        cells = itertools.product(report["grid"]["scenes"], report["grid"]["methods"])
+        yield table(headings, (_cells(results, scene, goal, method) for scene, method in cells))
 
 
 def _cells(results: Results, scene: str, goal: str, method: str) -> Iterator[str]:
@@ -197,11 +203,12 @@ def _paper_force(published: paper.PaperCell) -> str:
     return f"{published.force:g} ± {published.force_sd:g}" if published.force else "0"
 
 
-def _claims(report: Report, results: Results) -> Iterator[str]:
-    yield "| claim | goals | required | measured | |"
-    yield "|---|---|---|---|---|"
-    for claim in claims(results, report["grid"]["scenes"], report["grid"]["goals"]):
-        yield _row([claim.text, GOAL_NAMES[claim.goal], claim.required, claim.measured or "–", _verdict(claim)])
+def _claims(report: Report, results: Results) -> str:
+    rows = (
+        [claim.text, GOAL_NAMES[claim.goal], claim.required, claim.measured or "–", _verdict(claim)]
+        for claim in claims(results, report["grid"]["scenes"], report["grid"]["goals"])
+    )
+    return table(["claim", "goals", "required", "measured", ""], rows)
 
 
 def _verdict(claim: Claim) -> str:
@@ -215,14 +222,11 @@ def _conditions(report: Report, results: Results) -> Iterator[str]:
     if not needed <= set(report["grid"]["methods"]):
         yield f"Not measured: that takes {' and '.join(sorted(needed))}."
         return
-    yield "| scene | goals | force of the method, N | of reference posture, N | ratio |"
-    yield "|---|---|---|---|---|"
-    found: dict[str, dict[str, Ratio | None]] = {}
+    rows = []
     for scene in report["grid"]["scenes"]:
         for goal in goals:
             ratio = results.ratio(scene, goal, paper.REFERENCE_POSTURE, paper.METHOD, "max_contact_force")
-            found.setdefault(scene, {})[goal] = ratio
-            yield _row(
+            rows.append(
                 [
                     scene,
                     GOAL_NAMES[goal],
@@ -231,33 +235,7 @@ def _conditions(report: Report, results: Results) -> Iterator[str]:
                     "–" if ratio is None else ratio_text(ratio),
                 ]
             )
-    yield ""
-    for scene, ratios in found.items():
-        sentence = _decision(scene, ratios)
-        if sentence:
-            yield f"- {sentence}"
-
-
-def _decision(scene: str, ratios: dict[str, Ratio | None]) -> str:
-    """What a scene says about the condition; empty where nothing was touched."""
-    present = {goal: ratio for goal, ratio in ratios.items() if ratio is not None}
-    if not present:
-        return ""
-    said = ", ".join(f"{number(ratio.of_means)} ({GOAL_NAMES[goal]})" for goal, ratio in present.items())
-    start = f"{scene}: reference posture presses harder than the method by a factor of {said}"
-    if len(present) < len(GOAL_NAMES):
-        return f"{start}."
-    ahead = [GOAL_NAMES[goal] for goal, ratio in present.items() if _surely_above(ratio)]
-    if len(ahead) == len(present):
-        return f"{start}: planning the null space pays with either goal."
-    if ahead:
-        return f"{start}: planning the null space pays for certain only with goals of one kind, {ahead[0]}."
-    return f"{start}: no difference that would be certain."
-
-
-def _surely_above(ratio: Ratio) -> bool:
-    """Whether the whole interval is above 1; the ratio itself where one target gives no interval."""
-    return ratio.low > 1.0 or (ratio.low != ratio.low and ratio.of_means > 1.0)
+    yield table(["scene", "goals", "force of the method, N", "of reference posture, N", "ratio"], rows)
 
 
 def _surely_below(ratio: Ratio) -> bool:
@@ -269,7 +247,7 @@ _NOTICEABLE = {"time": 0.05, "max_contact_force": 0.2}
 
 
 def _losses(report: Report, results: Results) -> Iterator[str]:
-    """A line for every figure in which a baseline beats the method for certain, with what goes with it."""
+    """A line for every figure in which a baseline beats the method for certain."""
     none = True
     grid = report["grid"]
     for goal in grid["goals"]:
@@ -277,14 +255,14 @@ def _losses(report: Report, results: Results) -> Iterator[str]:
             for method in grid["methods"]:
                 if method == paper.METHOD or paper.METHOD not in grid["methods"]:
                     continue
-                for text in _behind(report, results, scene, goal, method):
+                for text in _behind(results, scene, goal, method):
                     none = False
                     yield f"- {scene}, {GOAL_NAMES[goal]}: {text}"
     if none:
         yield "Nowhere, as far as the differences are certain."
 
 
-def _behind(report: Report, results: Results, scene: str, goal: str, method: str) -> Iterator[str]:
+def _behind(results: Results, scene: str, goal: str, method: str) -> Iterator[str]:
     def rate(name: str) -> float:
         episodes = results.of(scene, goal, name)
         return sum(entry["reached"] for entry in episodes) / max(len(episodes), 1)
@@ -302,45 +280,7 @@ def _behind(report: Report, results: Results, scene: str, goal: str, method: str
         ours = results.summary(scene, goal, paper.METHOD, figure)
         if ours.mean - theirs.mean < _NOTICEABLE[figure]:
             continue
-        yield (
-            f"{method} {words}: {plus_minus(theirs)} against {plus_minus(ours)} {unit}. "
-            f"{_why(report, results, scene, goal, method, figure)}"
-        )
-
-
-def _why(report: Report, results: Results, scene: str, goal: str, method: str, figure: str) -> str:
-    """What else differs, in the direction that explains it."""
-
-    def means(name: str) -> tuple[float, float]:
-        return (
-            results.summary(scene, goal, method, name).mean,
-            results.summary(scene, goal, paper.METHOD, name).mean,
-        )
-
-    reasons = []
-    time, own_time = means("time")
-    force, own_force = means("max_contact_force")
-    path, own_path = means("path_length")
-    if figure == "time":
-        if method == paper.JOINT_TORQUE:
-            reasons.append("is not held to the speed γ Kp/Kd of those that follow law (1)")
-        latency, own_latency = (report["latencies"][scene][name]["latency_s"] for name in (method, paper.METHOD))
-        if latency < 0.9 * own_latency:
-            reasons.append(f"plans {own_latency / latency:.1f} times as often, and x_d moves on with every plan")
-        if path < 0.97 * own_path:
-            reasons.append(f"goes a path that is {100 * (1 - path / own_path):.0f} % shorter")
-        if force > own_force + _NOTICEABLE["max_contact_force"]:
-            reasons.append(f"presses with {force:.1f} N where the method presses with {own_force:.1f} N")
-    else:
-        if method in PATH_METHODS:
-            reasons.append("keeps clear of all obstacles")
-        if time > own_time + _NOTICEABLE["time"]:
-            reasons.append(f"takes {time:.1f} s where the method takes {own_time:.1f} s")
-        if path > 1.03 * own_path:
-            reasons.append(f"goes a path that is {100 * (path / own_path - 1):.0f} % longer")
-    if not reasons:
-        return "Time, force and path do not say why."
-    return f"It {', and '.join(reasons)}."
+        yield f"{method} {words}: {plus_minus(theirs)} against {plus_minus(ours)} {unit}."
 
 
 def _failures(report: Report) -> Iterator[str]:
@@ -356,8 +296,8 @@ def _failures(report: Report) -> Iterator[str]:
         yield "Goals that were not reached:"
         yield ""
     for (scene, goal, method), kinds in found.items():
-        said = [f"{len(why)} × {kind}" + (f" ({why[0]})" if why[0] else "") for kind, why in kinds.items()]
-        yield f"- {scene}, {GOAL_NAMES[goal]}, {method}: {'; '.join(said)}"
+        reasons = [f"{len(why)} × {kind}" + (f" ({why[0]})" if why[0] else "") for kind, why in kinds.items()]
+        yield f"- {scene}, {GOAL_NAMES[goal]}, {method}: {'; '.join(reasons)}"
 
 
 def _latencies(report: Report) -> Iterator[str]:
@@ -370,11 +310,12 @@ def _latencies(report: Report) -> Iterator[str]:
         else "Latency of the episodes, ms, as the command says; it was not measured."
     )
     yield ""
-    yield _row(["scene", *methods])
-    yield "|---" * (len(methods) + 1) + "|"
-    for scene in report["grid"]["scenes"]:
-        entries = [report["latencies"][scene][method] for method in methods]
-        yield _row([scene, *(f"{1e3 * entry['latency_s']:.0f}" for entry in entries)])
+    latencies = report["latencies"]
+    rows = (
+        [scene, *(f"{1e3 * latencies[scene][method]['latency_s']:.0f}" for method in methods)]
+        for scene in report["grid"]["scenes"]
+    )
+    yield table(["scene", *methods], rows)
     yield ""
     published = paper.WALL_PLANNING_TIME
     wall = report["latencies"].get("wall", {})
@@ -396,10 +337,6 @@ def _pictures(folder: Path) -> Iterator[str]:
     for name, text in shown:
         yield f"![{text}]({name})"
         yield ""
-
-
-def _row(cells: Sequence[str] | Iterator[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _s(count: int) -> str:

@@ -1,87 +1,49 @@
-"""Running many independent tasks: in processes of this machine, or on the workers of a Dask scheduler."""
+"""Runs many independent tasks on Dask workers: processes of this machine, or those of a scheduler elsewhere."""
 
 from __future__ import annotations
 
-import multiprocessing
+import logging
 import os
 import signal
-import threading
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from multiprocessing import connection
-from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from contextlib import AbstractContextManager, contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from contact_reach_ros.errors import SettingsError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 
 _SCHEDULER_TIMEOUT = "10s"
 
-
-class Crew(Protocol):
-    """Workers behind the interface of `concurrent.futures`; leaving the context ends them."""
-
-    size: int
-    """Tasks that can run at the same time."""
-    executor: Executor
-
-    def restart(self) -> None:
-        """Replace workers that have died."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *error: Any) -> None: ...
+_LOCAL = {
+    # Latencies are measured in the workers: no sampling of their stacks, and few wake-ups of their event loops.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    # A worker that keeps the interpreter busy is at work, not dead.
+    "distributed.scheduler.worker-ttl": None,
+    # Tasks of a worker that died are run again by `run_all`.
+    "distributed.scheduler.allowed-failures": 0,
+}
 
 
-class ProcessCrew:
-    """Processes of this machine, started afresh rather than forked, since JAX has threads.
+def workers(count: int | None, scheduler: str | None) -> AbstractContextManager[Client]:
+    """Use the workers of the scheduler at an address, or `count` processes of this machine, by default one per core.
 
-    Parameters
-    ----------
-    size
-        Number of processes.
+    Raises
+    ------
+    SettingsError
+        As `remote_workers` and `local_workers`.
     """
-
-    def __init__(self, size: int) -> None:
-        self.size = size
-        self._others = set(multiprocessing.active_children())
-        self.executor: Executor = self._start()
-
-    def restart(self) -> None:
-        """Replace all processes; tasks that were not finished are lost."""
-        self._end()
-        self.executor = self._start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.executor.shutdown()
-        else:
-            self._end()
-
-    def _start(self) -> Executor:
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.size, mp_context=context, initializer=_prepare_process)
-
-    def _end(self) -> None:
-        """Without waiting for the tasks at hand."""
-        children = [child for child in multiprocessing.active_children() if child not in self._others]
-        self.executor.shutdown(wait=False, cancel_futures=True)
-        for child in children:
-            child.kill()
-        for child in children:
-            child.join()
+    return local_workers(count or os.cpu_count() or 1) if scheduler is None else remote_workers(scheduler)
 
 
-class DaskCrew:
-    """The workers of a Dask scheduler, which need this package installed.
+@contextmanager
+def remote_workers(address: str) -> Iterator[Client]:
+    """Use the workers of a Dask scheduler, which need this package installed.
 
     Parameters
     ----------
@@ -91,93 +53,94 @@ class DaskCrew:
     Raises
     ------
     SettingsError
-        If the package `distributed` is missing, nobody answers at the address, or there are no workers.
+        If the package `distributed` is missing, no scheduler answers at the address, or it has no workers.
     """
+    _require_dask()
+    from distributed import Client
 
-    def __init__(self, address: str) -> None:
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise SettingsError(
-                f"scheduler '{address}': the Python package 'distributed' is missing; install it with "
-                "pip install 'contact_reach_ros[dask]', here and on the workers"
-            ) from error
-        try:
-            self._client = Client(address, timeout=_SCHEDULER_TIMEOUT)
-        except (OSError, ValueError) as error:
-            raise SettingsError(
-                f"scheduler '{address}': no Dask scheduler answers there ({error}); expected an address such as "
-                "tcp://host:8786 of one that `dask scheduler` started"
-            ) from error
-        self.size = sum(self._client.nthreads().values())
-        if self.size == 0:
-            self._client.close()
+    try:
+        client = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise SettingsError(
+            f"scheduler '{address}': no Dask scheduler answers there ({error}); expected an address such as "
+            "tcp://host:8786 of one that `dask scheduler` started"
+        ) from error
+    with client:
+        if not client.nthreads():
             raise SettingsError(
                 f"scheduler '{address}': it has no workers; start some with `dask worker {address} --nthreads 1`"
             )
-        self.executor: Executor = self._client.get_executor()
+        yield client
 
-    def restart(self) -> None:
-        """Dask's own affair."""
 
-    def __enter__(self) -> Self:
-        return self
+@contextmanager
+def local_workers(count: int) -> Iterator[Client]:
+    """Start `count` worker processes, which end with this one, whatever ends that.
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        # Dask's executor cancels what is not finished when it is not to wait.
-        self.executor.shutdown(wait=kind is None)
-        self._client.close()
+    They import the main module of the program, as all processes that Python spawns.
+
+    Raises
+    ------
+    SettingsError
+        If the package `distributed` is missing.
+    """
+    _require_dask()
+    import dask
+    from distributed import Client, LocalCluster
+
+    with (
+        dask.config.set(_LOCAL),
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+            # No dashboard, and any free port for the HTTP server: 8787, the default, may be taken.
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            preload=[__name__],
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def dask_setup(worker: object) -> None:
+    """Let a worker, which Dask calls this in, go on at Ctrl-C: the process that started it ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def run_all(
-    crew: Crew, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
+    client: Client, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
 ) -> Iterator[tuple[TaskT, ResultT | BaseException]]:
-    """Yield each task with its result, or with the error that it ended in, as they come.
+    """Start tasks in their order; yield each with its result, or with the error that it ended in, as they come.
 
-    When a process dies, the tasks that were running are run again one at a time, so that only the one to blame fails.
+    When a worker's process dies, the tasks that it had are run again in the end, one at a time, so that only the one to
+    blame fails.
     """
-    waiting, suspects = deque(tasks), deque[TaskT]()
-    running: dict[Future[ResultT], TaskT] = {}
-    while waiting or suspects or running:
-        broken = []
-        try:
-            while len(running) < (1 if suspects else crew.size) and (suspects or waiting):
-                queue = suspects or waiting
-                future = crew.executor.submit(function, queue[0])
-                running[future] = queue.popleft()
-                if queue is suspects:
-                    break
-        except BrokenExecutor:
-            if not running:
-                crew.restart()
-                continue
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        if any(isinstance(future.exception(), BrokenExecutor) for future in done):
-            done, _ = wait(running)
-        for future in done:
-            task, error = running.pop(future), future.exception()
-            if isinstance(error, BrokenExecutor):
-                broken.append(task)
-            else:
-                yield task, error or future.result()
-        if broken:
-            crew.restart()
-        if len(broken) == 1:
-            yield broken[0], RuntimeError("the worker's process died")
+    from distributed import KilledWorker, as_completed
+
+    submitted: dict[Future, TaskT] = {client.submit(function, task, pure=False): task for task in tasks}
+    suspects = []
+    for future in as_completed(submitted, loop=client.loop):
+        error: Any = future.exception()
+        if isinstance(error, KilledWorker):
+            suspects.append(submitted[future])
         else:
-            suspects.extend(broken)
+            yield submitted[future], error or future.result()
+    for task in suspects:
+        future = client.submit(function, task, pure=False)
+        error = future.exception()
+        if isinstance(error, KilledWorker):
+            error = RuntimeError("the worker's process died")
+        yield task, error or future.result()
 
 
-def _prepare_process() -> None:
-    """Ctrl-C reaches every process of the terminal: the first one ends the others, and they end with it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
+def _require_dask() -> None:
+    try:
+        import distributed  # noqa: F401
+    except ImportError as error:
+        raise SettingsError(
+            "the Python package 'distributed' is missing; install it with pip install -c constraints.txt "
+            "'.[experiments]', here and on the workers"
+        ) from error

@@ -2,6 +2,6 @@
 
 import os
 
-# LAPACK is only used on small matrices here. On more than one thread it waits for cores that the loops need, up to
-# 80 ms. NumPy and SciPy look at this when they are first imported.
+# LAPACK works only on small matrices here. With more than one thread it waits for cores that the loops need, for up to
+# 80 ms. NumPy and SciPy read this variable when they are first imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

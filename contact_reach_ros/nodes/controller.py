@@ -1,254 +1,272 @@
-"""The controller: one torque command for every joint state."""
+"""The controller's node: one torque command for every joint state."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity
-from std_msgs.msg import Header
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.agreement import differences, disagreement
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.reference import PoseKnots, PostureKnots
-from contact_reach_ros.control.reference_messages import pose_knots, posture_knots
-from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.managed import ManagedNode, run
-from contact_reach_ros.nodes.messages import nanoseconds, set_time
-from contact_reach_ros.nodes.observer import NAME as OBSERVER
-from contact_reach_ros.nodes.parameters import Sections
-from contact_reach_ros.nodes.realtime import Role
-from contact_reach_ros.nodes.rivals import LOOK_AROUND_S, rivalry
-from contact_reach_ros.nodes.serialized import CommandWriter, JointStateReader
-from contact_reach_ros.observer.safety import DISTRUST
-from contact_reach_ros.recording.intake import Taken
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.timing import Histogram, StampOrder, write_counts
-
-PRIORITY = 70
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.diagnostics import to_stop_state
+from contact_reach_ros.messages.intake import Taken
+from contact_reach_ros.messages.references import pose_knots, posture_knots
+from contact_reach_ros.messages.safety_state import observer_values, read_verdict
+from contact_reach_ros.messages.serialized import CommandWriter, JointStateReader
+from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.observer import Observer
+from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
+from contact_reach_ros.parameter_files import full_name
+from contact_reach_ros.ros.interfaces import ALONE, OBSERVER
+from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER
+from contact_reach_ros.ros.managed_node import ManagedNode
+from contact_reach_ros.ros.parameters import settings_of
+from contact_reach_ros.ros.process import run
+from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
+from contact_reach_ros.ros.scheduling import CONTROLLER_PRIORITY, Role
+from contact_reach_ros.settings import Settings
+from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, requested
+from contact_reach_ros.timing import Histogram, write_counts
 
 NAME = "controller"
+_PLANNER = "planner"
+_BUDGET = "budget"
+_OWN_FILE = "contact_budget"
+"""Setting of the observer that may differ: the same budget may lie in two files."""
 
 
 class ControllerNode(ManagedNode):
-    """Runs the controller's tick for each joint state and publishes the torque."""
+    """Passes joint states, references and safety states to the controller and publishes its torques."""
 
     NAME = NAME
-    SECTIONS: ClassVar[Sections] = {
-        "impedance": ImpedanceSettings,
-        "limits": LimitSettings,
-        "supervision": SupervisionSettings,
-    }
+    SECTIONS = CONTROLLER_SECTIONS
 
     def __init__(self) -> None:
         super().__init__()
-        self._shadow: bool = self.settings["supervision"].shadow
-        commands = topics.SHADOW_COMMANDS if self._shadow else topics.COMMANDS
+        self._watch = self._watch_settings()
+        supervision: SupervisionSettings = self.settings["supervision"]
+        commands = topics.COMMANDS
+        self._exclusive: tuple[topics.Topic, ...] = (*ALONE, topics.SAFETY_STATE)
+        if supervision.adapter:
+            commands = topics.ADAPTER_COMMANDS
+            self._exclusive += (commands,)
+        if supervision.shadow:
+            commands = topics.SHADOW_COMMANDS
         self._write_commands = self.make_writer(commands.kept(self.lockstep))
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        # Safety before joint states: a tick uses all that came before it. Plans, which take effect later and take as
-        # long to read as a tick, come after it; not in lockstep, where a tick uses them, too, and nothing is late.
+        self._lockstep = self.make_lockstep(BEHIND_ADAPTER if commands is topics.ADAPTER_COMMANDS else NAME)
+        # Safety before joint states: a tick uses everything that came before it. Plans take effect later, and reading
+        # one takes as long as a tick, so they come after it; not in lockstep, where a tick uses them, too, and nothing
+        # is late.
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses, hurried=self.lockstep)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures, hurried=self.lockstep)
-        self._horizons: dict[str, int] = {}
-        """Up to which state observer and planner have said everything, ns; those that have been heard of."""
-        if self.lockstep:
-            self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
-            self.inbox.add(topics.JOINT_STATES, self._on_state, topics.EVERY, serialized=True, ready=self._all_said)
-        else:
-            self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
-        self._horizon = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
+        if self._lockstep.active:
+            self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.EVERY)
+        ready = self.turn_in(self._lockstep)
+        self.inbox.add(topics.JOINT_STATES, self._on_state, self._lockstep.qos, serialized=True, ready=ready)
         self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
-        self.create_service(Trigger, "~/stop", self._on_stop)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self._reader = JointStateReader(iiwa14.JOINT_NAMES, topics.JOINT_STATES.name)
-        self._writer = CommandWriter(iiwa14.N_JOINTS)
-        settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
-        self._controller = Controller(settings, RobotModel())
-        self._started = False
-        self._order = StampOrder()
-        self._state_ns = 0
-        self._state = (np.zeros(iiwa14.N_JOINTS), np.zeros(iiwa14.N_JOINTS))
+        self.offer("~/stop", self._answer_stop)
+        self.offer("~/reset", self._answer_reset)
+        self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
+        self._disagreement = ""
+        """What the planner plans with and this controller has not."""
+        self._other_watch = ""
+        """What the observer watches with and this controller's own watch has not."""
+        needs_effort = bool(self._watch) and ObserverSettings.from_sections(self._watch).torque_source == MEASURED
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, needs_effort)
+        self._writer = CommandWriter(self.arm.n)
+        self._controller = self._make_controller()
+        if self._watch:
+            self._controller.watch_with(self._make_watcher())
+        self._controller.not_yet = "still looking for other publishers"
         self._compute = Histogram()
         self._published_mode: tuple[Mode, str] | None = None
-        self._rivalry = "not looked for other publishers yet"
         self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Warm everything up."""
-        _rehearse(Controller(self._controller.settings, self._controller.model))
-        return super().on_configure(state)
+    def configure(self) -> None:
+        """Warm up all computations."""
+        self._make_controller().rehearse()
+        if self._watch:
+            self._make_watcher().rehearse()
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def files(self) -> Mapping[str, Settings]:
+        """The observer's settings, with which the controller watches itself; empty if it does not."""
+        return self._watch
+
+    def activate(self) -> None:
         """Start from the next joint state."""
-        self._started = False
+        self._controller.activate()
         self._look_around()
-        return super().on_activate(state)
+
+    def on_fault(self, what: str, error: Exception) -> None:
+        """Stop the arm: after a fault of its program nobody knows what the controller goes on from."""
+        if not self._controller.stop_reason:
+            reason = internal(what, error)
+            self.inbox.post(lambda: self._stop_for(reason))
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Mode, plan age and computing time."""
         controller = self._controller
-        waiting = "" if self._started else self._rivalry
+        waiting = "" if controller.started else controller.not_yet or controller.not_vouched
         values = {
             "mode": controller.mode.value,
+            **observer_values(self.settings["supervision"].require_observer),
             "plans accepted": controller.references.accepted,
             "plan halves unpaired": controller.references.unpaired,
-            "plan age s": controller.references.age(self._state_ns),
+            "plan age s": controller.references.age(controller.stamp_ns),
             "position error m": float(np.linalg.norm(controller.error[:3])),
-            "joint states repeated": self._order.repeated,
-            "joint states older": self._order.older,
+            "observer silence max ms": 1000.0 * controller.supervisor.longest_silence,
+            "joint states repeated": controller.order.repeated,
+            "joint states older": controller.order.older,
             **{f"compute {key} us": value for key, value in self._compute.summary().items()},
             "compute counts": write_counts(self._compute.counts()),
         }
         return controller.stop_reason or waiting, values
 
+    def _make_controller(self) -> Controller:
+        settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
+        return Controller(self.arm, settings, self.period)
+
+    def _watch_settings(self) -> Mapping[str, Settings]:
+        """Settings and budget of the observer by prefix; none if the controller does not watch itself."""
+        if not self.settings["supervision"].has_own_watch:
+            return {}
+        sections = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)
+        return {**sections, _BUDGET: load_budget(sections[""].contact_budget).resolve(self.arm)}
+
+    def _make_watcher(self) -> Observer:
+        settings = ObserverSettings.from_sections(self._watch)
+        budget: Any = self._watch[_BUDGET]
+        return Observer(self.arm, settings, budget, self.period, locates=False)
+
     def _look_around(self) -> None:
-        """Nobody else may command the arm or publish references; runs beside the loop, a few times a second."""
-        # In the shadow of another controller there is one that commands.
-        self._rivalry = rivalry(self, (topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE))
-        if self._rivalry and self._started and not self._controller.stop_reason:
-            reason = self._rivalry
+        """Check that nobody else publishes commands, or what they follow from; runs beside the loop."""
+        # A controller in the shadow mode runs beside another one that commands.
+        controller = self._controller
+        rivals, differs = rivalry(self, self._exclusive), self._other_watch
+        controller.not_yet = f"{rivals}: end the others first" if rivals else differs
+        if controller.not_yet and controller.started and not controller.stop_reason:
+            code = StopCode.RIVAL if rivals else StopCode.DISAGREEMENT
+            reason = StopReason(code, rivals or differs)
             self.inbox.post(lambda: self._stop_for(reason))
 
     def _clock_ns(self) -> int:
-        """Clock of the watchdogs: the steady one, or simulated time in lockstep, where real time means nothing."""
-        return self._state_ns if self.lockstep else self.inbox.handled_ns
+        """Time of the watchdogs' clock: steady, or simulated in lockstep, where real time means nothing."""
+        return self._controller.stamp_ns if self.lockstep else self.inbox.handled_ns
 
     def _on_state(self, data: bytes) -> None:
         controller = self._controller
-        try:
-            stamp_ns, q, v, _ = self._reader.read(data)
-            if self._started and not self._order.is_new(stamp_ns):
-                return
-            self._state_ns = stamp_ns
-            if not self._started:
-                if self._rivalry:
-                    raise InputError(f"{self._rivalry}: nothing is commanded; end the others")
-                controller.start(q, v, self._state_ns)
-                self._started = True
-                self._order.is_new(stamp_ns)
-            torque = controller.tick(q, v, self._state_ns, self._clock_ns())
-        except InputError as error:
-            self.refuse("joint states", error)
+        state = self._reader.read(data)
+        clock_ns = state.stamp_ns if self.lockstep else self.inbox.handled_ns
+        torque = controller.update(state, clock_ns)
+        if controller.state is not state:
+            controller.watch(state, None, clock_ns)
             return
-        self._state = (q, v)
+        while controller.references.dropped:
+            self.refuse("plans", InputError(controller.references.dropped.pop()))
+        if not self.lockstep:
+            self._answer(state.stamp_ns, torque)
+        controller.watch(state, torque, clock_ns)
+        if (controller.mode, controller.stop_reason) != self._published_mode:
+            self._publish_safety()
+        if self.lockstep:
+            # Time goes on with the answer, and everything else must be out by then. It does not begin before the
+            # observer vouches: how often the first state is repeated until then depends on the machine.
+            waits = self._lockstep.time_stands(state.stamp_ns) and torque is None and not controller.started
+            if not waits:
+                self._answer(state.stamp_ns, torque)
+
+    def _answer(self, stamp_ns: int, torque: Array | None) -> None:
         if torque is not None:
             self._write_commands(self._writer.write(torque))
             self._intake.outputs += 1
-        elif self._horizon is not None:
-            # In lockstep the driver waits for an answer; this one is no command.
-            header = Header(frame_id=NAME)
-            set_time(header.stamp, stamp_ns)
-            self._horizon.publish(header)
+        else:
+            self._lockstep.answer(stamp_ns)
         self._compute.add(time.monotonic_ns() - self.inbox.handled_ns)
-        if (controller.mode, controller.stop_reason) != self._published_mode:
-            self._publish_safety()
 
-    def _on_horizon(self, message: Header) -> None:
-        if message.frame_id != NAME:
-            said_ns = nanoseconds(message.stamp)
-            # After the clock was set back what was said before still holds.
-            self._horizons[message.frame_id] = max(said_ns, self._horizons.get(message.frame_id, 0))
+    def _on_settings(self, message: DiagnosticStatus) -> None:
+        if message.name == _PLANNER:
+            self._disagreement = disagreement(self.reported_settings(), read_settings(message))
+        elif message.name == OBSERVER and self._watch:
+            names = [
+                full_name(prefix, entry.name)
+                for prefix, settings in self._watch.items()
+                for entry in settings.declared()
+                if entry.name != _OWN_FILE
+            ]
+            differs = differences(self.reported_settings(), read_settings(message), OBSERVER, names)
+            hint = "start both with the same parameter file, or with supervision.watch_itself: false"
+            self._other_watch = f"observer and controller disagree: {differs}; {hint}" if differs else ""
 
-    def _all_said(self) -> bool:
-        """In lockstep: whether all that the last state has led to is here, so that each run is like the other.
-
-        The driver has it before it publishes the next state, but it does not come here by the same way.
-        """
-        return not self._started or all(said_ns > self._state_ns for said_ns in self._horizons.values())
+    def _check_agreement(self) -> None:
+        if self._disagreement:
+            raise InputError(
+                f"planner and controller disagree: {self._disagreement}; its plans are not followed: start both with "
+                "the same parameters"
+            )
 
     def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
-        try:
-            self._controller.references.offer_poses(pose_knots(message), self._state_ns)
-        except InputError as error:
-            self.refuse("references", error)
+        self._check_agreement()
+        self._controller.references.offer_poses(pose_knots(message), self._controller.stamp_ns)
 
     def _on_postures(self, message: JointTrajectory) -> None:
-        try:
-            self._controller.references.offer_postures(posture_knots(message), self._state_ns)
-        except InputError as error:
-            self.refuse("references", error)
+        self._check_agreement()
+        knots = posture_knots(message, self.arm.joint_names)
+        self._controller.references.offer_postures(knots, self._controller.stamp_ns)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        # Before the first state there is no time to compare with.
-        if message.name == OBSERVER and self._started:
-            reason = message.message if message.level >= DiagnosticStatus.ERROR else ""
-            distrust = next((item.value for item in message.values if item.key == DISTRUST), "")
-            self._controller.observer_report(reason, self._clock_ns(), distrust)
+        if message.name == OBSERVER:
+            self._controller.hear(read_verdict(message), self._clock_ns())
 
     def _publish_safety(self) -> None:
         controller = self._controller
         self._published_mode = (controller.mode, controller.stop_reason)
-        stopped = controller.supervisor.stopped
-        message = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if stopped else DiagnosticStatus.OK,
-            name=NAME,
-            message=controller.stop_reason if stopped else controller.mode.value,
-            hardware_id="iiwa14",
-            values=[KeyValue(key="mode", value=controller.mode.value)],
-        )
-        self._safety.publish(message)
-        if stopped:
-            what = "compliant stop" if controller.mode is Mode.STOPPED else "stop"
-            self.say(LoggingSeverity.ERROR, f"{what}: {controller.stop_reason}; call ~/reset to go on")
+        mode = controller.mode.value
+        values = {"mode": mode, **observer_values(self.settings["supervision"].require_observer)}
+        self._safety.publish(to_stop_state(NAME, self.arm, controller.stop_reason, mode, values))
+        if controller.stop_reason:
+            is_silent = controller.mode is Mode.SILENT
+            what = "stop, without commands" if is_silent else "compliant stop"
+            calls = "~/reset, and the driver's," if is_silent else "~/reset"
+            self.say(LoggingSeverity.ERROR, f"{what}: {controller.stop_reason}; call {calls} to continue")
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        # The loop may be slow to answer, but stops all the same.
-        self.inbox.post(lambda: self._stop_for("stop service called"))
-        response.success, response.message = True, "compliant stop"
-        return response
+    def _answer_stop(self) -> str:
+        # The loop may be slow to answer, but it will stop.
+        self.inbox.post(lambda: self._stop_for(requested("stop service called")))
+        return "compliant stop"
 
     def _stop_for(self, reason: str) -> None:
         self.inbox.note(Taken.STOP)
         self._controller.stop(reason)
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            # In the loop's thread, or it might be in the middle of a tick.
-            self.inbox.call(self._reset)
-        except (InputError, TimeoutError) as error:
-            response.message = str(error)
-            return response
-        response.success, response.message = True, "holding; send a goal to go on"
-        return response
+    def _answer_reset(self) -> str:
+        # In the loop's thread, because it might be in the middle of a tick.
+        self.inbox.call(self._reset)
+        return "holding; send a goal to continue"
 
     def _reset(self) -> None:
-        """Release a stop; raises `InputError` if there is a reason against it."""
-        if not self._started:
-            raise InputError("the controller has not seen a joint state yet")
-        if self._rivalry:
-            raise InputError(f"{self._rivalry}: end the others first")
+        self._controller.check_ready()
         self.inbox.note(Taken.RESET)
-        self._controller.reset(*self._state, self._state_ns, self._clock_ns())
-
-
-def _rehearse(controller: Controller) -> None:
-    """Go through everything once: what libraries do at their first call must not happen while an arm waits."""
-    q, v = np.array(iiwa14.HOME_POSITION), np.zeros(iiwa14.N_JOINTS)
-    controller.start(q, v, 0)
-    controller.tick(q, v, 1, 1)
-    pose, rotation = controller.model.flange_pose(q)
-    controller.references.offer_poses(PoseKnots(1, (10,), pose[None], rotation[None]), 1)
-    controller.references.offer_postures(PostureKnots(1, (10,), q[None]), 1)
-    for now_ns in (2, 20):
-        controller.tick(q, v, now_ns, now_ns)
+        self._controller.reset(self._clock_ns())
 
 
 def main() -> None:
     """Run the controller."""
-    sys.exit(run(ControllerNode, Role.LOOP, sys.argv, PRIORITY))
+    sys.exit(run(ControllerNode, Role.LOOP, sys.argv, CONTROLLER_PRIORITY))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Taking the messages of topics from the middleware and into a bag, without decoding them."""
+"""Moves messages from the middleware to a bag without decoding them."""
 
 from __future__ import annotations
 
@@ -10,27 +10,24 @@ from operator import itemgetter
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from contact_reach_ros.bags.loss import LOST, LossCounter
+from contact_reach_ros.bags.topics import RecordedTopic, check_type_name
+from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.realtime import LoopGroup
-from contact_reach_ros.recording.bag_writer import BagWriter
-from contact_reach_ros.recording.loss import LOST, LossCounter
-from contact_reach_ros.recording.topics import OfferedQos, Topic, check_type_name
-
-HISTORY_DEPTH = topics.KEPT_STREAM.depth
-"""Messages per topic that wait in the middleware while the recorder is held up: all that publishers keep, or 4 s."""
+from contact_reach_ros.nodes.recorded_qos import HISTORY_DEPTH, acceptable_qos, asks_too_much, offered_qos
+from contact_reach_ros.ros.inbox import LoopGroup
 
 SETTLING_TIME = 0.05
-"""Time for messages that are on their way when the recording ends, s."""
+"""Time to wait for messages in transit when the recording ends, s."""
 
 
 @dataclasses.dataclass
 class _Recorded:
-    topic: Topic
+    topic: RecordedTopic
     message_class: type
     qos: QoSProfile
     subscription: Subscription
@@ -38,22 +35,22 @@ class _Recorded:
 
 
 class TopicRecorder:
-    """Moves the messages of topics into a bag.
+    """Moves the messages of topics to a bag.
 
     Parameters
     ----------
     node :
         Owner of the subscriptions.
     writer :
-        The bag; it stays with the caller, who closes it after `stop`.
+        The bag; the caller keeps it and closes it after `stop`.
     topics :
-        Names, relative ones to be resolved by the node, each with the type it must have or None.
+        Names, relative ones to be resolved by the node, each with its required type or None.
     """
 
     def __init__(self, node: Node, writer: BagWriter, topics: Iterable[tuple[str, str | None]]) -> None:
         self._node = node
         self._writer = writer
-        # Waking up for every message costs ten times more than taking what has gathered in 20 ms.
+        # Waking up for every message costs ten times as much as taking those gathered in 20 ms.
         self._group = LoopGroup()
         self._recorded: dict[str, _Recorded] = {}
         self._publisher_counts: dict[str, int] = {}
@@ -65,10 +62,10 @@ class TopicRecorder:
         Raises
         ------
         BagError
-            If the disk refuses.
+            If writing fails.
         """
         for name in self._wanted:
-            # Counting is cheap; what publishers offer is asked for only when their number has changed.
+            # Counting is cheap; the publishers' offers are looked up only when their number has changed.
             count = self._node.count_publishers(name)
             if count == self._publisher_counts.get(name, 0):
                 continue
@@ -83,7 +80,7 @@ class TopicRecorder:
         Raises
         ------
         BagError
-            If the disk refuses.
+            If writing fails.
         """
         batch: list[tuple[int, _Recorded, bytes, Any]] = []
         for recorded in self._recorded.values():
@@ -103,12 +100,12 @@ class TopicRecorder:
             self._writer.write(recorded.topic.name, data, received_ns, sent_ns, sequence or 0)
 
     def stop(self) -> None:
-        """Write what is still on its way, note what was lost, and listen no more.
+        """Write what is still in transit, note what was lost, and unsubscribe.
 
         Raises
         ------
         BagError
-            If the disk refuses.
+            If writing fails.
         """
         self.drain()
         time.sleep(SETTLING_TIME)
@@ -118,7 +115,7 @@ class TopicRecorder:
             self._node.destroy_subscription(recorded.subscription)
 
     def note_losses(self) -> None:
-        """Note in the bag how many messages were lost so far."""
+        """Note in the bag how many messages have been lost so far."""
         known = all(recorded.loss.known for recorded in self._recorded.values())
         self._writer.set_custom_data(LOST, str(self.lost) if known else "unknown")
         for name, recorded in self._recorded.items():
@@ -127,7 +124,7 @@ class TopicRecorder:
 
     @property
     def lost(self) -> int:
-        """Messages that were sent while their topic was recorded and did not arrive."""
+        """Number of messages that were sent while their topic was recorded, but did not arrive."""
         return sum(recorded.loss.lost for recorded in self._recorded.values())
 
     def _meet(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
@@ -137,11 +134,11 @@ class TopicRecorder:
                 self._begin(name, publishers)
             except BagError as error:
                 self._node.get_logger().error(f"not recorded: {error}")
-        elif _asks_too_much(recorded.qos, publishers):
-            # A publisher that offers less has joined: with the old terms nothing would come from it.
+        elif asks_too_much(recorded.qos, publishers):
+            # A publisher that offers less has joined: with the previous request, nothing would come from it.
             self.drain()
             self._node.destroy_subscription(recorded.subscription)
-            recorded.qos = _acceptable_qos(publishers)
+            recorded.qos = acceptable_qos(publishers)
             recorded.subscription = self._subscribe(name, recorded.message_class, recorded.qos)
 
     def _begin(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
@@ -150,9 +147,9 @@ class TopicRecorder:
         if types != [expected]:
             raise BagError(f"topic '{name}' has the type {', '.join(types)}, expected {expected}")
         recorded_class = message_class(expected)
-        qos = _acceptable_qos(publishers)
-        offered = tuple(_offered(publisher.qos_profile) for publisher in publishers)
-        topic = Topic(name, expected, offered)
+        qos = acceptable_qos(publishers)
+        offered = tuple(offered_qos(publisher.qos_profile) for publisher in publishers)
+        topic = RecordedTopic(name, expected, offered)
         self._writer.add_topic(topic)
         subscription = self._subscribe(name, recorded_class, qos)
         self._recorded[name] = _Recorded(topic, recorded_class, qos, subscription, LossCounter())
@@ -176,35 +173,3 @@ def message_class(type_name: str) -> type:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as error:
         raise BagError(f"message type '{type_name}' is not installed; source the workspace that has it") from error
-
-
-def _acceptable_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """The strictest terms that every publisher meets, with a deep queue."""
-    offered = [publisher.qos_profile for publisher in publishers]
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-    return QoSProfile(
-        depth=HISTORY_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _asks_too_much(qos: QoSProfile, publishers: Sequence[TopicEndpointInfo]) -> bool:
-    acceptable = _acceptable_qos(publishers)
-    loses_reliability = acceptable.reliability != qos.reliability == ReliabilityPolicy.RELIABLE
-    return loses_reliability or acceptable.durability != qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-
-
-def _offered(profile: QoSProfile) -> OfferedQos:
-    return OfferedQos(
-        history=profile.history.short_key,
-        depth=profile.depth,
-        reliability=profile.reliability.short_key,
-        durability=profile.durability.short_key,
-        deadline_ns=profile.deadline.nanoseconds,
-        lifespan_ns=profile.lifespan.nanoseconds,
-        liveliness=profile.liveliness.short_key,
-        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
-    )

@@ -1,1 +1,1 @@
-"""External torques from a momentum observer, and what the contact budget makes of them."""
+"""External torques from a momentum observer, compared with the contact budget."""

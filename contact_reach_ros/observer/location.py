@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
-
-Array = NDArray[np.float64]
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
 
 _POINTS = 5
 """Candidates along the axis of each capsule."""
 _FORCE = 100.0
-"""Size of a force across a link that is expected, N: the weight of its square in the fit."""
+"""Expected size of a force across a link, N, with which its square is weighted in the fit."""
 _FORCE_ALONG = 5.0
-"""The same along the link, where a contact acts by friction only."""
+"""The same along the link, where contact acts only by friction."""
 _ACROSS = np.eye(3) / _FORCE**2
 _ALONG = 1.0 / _FORCE_ALONG**2 - 1.0 / _FORCE**2
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
-"""Of the coordinates in a cross product, which NumPy's own takes ten times as long for."""
+"""Coordinates in a cross product; NumPy's own function takes ten times as long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,15 +34,19 @@ class Contact:
     position
         Point on the axis of the link's capsule that the force acts through, (3,), m, base frame.
     force
-        On the arm, (3,), N, base axes: the smallest that explains the torques, so rather too small than too large.
+        Force on the arm, (3,), N, base axes: the smallest that explains the torques, so an underestimate if anything.
     misfit
-        What the force leaves unexplained, as the root of the sum of squares in thresholds of a contact.
+        Unexplained rest: root of the sum of squares, in units of the contact thresholds.
     """
 
     link: str
     position: Array
     force: Array
     misfit: float
+
+    def rounded(self) -> Contact:
+        """The same contact to 1 mm and 0.1 N, as messages carry it."""
+        return dataclasses.replace(self, position=np.round(self.position, 3), force=np.round(self.force, 1))
 
     @property
     def strength(self) -> float:
@@ -55,27 +57,29 @@ class Contact:
 class ContactLocator:
     """Fits τ_ext ≈ J_p(q)ᵀ f over points p on the axes of the arm's collision capsules.
 
-    A force that is normal to a capsule passes through its axis, so that no point off the axis is needed. Joints beyond
-    the touched link feel nothing, which is what tells links apart.
+    A force normal to a capsule passes through its axis, so points off the axis are not needed. Joints beyond the
+    touched link feel nothing, which distinguishes the links.
     """
 
     def __init__(self, model: RobotModel, scales: tuple[float, ...]) -> None:
-        """`scales`: torque of each joint that counts as much as that of another, such as thresholds, (7,), N m."""
+        """`scales`: torques (n,), N m, that count as equally large on their joints, such as thresholds."""
+        arm = model.arm
+        self._link_names = arm.link_names
         self._model = model.pinocchio
         self._data = self._model.createData()
         self._weights = 1.0 / np.array(scales)
-        self._joints = [self._model.getJointId(name) for name in iiwa14.JOINT_NAMES]
+        self._joints = [self._model.getJointId(name) for name in arm.joint_names]
         shares = np.linspace(0.0, 1.0, _POINTS)[:, None]
-        capsules = [(c.link - 1, np.array(c.start, float), np.array(c.end, float)) for c in iiwa14.CAPSULES]
+        capsules = [(c.link - 1, np.array(c.start, float), np.array(c.end, float)) for c in arm.capsules]
         self._links = np.repeat([link for link, _, _ in capsules], _POINTS)
         self._points = np.concatenate([start + shares * (end - start) for _, start, end in capsules])[:, :, None]
         axes = [(end - start) / np.linalg.norm(end - start) for _, start, end in capsules]
         self._axes = np.repeat(axes, _POINTS, axis=0)[:, :, None]
-        felt = np.arange(iiwa14.N_JOINTS) <= self._links[:, None]
+        felt = np.arange(arm.n) <= self._links[:, None]
         self._felt = (felt * self._weights)[:, :, None]
 
     def locate(self, q: Array, torque: Array) -> Contact:
-        """The contact that explains the external torque (7,) N m at joint positions (7,) rad best."""
+        """The contact that best explains the external torque (n,) N m at joint positions (n,) rad."""
         pin.forwardKinematics(self._model, self._data, q)
         frames = [self._data.oMi[joint] for joint in self._joints]
         rotations = np.array([frame.rotation for frame in frames])
@@ -96,4 +100,4 @@ class ContactLocator:
         # At the minimum |target - rows f|² + fᵀ prior f is |target|² - fᵀ right.
         best = int(np.argmax((forces * right).sum(axis=1)))
         misfit = float(np.linalg.norm(target - rows[best] @ forces[best]))
-        return Contact(iiwa14.LINK_NAMES[self._links[best]], points[best], forces[best], misfit)
+        return Contact(self._link_names[self._links[best]], points[best], forces[best], misfit)

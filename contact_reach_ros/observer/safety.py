@@ -1,99 +1,81 @@
-"""The safety state machine: contact is told, and above the contact budget the stop is latched."""
+"""The safety state machine: it reports contact, and latches the stop above the contact budget."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.settings import Settings, setting
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class SafetySettings(Settings):
-    """Settings of the safety state machine; what counts as too much is in the contact budget."""
-
-    debounce: int = setting(3, "states in a row above a threshold that stop the arm", minimum=1, maximum=100)
-    contact_debounce: int = setting(2, "states in a row above a threshold that are a contact", minimum=1, maximum=100)
-    handover_debounce: int = setting(
-        30, "states in a row above a threshold that stop the arm at hand-over", minimum=1, maximum=1000
-    )
-    contact_release: float = setting(
-        0.6, "share of the thresholds below which a contact ends", minimum=0.01, maximum=1.0
-    )
-    release_debounce: int = setting(50, "states in a row below it that end a contact", minimum=1, maximum=1000)
-    mean_states: int = setting(
-        300,
-        "states over which the slow mean follows the external torque; ten times as many in contact",
-        minimum=2,
-        maximum=100000,
-    )
-    reset_share: float = setting(
-        0.5, "share of the thresholds below which a stop may be reset", minimum=0.01, maximum=1.0
-    )
-    reset_velocity: float = setting(
-        0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
-    )
+from contact_reach_ros.observer.model_error import ModelError
+from contact_reach_ros.observer.settings import SafetySettings
+from contact_reach_ros.stop_reasons import StopCode, StopReason
+from contact_reach_ros.timing import states_in
 
 
-DISTRUST = "distrust"
-"""Name of a value in safety_state: what is wrong with the joint states or the model, on which a stop relies, too."""
-
-
-class Level(Enum):
-    """What the external torque says."""
+class SafetyLevel(Enum):
+    """Assessment of the external torque."""
 
     FREE = "free"
     CONTACT = "contact"
     """Something touches the arm, within the budget."""
+    BLIND = "blind"
+    """The external torque cannot be known."""
     COLLISION = "collision"
     """Above the budget, or stopped for another reason: the stop is latched."""
 
 
 _CONTACT_MEMORY = 10
-_HANDOVER_STATES = 10
-"""Over which the slow mean follows while the arm is handed over."""
+_HANDOVER_MEAN = 10
+"""Time constant of the slow mean while the arm is handed over, ms."""
 
 
 class SafetyMonitor:
-    """Watches the external torque; above the budget the stop is latched until `reset`.
+    """Watches the external torque; above the budget it latches a stop until `reset`.
 
-    The error of the model changes as slowly as the arm's posture, a contact does not: beside the external torque itself
-    its deviation from its own slow mean is watched, with much lower thresholds.
+    The error of the model changes as slowly as the arm's posture, a contact does not. The monitor therefore watches the
+    external torque itself and, with much lower thresholds, its deviation from its own slow mean, see `ModelError`.
 
     Attributes
     ----------
     stop_reason
         Why the arm is stopped; empty while it is not.
     distrust
-        What is wrong with what a compliant stop relies on, the joint states or the model; empty until something is, and
-        after a reset.
+        What is wrong with the joint states or the model, on which a compliant stop relies; empty until something is,
+        and after a reset.
     stops
-        How often it has been stopped.
+        Number of stops.
     in_contact
         Whether something touches the arm, with hysteresis.
     contacts
-        How often that began.
+        Number of contacts.
     """
 
-    def __init__(self, settings: SafetySettings, budget: ContactBudget) -> None:
+    def __init__(self, arm: Arm, settings: SafetySettings, budget: ContactBudget, period: float = 0.001) -> None:
+        """`period`: nominal time between states, s, which turns times into numbers of states."""
+        budget = budget.resolve(arm)
         self.settings = settings
+        self._names = arm.joint_names
+        self._debounce = states_in(settings.debounce, period)
+        self._contact_debounce = states_in(settings.contact_debounce, period)
+        self._handover_debounce = states_in(settings.handover_debounce, period)
+        self._release_debounce = states_in(settings.release_debounce, period)
+        self._mean_states = states_in(settings.mean_time, period)
+        self._handover_states = states_in(_HANDOVER_MEAN, period)
         self.budget = budget
         self.stop_reason = ""
         self.distrust = ""
         self.stops = 0
         self.in_contact = False
         self.contacts = 0
-        # For seven numbers loops over plain floats are faster than NumPy.
-        self._mean = [0.0] * iiwa14.N_JOINTS
+        per_rad = [settings.model_error_per_rad * bound for bound in budget.model_error]
+        at_rest = [settings.model_error_at_rest * threshold for threshold in budget.contact_thresholds]
+        self._model_error = ModelError(budget.model_error, per_rad, at_rest)
+        self._mean_before = self._model_error.mean
         self._stop_limits = list(
             zip(budget.torque_thresholds, budget.torque_per_speed, budget.sudden_thresholds, strict=True)
         )
@@ -104,8 +86,9 @@ class SafetyMonitor:
         self._touched = 0
         self._untouched = 0
         self._handed_over_above = 0
-        self._last_residual = np.zeros(iiwa14.N_JOINTS)
-        self._last_velocity = np.zeros(iiwa14.N_JOINTS)
+        self._last_residual = np.zeros(arm.n)
+        self._last_velocity = np.zeros(arm.n)
+        self._last_posture = [0.0] * arm.n
 
     @property
     def stopped(self) -> bool:
@@ -113,32 +96,44 @@ class SafetyMonitor:
         return bool(self.stop_reason)
 
     @property
-    def level(self) -> Level:
-        """What the external torque says."""
+    def level(self) -> SafetyLevel:
+        """Assessment of the external torque at the last state."""
         if self.stop_reason:
-            return Level.COLLISION
-        return Level.CONTACT if self.in_contact else Level.FREE
+            return SafetyLevel.COLLISION
+        return SafetyLevel.CONTACT if self.in_contact else SafetyLevel.FREE
 
     @property
     def sudden(self) -> Array:
-        """External torque less its slow mean at the last state, (7,), N m."""
-        return self._last_residual - self._mean
+        """External torque minus its slow mean at the last state, (n,), N m."""
+        return self._last_residual - self._model_error.mean
 
-    def update(self, residual: Array, v: Array, known_for: float = math.inf) -> None:
+    @property
+    def model_error(self) -> tuple[float, ...]:
+        """Slow mean of the external torque from before the contact, if there is one.
+
+        In quasi-static motion it is what the model lacks. (n,), N m.
+        """
+        mean = self._mean_before if self.in_contact else self._model_error.mean
+        limits = self.budget.handover_thresholds
+        return tuple(min(max(slow, -limit), limit) for slow, limit in zip(mean, limits, strict=True))
+
+    def update(self, residual: Array, q: Array, v: Array, known_for: float = math.inf) -> None:
         """Take the external torque of one state.
 
         Parameters
         ----------
         residual
-            External torque (7,), N m.
-        v
-            Joint velocities (7,), rad/s.
+            External torque (n,), N m.
+        q, v
+            Joint positions (n,) rad and velocities (n,) rad/s.
         known_for
-            Seconds since the arm was handed over, as the observer counts them; without it, it was long ago.
+            Seconds since the hand-over, as the observer counts them; by default long ago.
         """
         self._last_residual = residual
         self._last_velocity = v
-        torques, speeds, mean = residual.tolist(), v.tolist(), self._mean
+        # For so few numbers loops over plain floats are faster than NumPy.
+        torques, posture, speeds, mean = residual.tolist(), q.tolist(), v.tolist(), self._model_error.mean
+        self._last_posture = posture
         above = False
         touched = False
         contact_limits = self._release_limits if self.in_contact else self._contact_limits
@@ -148,7 +143,7 @@ class SafetyMonitor:
                 speed = -speed
             more, sudden = per_speed * speed, torque - slow
             contact += contact_per_speed * speed
-            # Written so that a residual that is not a number is above, too.
+            # Written so that a NaN residual is above, too.
             if not -contact <= sudden <= contact:
                 touched = True
                 sudden_threshold += more
@@ -158,15 +153,15 @@ class SafetyMonitor:
                 above = True
         if known_for < self.budget.handover_time:
             self._hand_over(residual)
-            self._follow(torques, _HANDOVER_STATES)
+            self._model_error.follow(torques, posture, self._handover_states, freely=True)
             # Until the slow mean is known, nothing can be called sudden.
             above, touched = above and self._beyond_absolute(residual, v), False
         else:
             self._handed_over_above = 0
-            states = self.settings.mean_states
-            self._follow(torques, states * _CONTACT_MEMORY if self.in_contact else states)
+            memory = _CONTACT_MEMORY if self.in_contact else 1
+            self._model_error.follow(torques, posture, memory * self._mean_states)
         self._above = self._above + 1 if above else 0
-        if self._above >= self.settings.debounce:
+        if self._above >= self._debounce:
             self.stop(self._explain(residual, v))
         self._debounce_contact(touched)
 
@@ -195,62 +190,60 @@ class SafetyMonitor:
                 f"the arm moves with {speed:.3f} rad/s; reset needs at most "
                 f"{self.settings.reset_velocity:g} rad/s: wait for it"
             )
-        limits = self.settings.reset_share * np.array(self.budget.torque_thresholds)
-        # Not `>`: a residual that is not a number is no reason to let go.
+        budget = self.budget
+        # What would stop the arm again at once is no reason to let go either.
+        at_once = np.add(budget.model_error, budget.sudden_thresholds)
+        limits = np.minimum(self.settings.reset_share * np.array(budget.torque_thresholds), at_once)
+        # Not `>`: a NaN residual is no reason to let go.
         pushed = ~(np.abs(self._last_residual) <= limits)
         if pushed.any():
             joint = int(np.argmax(np.abs(self._last_residual) / limits))
             raise InputError(
-                f"external torque on {iiwa14.JOINT_NAMES[joint]} is {self._last_residual[joint]:.1f} Nm; "
+                f"external torque on {self._names[joint]} is {self._last_residual[joint]:.1f} Nm; "
                 f"reset needs at most {limits[joint]:g} Nm: free the arm"
             )
         self.stop_reason = self.distrust = ""
         self._above = self._touched = self._handed_over_above = 0
-        # What the slow mean took up of the push that stopped the arm would be a sudden torque now.
-        self._mean = self._last_residual.tolist()
+        # Whatever the slow mean absorbed of the push that stopped the arm would be a sudden torque now.
+        self._model_error.restart(self._last_residual.tolist(), self._last_posture)
         self.in_contact = False
 
     def _scaled_contact_limits(self, share: float) -> list[tuple[float, float]]:
         limits = zip(self.budget.contact_thresholds, self.budget.contact_per_speed, strict=True)
         return [(share * threshold, share * per_speed) for threshold, per_speed in limits]
 
-    def _follow(self, torques: list[float], states: int) -> None:
-        """Let the slow mean follow; what is not finite it does not follow."""
-        share = 1.0 / states
-        mean = [slow + share * (torque - slow) for torque, slow in zip(torques, self._mean, strict=True)]
-        if math.isfinite(sum(mean)):
-            self._mean = mean
-
     def _debounce_contact(self, touched: bool) -> None:
         if touched:
             self._untouched = 0
             self._touched += 1
-            if not self.in_contact and self._touched >= self.settings.contact_debounce:
+            if not self.in_contact and self._touched >= self._contact_debounce:
                 self.in_contact = True
+                self._mean_before = self._model_error.mean
                 self.contacts += 1
             return
         self._touched = 0
         self._untouched += 1
-        if self._untouched >= self.settings.release_debounce:
+        if self._untouched >= self._release_debounce:
             self.in_contact = False
 
     def _hand_over(self, residual: Array) -> None:
-        """At hand-over nothing moves yet: what is seen then is weight that the model does not know."""
+        """At hand-over nothing moves yet: an external torque is weight that the model does not include."""
         shares = np.abs(residual) / self._handover_limits
         joint = int(np.argmax(shares))
         if shares[joint] <= 1.0:
             self._handed_over_above = 0
             return
         self._handed_over_above += 1
-        if self._handed_over_above >= self.settings.handover_debounce:
-            # A compliant stop would let the arm sink: it is the model that is to carry it.
-            self.stop_distrusting(
-                f"at hand-over the external torque on {iiwa14.JOINT_NAMES[joint]} is {residual[joint]:.1f} Nm, "
+        if self._handed_over_above >= self._handover_debounce:
+            # A compliant stop would let the arm sink: this model would have to carry it.
+            text = (
+                f"at hand-over the external torque on {self._names[joint]} is {residual[joint]:.1f} Nm, "
                 f"permitted {self._handover_limits[joint]:g} Nm: the model's gravity or payload does not match the arm"
             )
+            self.stop_distrusting(StopReason(StopCode.MODEL, text))
 
     def _thresholds(self, v: Array) -> tuple[Array, Array]:
-        """Of the external torque and of the sudden one, (7,) N m each."""
+        """Thresholds of the external torque and of the sudden one, (n,) N m each."""
         more = np.array(self.budget.torque_per_speed) * np.abs(v)
         return np.array(self.budget.torque_thresholds) + more, np.array(self.budget.sudden_thresholds) + more
 
@@ -260,10 +253,9 @@ class SafetyMonitor:
     def _explain(self, residual: Array, v: Array) -> str:
         thresholds, sudden_thresholds = self._thresholds(v)
         if self._beyond_absolute(residual, v):
-            kind, torques, limits = "external", residual, thresholds
+            code, kind, torques, limits = StopCode.EXTERNAL_TORQUE, "external", residual, thresholds
         else:
-            kind, torques, limits = "sudden external", self.sudden, sudden_thresholds
+            code, kind, torques, limits = StopCode.SUDDEN_TORQUE, "sudden external", self.sudden, sudden_thresholds
         joint = int(np.argmax(np.abs(torques) / limits))
-        return (
-            f"{kind} torque on {iiwa14.JOINT_NAMES[joint]} is {torques[joint]:.1f} Nm, permitted {limits[joint]:.3g} Nm"
-        )
+        text = f"{kind} torque on {self._names[joint]} is {torques[joint]:.1f} Nm, permitted {limits[joint]:.3g} Nm"
+        return StopReason(code, text)

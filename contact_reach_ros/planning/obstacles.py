@@ -1,4 +1,4 @@
-"""From any number of spheres to the fixed number that a compiled program takes."""
+"""Reduction of any number of spheres to the fixed number that a compiled program takes."""
 
 from __future__ import annotations
 
@@ -9,56 +9,46 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from contact_reach_ros.planning.problem import Array, Spheres
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
+from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.spheres import Spheres
 
 _FAR_AWAY = (0.0, 0.0, -100.0)
-"""Where the spheres that fill up the capacity are, m: out of reach, near enough for single precision."""
-
-
-def clearances(q: Array, spheres: Spheres) -> Array:
-    """Distance (K,) of each sphere's surface from the nearest link capsule at joint angles `q` (7,), m."""
-    rotations, origins = link_frames(q)
-    nearest = np.full(len(spheres), np.inf)
-    for capsule in iiwa14.CAPSULES:
-        rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
-        start = origin + rotation @ capsule.start
-        axis = rotation @ np.subtract(capsule.end, capsule.start)
-        share = np.clip((spheres.center - start) @ axis / (axis @ axis), 0.0, 1.0)
-        gap = np.linalg.norm(spheres.center - start - share[:, None] * axis, axis=1)
-        nearest = np.minimum(nearest, gap - capsule.radius)
-    return nearest - spheres.radius
+"""Position of the spheres that fill up the capacity, m: out of reach, but near enough for single precision."""
 
 
 class ObstacleReader:
-    """Makes of the spheres in sight what the transfer model takes; to be used from one thread.
+    """Converts obstacle spheres into the form of the transfer model; for use from one thread.
 
-    Only the spheres nearest to the arm are kept. Those they are joined to are condensed away: without contact forces
-    of their own they follow the kept ones, and the network that is left has the very stiffness that the kept spheres
-    feel (static condensation, Guyan 1965).
+    Only the spheres nearest to the arm are kept. The spheres joined to them are condensed away: free of contact forces,
+    they follow the kept ones, and the remaining network has exactly the stiffness that the kept spheres feel (static
+    condensation, Guyan 1965).
 
     Parameters
     ----------
+    arm
+        Arm that may touch the spheres.
     capacity
-        Number of spheres that the transfer model is compiled for; far-away ones fill up what is missing.
+        Number of spheres that the transfer model is compiled for; it is filled up with spheres out of reach.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, arm: Arm, capacity: int) -> None:
+        self._arm = arm
         self._capacity = capacity
         self._network: Network | None = None
         self._kept: NDArray[np.intp] = np.zeros(0, np.intp)
         self._modes: Modes | None = None
 
     def read(self, q: Array, spheres: Spheres) -> tuple[Obstacles | None, int]:
-        """The spheres as the transfer model takes them, with one lane, and how many were left out.
+        """Convert the spheres for the transfer model, with one lane; also returns how many were left out.
 
         Parameters
         ----------
         q
-            (7,) joint angles, rad, to which the kept spheres are near.
+            (n,) joint angles, rad, at which the nearest spheres are chosen.
         spheres
             Any number of them.
         """
@@ -67,8 +57,8 @@ class ObstacleReader:
             return None, count
         kept = np.arange(count)
         if count > self._capacity:
-            # Sorted, so that a sphere keeps its place for as long as it is kept.
-            kept = np.sort(np.argsort(clearances(q, spheres), kind="stable")[: self._capacity])
+            # Sorted, so that a sphere keeps its index for as long as it is kept.
+            kept = np.sort(np.argsort(clearances(self._arm, q, spheres), kind="stable")[: self._capacity])
         if self._network is None or not self._network.same_as(spheres):
             self._network, self._modes = Network(spheres), None
         if self._modes is None or not np.array_equal(kept, self._kept):
@@ -91,7 +81,7 @@ class ObstacleReader:
 
 
 class Modes(NamedTuple):
-    """Shapes W (K, K) in which displacements decay, W⁻¹ (K, K) and the rates (K,) of that, 1/s."""
+    """Shapes W (K, K) in which displacements decay, W⁻¹ (K, K), and the rates (K,) of the decay, 1/s."""
 
     shapes: Array
     amplitudes: Array
@@ -114,15 +104,15 @@ class Network:
         self._compliance = np.linalg.inv(stiffness)
 
     def same_as(self, spheres: Spheres) -> bool:
-        """Whether the spheres, wherever they are, have this network."""
+        """Whether the spheres, wherever they are, form this network."""
         return self._spheres is spheres or all(
             np.array_equal(getattr(self._spheres, name), getattr(spheres, name))
             for name in ("stiffness", "damping", "edges", "edge_stiffness")
         )
 
     def modes(self, kept: NDArray[np.intp], capacity: int) -> Modes:
-        """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with spheres on their own."""
-        # Where all spheres go when the kept ones are displaced and forces act on those alone.
+        """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with unconnected spheres."""
+        # Displacement of all spheres when the kept ones are displaced and forces act on those alone.
         stiffness = np.linalg.inv(self._compliance[np.ix_(kept, kept)])
         followers = self._compliance[:, kept] @ stiffness
         damping = followers.T @ (self._spheres.damping[:, None] * followers)

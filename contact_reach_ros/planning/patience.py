@@ -1,8 +1,8 @@
-"""How much permitted contact costs: less and less where it keeps the arm from its goal.
+"""Patience with permitted contact: its weight falls while it keeps the arm from the goal.
 
 The paper's constraint is contact ≤ ε; forces below are permitted, and a small weight keeps them low. With that weight
-alone the arm would wait for ever where the next step costs more contact than it gains way: in front of foam that is a
-little stiffer than the one the weight was chosen for, or a centimetre before a goal inside it.
+alone the arm would wait forever where the next step costs more in contact than it gains on the way: in front of foam
+slightly stiffer than the foam that the weight was chosen for, or a centimetre before a goal inside it.
 """
 
 from __future__ import annotations
@@ -13,52 +13,52 @@ from typing import NamedTuple
 import numpy as np
 
 LEAST_SPEED = 0.3
-"""Mean speed of approach that contact may slow the arm down to, as a share of what γ permits."""
+"""Mean speed of approach down to which contact may slow the arm, as a share of what γ permits."""
 
 _LEAST_SHARE = 0.01
 _THERE = 0.005
-"""At a goal that is nearer than this, nothing holds the arm up, m."""
+"""Distance to the goal within which the arm counts as arrived, not as delayed, m."""
 
 
 class Approach(NamedTuple):
-    """How the arm gets on, when a plan takes effect. In single precision, as bags keep it."""
+    """Progress towards a goal when a plan takes effect, in single precision, as bags record it."""
 
     distance: float
     """From flange to goal, m."""
     share: float
-    """Of the weight of permitted contact, for the next plan."""
+    """Share of the weight of permitted contact for the next plan."""
 
     @classmethod
     def begin(cls, distance: float) -> Approach:
-        """A new goal."""
+        """Progress at the moment of a new goal."""
         return cls(float(np.float32(distance)), 1.0)
 
-    def go_on(
+    def updated(
         self, distance: float, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
     ) -> Approach:
-        """Some time later.
+        """Progress after some more time.
 
-        The share falls by a factor e with every `patience` that the arm is behind, and comes back as it catches up, or
-        with every `patience` in which contact is firm.
+        The share falls by a factor e for every `patience` that the arm is behind. It recovers as the arm catches up, or
+        by the same factor for every `patience` during which contact is firm.
 
         Parameters
         ----------
         distance
-            Now, m.
+            Present distance to the goal, m.
         elapsed
-            Time since then, s.
+            Time since the last progress, s.
         patience
-            s; 0 keeps the share as it is.
+            Time constant, s; 0 keeps the share as it is.
         least_speed
-            That the arm shall approach with at least, on average, m/s; 0 and infinity keep the share as it is.
+            Mean speed of approach below which the arm is behind, m/s; 0 and infinity keep the share as it is.
         is_firm
-            Whether contact is expected to be as strong as it may get for the arm's getting on.
+            Whether the expected contact is as strong as patience may make it.
         """
         share = self.share
         if patience > 0.0 and 0.0 < least_speed < math.inf and distance > _THERE:
             ahead = (self.distance - distance) / least_speed - elapsed
             if is_firm:
                 ahead = max(ahead, elapsed)
-            # The limits keep the exponential finite whatever happened in between.
+            # The limits keep the exponential finite, whatever happened in between.
             share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
         return Approach(float(np.float32(distance)), float(np.float32(share)))

@@ -1,4 +1,4 @@
-"""Where the arm will be when a plan takes effect: the transfer model under the references in force until then."""
+"""Prediction of the state in which a plan takes effect: the transfer model under the references in force until then."""
 
 from __future__ import annotations
 
@@ -10,28 +10,27 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from contact_reach_ros.planning.problem import Array, HeldReference, HeldTorque, Plan
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.planning.plan import Held, HeldReference, Plan
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import State, System
-from contact_reach_ros.robot.kinematics import link_frames
 
 MAX_PIECES = 128
 """Steps that one prediction may take."""
 
-Held = HeldReference | HeldTorque
-"""What plans put in force, piece by piece."""
 
-
-def hold_at(q: Array) -> HeldReference:
-    """The reference that holds the arm at joint angles `q` (7,)."""
-    rotations, origins = link_frames(q)
+def hold_at(arm: Arm, q: Array) -> HeldReference:
+    """The reference that holds the arm at joint angles `q` (n,)."""
+    rotations, origins = link_frames(arm, q)
     return HeldReference(origins[-1], rotations[-1], q)
 
 
 class Piece(NamedTuple):
-    """A stretch of time in which nothing changes."""
+    """A stretch of time during which nothing changes."""
 
     duration: float
     """s."""
@@ -39,7 +38,7 @@ class Piece(NamedTuple):
 
 
 def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
-    """What is in force at a time: that of the latest plan which has taken effect, None if it has run out."""
+    """What is in force at a time: the latest plan that has taken effect, or None if it has run out."""
     for plan in reversed(plans):
         if plan.effect_ns < time_ns:
             return plan.in_force(time_ns)
@@ -47,9 +46,9 @@ def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
 
 
 def pieces_between(plans: Sequence[Plan], hold: Held, start_ns: int, end_ns: int, longest: float) -> list[Piece]:
-    """Cut (start, end] where what is in force changes and into pieces of at most `longest` seconds.
+    """Cut (start, end] where what is in force changes, and into pieces of at most `longest` seconds.
 
-    `hold` is in force where no plan is.
+    `hold` is in force without a plan.
     """
     changes = {instant for plan in plans for instant in plan.changes_ns}
     instants = [start_ns, *sorted(instant for instant in changes if start_ns < instant < end_ns), end_ns]
@@ -68,9 +67,9 @@ class Predictor:
     Parameters
     ----------
     system
-        The closed loop; its time step is the longest that a piece may take.
+        The closed loop; no piece may be longer than its time step.
     step
-        Advances it by one time step under what a piece holds.
+        Advances the system by one time step under what a piece holds.
     """
 
     def __init__(self, system: System, step: Callable[[System, State, Any], State] = pipeline.step) -> None:
@@ -81,7 +80,7 @@ class Predictor:
     def predict(
         self, q: Array, v: Array, obstacles: Obstacles | None, pieces: Sequence[Piece]
     ) -> tuple[jax.Array, jax.Array, Obstacles | None]:
-        """Joint angles (7, 1), speeds (7, 1) and obstacles after the pieces, at most `MAX_PIECES` of them."""
+        """Joint angles (n, 1), speeds (n, 1) and obstacles after the pieces, at most `MAX_PIECES` of them."""
         count = len(pieces)
         durations = np.zeros(MAX_PIECES, np.float32)
         durations[:count] = [piece.duration for piece in pieces]

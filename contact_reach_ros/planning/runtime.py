@@ -1,4 +1,4 @@
-"""How JAX runs here: on one thread of the CPU or on a GPU, with compiled programs kept between processes."""
+"""Configuration of JAX: one thread of the CPU or a GPU, with compiled programs kept between processes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from contact_reach_ros.errors import SettingsError
 
 DEVICES = ("auto", "cpu", "gpu")
-"""What may compute: 'auto' takes a GPU where JAX has one, else the CPU."""
+"""Devices for the computation: 'auto' takes a GPU where JAX has one, else the CPU."""
 
 _GPU_PLUGINS = ("jax_cuda13_plugin", "jax_cuda12_plugin", "jax_rocm7_plugin", "jax_rocm60_plugin")
 _SINGLE_THREAD = "--xla_cpu_multi_thread_eigen=false"
@@ -18,21 +18,21 @@ _SINGLE_THREAD = "--xla_cpu_multi_thread_eigen=false"
 def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
     """Start JAX's backend on one worker thread; call it before the first computation.
 
-    XLA's default of one worker per core costs more than it brings for arrays of this size: idle workers spin, on the
-    very cores that run the 1 kHz loops. What the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is.
-    A backend that is already running keeps the threads it has.
+    XLA's default of one worker per core costs more than it gains for arrays of this size: idle workers spin on the very
+    cores that run the 1 kHz loops. Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A
+    backend that is already running keeps its threads.
 
     Parameters
     ----------
     cache
         Folder for compiled programs; None leaves JAX's own setting.
     device
-        One of `DEVICES`; the first call of a process decides.
+        One of `DEVICES`; the first call in a process decides.
 
     Raises
     ------
     SettingsError
-        If a GPU is asked for and JAX has none.
+        If a GPU is requested and JAX has none.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_cpu_multi_thread_eigen" not in flags:
@@ -54,12 +54,12 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
 
 
 def _gpu_support() -> bool:
-    """Whether JAX was installed with support for a GPU; without, it would only complain."""
+    """Whether JAX was installed with support for a GPU; without it, JAX would only complain."""
     return any(find_spec(package) is not None for package in _GPU_PLUGINS)
 
 
 def _start_backend_with_one_worker() -> None:
-    """The CPU client reads NPROC once, when it starts; child processes must not inherit it."""
+    """Start the CPU client, which reads NPROC once at its start; child processes must not inherit NPROC."""
     import jax
 
     if "NPROC" in os.environ:

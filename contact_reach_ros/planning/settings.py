@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.runtime import DEVICES
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.planning.solver import SOLVERS
 from contact_reach_ros.settings import Settings, setting
 
 BRAX_PIPELINES = ("generalized", "positional", "spring")
 PIPELINES = ("closed_loop", *BRAX_PIPELINES)
-SOLVER_METHODS = ("hybrid", "cma", "gradient")
 BOUNDARY_PENALTIES = ("quadratic", "paper")
 SAMPLINGS = ("bounds", "paper")
 CONTACT_MEASURES = ("largest", "sum")
@@ -27,7 +26,7 @@ class PlanningSettings(Settings):
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
-        "transfer model: this package's, or one of Brax's own for comparison, 100 times slower and more",
+        "transfer model: this package's, or one of Brax's own for comparison, which are at least 100 times slower",
         choices=PIPELINES,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
@@ -42,7 +41,7 @@ class PlanningSettings(Settings):
     )
     contact_patience: float = setting(
         0.5,
-        "time behind a slow approach after which that weight is down to 1/e, since permitted contact shall not keep "
+        "delay behind a slow approach at which that weight has fallen to 1/e, since permitted contact must not keep "
         "the arm from its goal; 0 for never",
         unit="s",
         minimum=0.0,
@@ -50,20 +49,20 @@ class PlanningSettings(Settings):
     )
     contact_patience_share: float = setting(
         1.0,
-        "expected contact, as a share of the permitted force, from which on that weight comes back; 0.15 keeps the arm "
+        "expected contact, as a share of the permitted force, above which that weight recovers; 0.15 keeps the arm "
         "from pressing into foam harder than plans expect, but also from goals that need more",
         minimum=0.0,
         maximum=1.0,
     )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
-        0.2, "rotation error to a goal that has one", unit="1/rad", minimum=0.0, maximum=10.0
+        0.2, "rotation error, for goals with an orientation", unit="1/rad", minimum=0.0, maximum=10.0
     )
     joint_limit_weight: float = setting(
         20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
     )
     joint_limit_margin: float = setting(
-        0.15, "where the cost of a joint limit starts", unit="rad", minimum=0.0, maximum=1.0
+        0.15, "distance to a joint limit at which its cost starts", unit="rad", minimum=0.0, maximum=1.0
     )
     joint_speed_weight: float = setting(
         0.3,
@@ -72,9 +71,30 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=100.0,
     )
+    clearance_weight: float = setting(
+        100.0,
+        "squared intrusion of the arm into the margin around rigid bodies and its own links; 0 leaves it out",
+        unit="1/m²",
+        minimum=0.0,
+        maximum=10000.0,
+    )
+    clearance_margin: float = setting(
+        0.02,
+        "distance from rigid bodies and its own links at which that cost starts",
+        unit="m",
+        minimum=0.0,
+        maximum=0.2,
+    )
+    collision_tolerance: float = setting(
+        0.002,
+        "predicted depth in a rigid body, or of the arm in itself, from which on a plan is refused unless it leads out",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
+    )
     null_motion_weight: float = setting(
         0.003,
-        "squared Δq, so that the elbow rests when nothing asks it to move",
+        "squared Δq, so that the elbow rests when nothing requires it to move",
         unit="1/rad²",
         minimum=0.0,
         maximum=1.0,
@@ -84,8 +104,8 @@ class PlanningSettings(Settings):
         "what moves the redundant joints: Δq of the plan, or law (6) for comparison: a steady pull to one posture",
         choices=NULL_SPACES,
     )
-    reference_posture: tuple[float, ...] = setting(
-        (0.0,) * iiwa14.N_JOINTS, "q_d of law (6)", unit="rad", minimum=-3.05, maximum=3.05
+    reference_posture: tuple[float, ...] | None = setting(
+        None, "q_d of law (6), null for zeros", unit="rad", per_joint=True
     )
     translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
     rotation_bound: float = setting(0.2, "γ of the rotation in Δx, each axis", unit="rad", minimum=0.001, maximum=1.0)
@@ -94,12 +114,12 @@ class PlanningSettings(Settings):
         1000.0, "force per penetration between a link and a sphere", unit="N/m", minimum=10.0, maximum=100000.0
     )
     solver: str = setting(
-        "hybrid", "Algorithm 1, or the same with no or with many gradient steps", choices=SOLVER_METHODS
+        "hybrid", "Algorithm 1, or the same without or with many gradient steps", choices=tuple(SOLVERS)
     )
     gradient_steps: int = setting(10, "gradient steps per solver step of 'gradient'", minimum=2, maximum=100)
     population: int = setting(200, "k: candidates per step", minimum=4, maximum=5000)
-    elite: int = setting(50, "k_top: candidates that make the next mean", minimum=2, maximum=2500)
-    line_search_points: int = setting(200, "β that are tried along the gradient", minimum=2, maximum=5000)
+    elite: int = setting(50, "k_top: candidates averaged into the next mean", minimum=2, maximum=2500)
+    line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=5000)
     sampling: str = setting(
         "bounds",
         "initial standard deviations: a share of γ, or 0.01 for every variable as in line 1 of Algorithm 1",
@@ -109,11 +129,11 @@ class PlanningSettings(Settings):
         0.3, "initial standard deviation of the candidates as a share of γ", minimum=0.01, maximum=2.0
     )
     boundary_penalty: str = setting(
-        "quadratic", "on candidates outside γ: squared distance, or line 9 of Algorithm 1", choices=BOUNDARY_PENALTIES
+        "quadratic", "for candidates outside γ: squared distance, or line 9 of Algorithm 1", choices=BOUNDARY_PENALTIES
     )
     boundary_weight: float = setting(
         0.3,
-        "quadratic penalty for a distance of γ, relative to the spread of the elite's costs",
+        "quadratic penalty at a distance of γ, relative to the spread of the elite's costs",
         minimum=0.0,
         maximum=10.0,
     )
@@ -124,13 +144,13 @@ class PlanningSettings(Settings):
     stagnation_steps: int = setting(3, "stagnant steps in a row that end the search", minimum=1, maximum=100)
     deadline: float = setting(
         0.03,
-        "wall-clock time for one plan, 0 for none (and then the same input gives the same plan)",
+        "wall-clock time for one plan; 0 for no limit, which makes plans reproducible",
         unit="s",
         minimum=0.0,
         maximum=10.0,
     )
     device: str = setting(
-        "auto", "what computes plans; 'auto' is a GPU where JAX has one, else the CPU", choices=DEVICES
+        "auto", "device that computes plans; 'auto' is a GPU where JAX has one, else the CPU", choices=DEVICES
     )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 

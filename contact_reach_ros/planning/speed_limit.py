@@ -1,22 +1,20 @@
-"""How fast bounded steps of the reference can pull the arm."""
+"""Speed at which bounded steps of the reference can pull the arm."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 
-Array = NDArray[np.float64]
-
 
 def steady_speed(planning: PlanningSettings, impedance: ImpedanceSettings) -> float:
-    """Fastest that an axis of the flange can move steadily under law (1), m/s: γ Kp / Kd.
+    """Greatest steady speed of an axis of the flange under law (1), m/s: γ Kp / Kd.
 
-    At that speed the damping takes all that the stiffness gives, since γ bounds Δx. Infinite without damping.
+    At that speed the damping balances the stiffness, since γ bounds Δx. Infinite without damping.
     """
     pull = planning.translation_bound * impedance.task_stiffness
     if impedance.task_damping == 0.0:
@@ -27,10 +25,10 @@ def steady_speed(planning: PlanningSettings, impedance: ImpedanceSettings) -> fl
 def least_duration(
     start_position: Array, target: Array, planning: PlanningSettings, impedance: ImpedanceSettings
 ) -> float:
-    """Shortest time in which the flange can come from a position (3,) to another, m, base frame; in s.
+    """Shortest time in which the flange can move from one position (3,) to another, m, base frame; in s.
 
-    The time is that of the axis with the farthest to go at `steady_speed`; infinite without stiffness, unless there is
-    nowhere to go.
+    The axis with the farthest to go determines it, at `steady_speed`; infinite without stiffness, unless the distance
+    is zero.
     """
     distance = float(np.abs(target - start_position).max())
     if distance == 0.0:

@@ -1,4 +1,4 @@
-"""What the planner does about a contact that it was not told of: it keeps away from it, or goes back."""
+"""Reactions of the planner to contact that no known obstacle explains: avoid the place, or retreat."""
 
 from __future__ import annotations
 
@@ -6,65 +6,52 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.planning.obstacles import clearances
-from contact_reach_ros.planning.problem import Array, Goal, Spheres
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.planning.node_settings import IGNORE, REPLAN, RETREAT, UnexpectedContactSettings
 from contact_reach_ros.units import NANOSECONDS
-
-IGNORE, REPLAN, RETREAT = "ignore", "replan", "retreat"
-REACTIONS = (IGNORE, REPLAN, RETREAT)
+from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 _KNOWN_WITHIN = 0.01
-"""A contact while a known obstacle is nearer to the arm than this may be with that, m."""
+"""A contact is attributed to a known obstacle if one is nearer to the arm than this, m."""
 _STEP = 0.005
-"""Between remembered positions of the flange, m."""
+"""Distance between remembered positions of the flange, m."""
 _STIFFNESS, _DAMPING = 1e5, 500.0
-"""Of what stands for the contact: it does not give way."""
+"""Stiffness and damping of the sphere that stands for the contact, N/m and N s/m: it does not give way."""
 _RETREAT_TO, _TOUCHED = "retreat to", "touched"
-_RADII = {iiwa14.LINK_NAMES[capsule.link - 1]: capsule.radius for capsule in iiwa14.CAPSULES}
-
-
-@dataclass(frozen=True)
-class UnexpectedContactSettings(Settings):
-    """When a contact that no known obstacle explains counts, and what becomes of it."""
-
-    reaction: str = setting(
-        RETREAT,
-        "what becomes of a contact within the budget with nothing that is known: nothing; a sphere there for further "
-        "plans, in which it pushes with the measured force; or back the way the flange came, where the arm waits for "
-        "another goal",
-        choices=REACTIONS,
-    )
-    patience: float = setting(0.01, "time for which it lasts", unit="s", minimum=0.0, maximum=5.0)
-    least_force: float = setting(5.0, "force from which on it counts", unit="N", minimum=0.0, maximum=140.0)
-    radius: float = setting(0.05, "of the sphere", unit="m", minimum=0.005, maximum=0.5)
-    retreat: float = setting(0.05, "how far back", unit="m", minimum=0.01, maximum=0.5)
 
 
 class ContactReaction:
-    """Turns what the observer tells of contacts into other goals and obstacles for the planner.
+    """Turns contacts that the observer reports into goals and obstacles for the planner.
 
     Attributes
     ----------
     reason
-        What it reacts to; empty while it does not.
+        Reason for the reaction in force; empty without one.
     """
 
-    def __init__(self, settings: UnexpectedContactSettings, contact_stiffness: float, sees_spheres: bool) -> None:
-        """`contact_stiffness` N/m of the planner's transfer model; a planner that sees no spheres can only retreat."""
+    def __init__(
+        self, arm: Arm, settings: UnexpectedContactSettings, contact_stiffness: float, sees_spheres: bool
+    ) -> None:
+        """`contact_stiffness`: that of the planner's model, N/m; a planner without spheres can only retreat."""
+        self._arm = arm
+        self._radii: dict[str, float] = {}
+        for capsule in arm.capsules:
+            link = arm.link_names[capsule.link - 1]
+            self._radii[link] = max(capsule.radius, self._radii.get(link, 0.0))
         self._settings = settings
         self._stiffness = contact_stiffness
         self.reaction = RETREAT if settings.reaction == REPLAN and not sees_spheres else settings.reaction
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: there is a new goal, or none."""
+        """Forget everything, because the goal has changed or was withdrawn."""
         self.reason = ""
         self._since_ns: int | None = None
         self._spheres: list[Array] = []
@@ -72,18 +59,18 @@ class ContactReaction:
         self._target: Array | None = None
 
     def moved(self, flange: Array) -> None:
-        """Remember where the flange (3,), m, has been."""
+        """Remember a position (3,) of the flange, m."""
         if not self._path or math.dist(flange, self._path[-1]) > _STEP:
             self._path.append(flange.copy())
 
     def report(self, contact: Contact | None, q: Array, spheres: Spheres, stamp_ns: int) -> bool:
-        """Take what touches the arm at joint angles `q` (7,), rad; None for nothing. Returns whether plans change.
+        """Take a contact at joint angles `q` (n,), rad, or None for no contact; returns whether plans change.
 
         `spheres`: the obstacles that the planner knows.
         """
         if self.reaction == IGNORE or self._target is not None:
             return False
-        known = len(spheres) > 0 and bool(clearances(q, spheres).min() < _KNOWN_WITHIN)
+        known = len(spheres) > 0 and bool(clearances(self._arm, q, spheres).min() < _KNOWN_WITHIN)
         if contact is None or known or contact.strength < self._settings.least_force:
             self._since_ns = None
             return False
@@ -94,7 +81,7 @@ class ContactReaction:
         self.reason = f"unexpected contact at {contact.link}, {contact.strength:.0f} N"
         if self.reaction == REPLAN:
             center = self._center(contact)
-            # What is touched for longer is the same thing, seen better.
+            # Further contact near a sphere is with the same object, located better.
             near = [place for place in self._spheres if math.dist(place, center) < 2.0 * self._settings.radius]
             self._spheres = [place for place in self._spheres if not any(place is other for other in near)] + [center]
         else:
@@ -102,7 +89,7 @@ class ContactReaction:
         return True
 
     def told(self) -> dict[str, str]:
-        """What changes plans now, as JSON by name, for bags; empty if nothing does."""
+        """The reaction in force by name, as JSON, for bags; empty without one."""
         told: dict[str, str] = {}
         if self._target is not None:
             told[_RETREAT_TO] = json.dumps(self._target.tolist())
@@ -111,18 +98,18 @@ class ContactReaction:
         return told
 
     def recall(self, told: Mapping[str, str]) -> None:
-        """Change plans as then, by what `told` has said, among other values."""
+        """React as recorded: `told` contains what the method of that name returned."""
         self.reset()
         if _RETREAT_TO in told:
             self._target = np.array(json.loads(told[_RETREAT_TO]))
         self._spheres = [np.array(place) for place in json.loads(told.get(_TOUCHED, "[]"))]
 
-    def goal(self, goal: Goal) -> Goal:
+    def goal(self, goal: Target) -> Target:
         """The goal to plan for."""
         return goal if self._target is None else dataclasses.replace(goal, position=self._target)
 
     def spheres(self, spheres: Spheres) -> Spheres:
-        """The obstacles to plan with: the known ones and what was touched."""
+        """The obstacles to plan with: the known ones and a sphere at each touched place."""
         if not self._spheres:
             return spheres
         found, count = np.array(self._spheres), len(self._spheres)
@@ -134,16 +121,17 @@ class ContactReaction:
             damping=np.append(spheres.damping, np.full(count, _DAMPING)),
             edges=spheres.edges,
             edge_stiffness=spheres.edge_stiffness,
+            environment=spheres.environment,
         )
 
     def _center(self, contact: Contact) -> Array:
-        """Where a sphere pushes the link with the measured force in the planner's model: F / k deep."""
+        """Centre of a sphere that pushes the link with the measured force in the planner's model, F / k deep."""
         depth = contact.strength / self._stiffness
-        distance = _RADII[contact.link] + self._settings.radius - depth
+        distance = self._radii[contact.link] + self._settings.radius - depth
         return contact.position - distance / contact.strength * contact.force
 
     def _way_back(self) -> Array:
-        """The last position of the flange that is as far away as the retreat, or where it began."""
+        """The last position of the flange as far away as the retreat, or the first one."""
         here = self._path[-1]
         for position in reversed(self._path):
             if math.dist(position, here) >= self._settings.retreat:

@@ -1,23 +1,27 @@
-"""Where the arm is touched, as arrows."""
+"""Contacts of the arm, as arrows."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import viser
 
-from contact_reach_ros.planning.problem import Spheres
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.scenes.overlap import capsule_segments
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, rgb
+from contact_reach_ros.viewer.colours import as_bytes
 from contact_reach_ros.viewer.frame import Frame
-
-Array = NDArray[np.float64]
+from contact_reach_ros.viewer.handles import set_if_changed
+from contact_reach_ros.world.spheres import Spheres
 
 _LEAST = 0.2
-"""Force that is worth an arrow, N."""
-
-_PLACES = {iiwa14.LINK_NAMES[capsule.link - 1]: place for place, capsule in enumerate(iiwa14.CAPSULES)}
+"""Least force that gets an arrow, N."""
+_NEWTON = 0.02
+"""Length of an arrow per newton, m."""
+_LABEL_SPACE = 0.12
+"""Distance at which two labels do not cover each other, m."""
 
 
 class Arrow(NamedTuple):
@@ -26,11 +30,11 @@ class Arrow(NamedTuple):
     Attributes
     ----------
     point
-        (3,) where it acts, m.
+        (3,) point of application, m.
     force
         (3,), N.
     estimated
-        By the observer from torques, rather than known from simulation.
+        Whether the observer estimated it from torques, rather than the simulation knowing it.
     """
 
     point: Array
@@ -38,19 +42,67 @@ class Arrow(NamedTuple):
     estimated: bool
 
 
-def arrows(frame: Frame) -> list[Arrow]:
+class ContactView:
+    """Arrows of forces, with their magnitudes as labels."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, permitted_force: float) -> None:
+        self._server = server
+        self._arm = arm
+        self._permitted = permitted_force
+        self._handle: Any = None
+        self._labels: list[Any] = []
+
+    def show(self, frame: Frame) -> None:
+        """Show the contacts of a moment."""
+        found = arrows(self._arm, frame)
+        if not found:
+            if self._handle is not None:
+                set_if_changed(self._handle, "visible", False)
+            self._show_labels([])
+            return
+        # From outside the arm to the point of application.
+        tips = np.array([arrow.point for arrow in found])
+        tails = tips - _NEWTON * np.array([arrow.force for arrow in found])
+        points = np.stack([tails, tips], axis=1).astype(np.float32)
+        colours = np.array([self._colour(arrow) for arrow in found], np.uint8)
+        if self._handle is None or len(self._handle.points) != len(points):
+            self._handle = self._server.scene.add_arrows(
+                "/contacts", points, colours, shaft_radius=0.006, head_radius=0.015, head_length=0.03
+            )
+        else:
+            self._handle.points = points
+            self._handle.colors = colours
+            set_if_changed(self._handle, "visible", True)
+        self._show_labels(_labels(tails, found))
+
+    def _colour(self, arrow: Arrow) -> tuple[int, int, int]:
+        if arrow.estimated:
+            return as_bytes(rgb(PURPLE))
+        return as_bytes(rgb(VERMILION if np.linalg.norm(arrow.force) > self._permitted else ORANGE))
+
+    def _show_labels(self, texts: list[tuple[Array, str]]) -> None:
+        while len(self._labels) < len(texts):
+            self._labels.append(self._server.scene.add_label(f"/labels/{len(self._labels)}", ""))
+        for number, label in enumerate(self._labels):
+            set_if_changed(label, "visible", number < len(texts))
+            if number < len(texts):
+                label.position = texts[number][0]
+                set_if_changed(label, "text", texts[number][1])
+
+
+def arrows(arm: Arm, frame: Frame) -> list[Arrow]:
     """The contacts of a moment.
 
-    Simulation tells the size of the force on each link: it is drawn where the link is nearest to an obstacle, along
-    their common normal. The observer tells size, direction and place.
+    The simulation publishes the magnitude of the force on each link: it is drawn where the link is nearest to an
+    obstacle, along their common normal. The observer estimates magnitude, direction and place.
     """
-    starts, ends = capsule_segments(frame.q)
     found = []
-    for name, size in frame.forces.items():
-        if name in _PLACES and size >= _LEAST and frame.obstacles is not None and len(frame.obstacles):
-            place = _PLACES[name]
-            point, normal = _nearest(starts[place], ends[place], iiwa14.CAPSULES[place].radius, frame.obstacles)
-            found.append(Arrow(point, size * normal, False))
+    obstacles = frame.obstacles
+    if obstacles is not None and len(obstacles):
+        for name, size in frame.forces.items():
+            if name in arm.contact_links and size >= _LEAST:
+                point, normal = _touched(arm, name, frame.q, obstacles)
+                found.append(Arrow(point, size * normal, False))
     for status in frame.safety.values():
         contact = status.contact
         if contact is not None and np.linalg.norm(contact.force) >= _LEAST:
@@ -58,12 +110,40 @@ def arrows(frame: Frame) -> list[Arrow]:
     return found
 
 
-def _nearest(start: Array, end: Array, radius: float, spheres: Spheres) -> tuple[Array, Array]:
-    """The point of a capsule that is nearest to, or deepest in, a sphere, and the unit vector from there inwards."""
+def _touched(arm: Arm, link: str, q: Array, spheres: Spheres) -> tuple[Array, Array]:
+    """Point of a link's surface nearest to, or deepest in, a sphere, and the unit normal there, pointing inwards."""
+    number = arm.link_names.index(link)
+    rotations, origins = link_frames(arm, q)
+    nearest: list[tuple[float, Array, Array]] = []
+    for capsule in arm.capsules:
+        if capsule.link == number + 1:
+            start, end = (origins[number] + rotations[number] @ point for point in (capsule.start, capsule.end))
+            nearest.append(_nearest(start, end, capsule.radius, spheres))
+    _, point, normal = min(nearest, key=lambda entry: entry[0])
+    return point, normal
+
+
+def _nearest(start: Array, end: Array, radius: float, spheres: Spheres) -> tuple[float, Array, Array]:
+    """Distance of a capsule from the nearest sphere, its point there, and the unit normal, pointing inwards."""
     axis = end - start
     along = np.clip((spheres.center - start) @ axis / (axis @ axis), 0.0, 1.0)
     towards = start + along[:, None] * axis - spheres.center
     lengths = np.linalg.norm(towards, axis=1)
-    nearest = int(np.argmin(lengths - spheres.radius))
+    gaps = lengths - spheres.radius - radius
+    nearest = int(np.argmin(gaps))
     normal = towards[nearest] / max(lengths[nearest], 1e-9)
-    return start + along[nearest] * axis - radius * normal, normal
+    return float(gaps[nearest]), start + along[nearest] * axis - radius * normal, normal
+
+
+def _labels(places: Array, found: list[Arrow]) -> list[tuple[Array, str]]:
+    """Places and texts of the labels; those that would cover each other are merged."""
+    labels: list[tuple[Array, str]] = []
+    for place, arrow in zip(places, found, strict=True):
+        text = f"{np.linalg.norm(arrow.force):.1f} N{' (estimated)' if arrow.estimated else ''}"
+        near = (row for row, (other, _) in enumerate(labels) if np.linalg.norm(other - place) < _LABEL_SPACE)
+        row = next(near, None)
+        if row is None:
+            labels.append((place, text))
+        else:
+            labels[row] = (labels[row][0], f"{labels[row][1]}, {text}")
+    return labels

@@ -1,4 +1,4 @@
-"""The surface of a deformable body that is known as a cloud of nodes."""
+"""Surface of a deformable body that is known as a cloud of nodes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, QhullError
 
-from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.world.spheres import Spheres
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _LONGEST = 1.5
-"""Of the sides of a tetrahedron that belongs to the body, in lengths of the longest edge."""
+"""Longest side of a tetrahedron that belongs to the body, in lengths of the longest edge."""
 _FLAT = 1e-3
-"""Volume of a tetrahedron without a volume, in cubes of the longest edge."""
+"""Volume below which a tetrahedron counts as flat, in cubes of the longest edge."""
 
 
 def bodies(spheres: Spheres) -> list[Indices]:
-    """The spheres of each deformable body: those that edges hold together."""
+    """Indices of the spheres of each deformable body, which edges join."""
     count = len(spheres)
     if not len(spheres.edges):
         return []
@@ -39,7 +39,7 @@ class Surface:
     Attributes
     ----------
     nodes
-        (V,) which nodes are corners.
+        (V,) indices of the nodes that are corners.
     faces
         (F, 3) indices of `nodes`, counterclockwise as seen from outside.
     """
@@ -48,7 +48,7 @@ class Surface:
     faces: Indices
 
     def vertices(self, positions: Array, radius: float) -> Array:
-        """Corners (V, 3), m, of the surface at `radius` from the nodes, which are at `positions` (N, 3)."""
+        """Corners (V, 3), m, of the surface at a distance `radius` from the nodes, which are at `positions` (N, 3)."""
         points = positions[self.nodes]
         a, b, c = (points[self.faces[:, corner]] for corner in range(3))
         areas = np.cross(b - a, c - a)
@@ -62,11 +62,10 @@ class Surface:
 def surface(rest: Array, edges: Indices) -> Surface | None:
     """The surface of the nodes at `rest` (N, 3), m, joined by `edges` (E, 2); None for nodes that span no volume.
 
-    The body is what tetrahedra between near nodes fill (an alpha shape), the surface the triangles that only one of
-    them has.
+    Tetrahedra between near nodes fill the body (an alpha shape); triangles that belong to only one form its surface.
     """
     try:
-        # Nodes of a lattice lie on common spheres: joggled, so that each tetrahedron is clear.
+        # Nodes of a lattice lie on common spheres; joggling makes their triangulation unique.
         corners = Delaunay(rest, qhull_options="QJ Pp").simplices
     except (QhullError, ValueError):
         return None
@@ -80,7 +79,7 @@ def surface(rest: Array, edges: Indices) -> Surface | None:
         faces = np.concatenate([np.delete(corners, corner, axis=1) for corner in range(4)])
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         outer = first[count == 1]
-        # Joggled nodes of a plane side make tetrahedra without volume on top of it; inside, such ones fill gaps.
+        # Joggled nodes of a plane side form flat tetrahedra on top of it; inside the body, flat ones fill gaps.
         peeled = np.zeros(len(corners), bool)
         peeled[outer % len(corners)] = True
         peeled &= flat

@@ -1,4 +1,4 @@
-"""What the page shows of one moment, whether it comes from topics or from a bag."""
+"""One moment as shown on the page, from topics or from a bag."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.planning.problem import Spheres
-
-Array = NDArray[np.float64]
+from contact_reach_ros.world.spheres import Spheres
 
 
-class Level(Enum):
-    """How a safety state is meant, from good to bad."""
+class SafetyLevel(Enum):
+    """Level of a safety_state message, from good to bad."""
 
     OK = 0
     CONTACT = 1
@@ -24,23 +20,23 @@ class Level(Enum):
 
 
 @dataclass(frozen=True)
-class Status:
-    """Newest safety state of one node."""
+class SafetyStatus:
+    """Safety state of one node."""
 
-    level: Level
+    level: SafetyLevel
     message: str
     contact: Contact | None = None
-    """Where the observer believes the arm to be touched."""
+    """Contact that the observer has located, if any."""
 
 
 @dataclass(frozen=True)
 class PlanPicture:
-    """What a plan expects.
+    """Motion that a plan predicts.
 
     Attributes
     ----------
     flange, elbow
-        (n, 3) positions at the knots, m.
+        (N, 3) positions at the knots, m.
     ghost_starts, ghost_ends
         (k, 3) ends of the axes of the arm's cylinders at the last knot, m.
     ghost_radii
@@ -56,26 +52,26 @@ class PlanPicture:
 
 @dataclass(frozen=True)
 class Frame:
-    """One moment. What is not known is None.
+    """One moment; what is unknown is None.
 
     Attributes
     ----------
     time
-        On the robot's clock, s.
+        Time on the robot's clock, s.
     q
-        (7,) joint angles, rad.
+        (n,) joint angles, rad.
     external_torque
-        (7,), Nm.
+        (n,), Nm.
     obstacles
         Spheres and the edges of deformable bodies.
     plan
-        The newest one; None also when a stop or the end of a goal has withdrawn it.
+        The newest plan; None also after a stop or the end of a goal has withdrawn it.
     forces
-        True contact force of links by their names, N; only simulation knows them.
+        True contact force on each link by its name, N; only the simulation knows them.
     goal
         (3,), m.
     safety
-        By the name of the node.
+        Safety state by the name of the node.
     """
 
     time: float
@@ -85,8 +81,8 @@ class Frame:
     plan: PlanPicture | None = None
     forces: Mapping[str, float] = field(default_factory=dict)
     goal: Array | None = None
-    safety: Mapping[str, Status] = field(default_factory=dict)
+    safety: Mapping[str, SafetyStatus] = field(default_factory=dict)
 
     def stops(self) -> dict[str, str]:
-        """Reasons of the stops that are latched, by node."""
-        return {name: status.message for name, status in self.safety.items() if status.level is Level.STOP}
+        """Reasons for the latched stops, by node."""
+        return {name: status.message for name, status in self.safety.items() if status.level is SafetyLevel.STOP}

@@ -1,63 +1,70 @@
-"""The quantities that are plotted over time."""
+"""The quantities plotted over time."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.arrays import Array
 
-Array = NDArray[np.float64]
-
-JOINTS = tuple(f"A{number}" for number in range(1, iiwa14.N_JOINTS + 1))
-
-QUANTITIES = ("distance", "force", *JOINTS, "plan age", "round trip p50", "round trip p99")
-"""Distance to the goal, mm; largest contact force on one body, N; external torques, Nm; ms; µs twice."""
+_FIRST = ("time", "distance", "force")
+_FORCE = _FIRST.index("force")
 
 SPAN = 20.0
-"""Time that a plot shows, s."""
+"""Time span of a plot, s."""
 
 POINTS = 400
-"""Of a curve, at most."""
+"""Greatest number of points in a curve."""
+
+
+def joint_labels(joints: int) -> tuple[str, ...]:
+    """Names of the joints' curves."""
+    return tuple(f"A{number}" for number in range(1, joints + 1))
+
+
+def quantities(joints: int) -> tuple[str, ...]:
+    """Columns of the plotted tables.
+
+    Time, s; distance to the goal, mm; largest contact force on one body, N; external torque of each joint, Nm; age of
+    the plan, ms; two percentiles of a tick's round trip, µs.
+    """
+    return (*_FIRST, *joint_labels(joints), "plan age", "round trip p50", "round trip p99")
 
 
 class History:
-    """Rows of the plotted quantities over the last `SPAN` seconds."""
+    """Plotted quantities over the last `SPAN` seconds, for an arm with `joints` joints."""
 
-    def __init__(self) -> None:
+    def __init__(self, joints: int) -> None:
+        self._columns = quantities(joints)[1:]
         self._rows: deque[tuple[float, ...]] = deque()
 
-    def add(self, time: float, **values: float) -> None:
-        """Append what is known at a time, s; keys are those of `QUANTITIES` with '_' for ' '.
-
-        A time before the last one, as after a restart, begins anew.
-        """
+    def add(self, time: float, values: Mapping[str, float]) -> None:
+        """Append the quantities known at a time, s, by name; a time before the last one clears the history."""
         if self._rows and time < self._rows[-1][0]:
             self._rows.clear()
-        self._rows.append((time, *(values.get(name.replace(" ", "_"), np.nan) for name in QUANTITIES)))
+        self._rows.append((time, *(values.get(name, np.nan) for name in self._columns)))
         while self._rows[0][0] < time - SPAN:
             self._rows.popleft()
 
     def table(self) -> Array:
-        """(n, 1 + quantities): time and `QUANTITIES`."""
-        return thinned(np.array(self._rows, float).reshape(-1, 1 + len(QUANTITIES)))
+        """(n, `quantities`)."""
+        return thinned(np.array(self._rows, float).reshape(-1, 1 + len(self._columns)))
 
 
 def thinned(table: Array) -> Array:
-    """At most `POINTS` rows of a table: of each group of rows the last, with the largest contact force of the group.
+    """At most `POINTS` rows of a table: the last of each group of rows, with the largest contact force in the group.
 
-    A short peak of the force must not get lost, since it is compared with the permitted one.
+    Every peak of the force is kept, because it is compared with the permitted force.
     """
     if len(table) <= POINTS:
         return table
     size = -(-len(table) // POINTS)
     ends = np.arange(size - 1, len(table) + size - 1, size).clip(max=len(table) - 1)
     rows = table[ends].copy()
-    force = 1 + QUANTITIES.index("force")
     padded = np.full(len(ends) * size, -np.inf)
-    padded[: len(table)] = np.nan_to_num(table[:, force], nan=-np.inf)
+    padded[: len(table)] = np.nan_to_num(table[:, _FORCE], nan=-np.inf)
     peaks = padded.reshape(-1, size).max(axis=1)
-    rows[:, force] = np.where(np.isfinite(peaks), peaks, np.nan)
+    rows[:, _FORCE] = np.where(np.isfinite(peaks), peaks, np.nan)
     return rows

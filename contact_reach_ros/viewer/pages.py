@@ -1,4 +1,7 @@
-"""What browsers do to a viewer, without browsers: pages that take in everything and draw nothing."""
+"""Load on a viewer, as from browsers: pages that receive everything and draw nothing.
+
+viser has no public client, so its camera message comes from a private module.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +29,11 @@ _CAMERA = viser_messages.ViewerCameraMessage(
     look_at=(0.0, 0.0, 0.0),
     up_direction=(0.0, 0.0, 1.0),
 )
-"""What a page tells first; before, viser takes nobody for a client."""
+"""The first message of a page, which makes it a client."""
 
 
-def take_in(address: str) -> None:
-    """Be one page of the viewer at this address until it ends the connection."""
+def receive(address: str) -> None:
+    """Receive as one page of the viewer at an address, until the viewer closes the connection."""
     place = urllib.parse.urlsplit(address)
     with connect(f"ws://{place.netloc}", subprotocols=[_SUBPROTOCOL], max_size=None, proxy=None) as page:
         page.send(msgspec.msgpack.encode(_CAMERA.as_serializable_dict()))
@@ -42,8 +45,8 @@ def take_in(address: str) -> None:
 
 
 def main(address: str, count: str) -> None:
-    """Be some pages."""
-    pages = [threading.Thread(target=take_in, args=(address,)) for _ in range(int(count))]
+    """Receive as `count` pages."""
+    pages = [threading.Thread(target=receive, args=(address,)) for _ in range(int(count))]
     for page in pages:
         page.start()
     for page in pages:

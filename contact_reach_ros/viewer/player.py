@@ -1,4 +1,4 @@
-"""Going through a recording: play, pause, speed, scrub, step."""
+"""Playback of a recording: play, pause, speed, scrub, step."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
 class Player:
-    """Where in a recording the page is.
+    """Position in a recording.
 
     Attributes
     ----------
     recording
-        What is played.
+        The recording to play.
     playing
-        Whether time goes on.
+        Whether time advances.
     speed
         Seconds of the recording per second.
     """
@@ -30,11 +30,11 @@ class Player:
 
     @property
     def time(self) -> float:
-        """Since the first joint state, s."""
+        """Time since the first joint state, s."""
         return self._time
 
     def advance(self, seconds: float) -> None:
-        """Let time pass; at the end of the recording it stops."""
+        """Advance the time while playing; stops at the end of the recording."""
         if self.playing:
             self._go(self._time + seconds * self.speed)
             self.playing = self._time < self.recording.duration
@@ -46,11 +46,11 @@ class Player:
         self.playing = not self.playing
 
     def seek(self, time: float) -> None:
-        """Go to a time, s, and stay there unless it is playing."""
+        """Jump to a time, s; playback continues from there if it is on."""
         self._go(time)
 
     def step(self, ticks: int) -> None:
-        """Pause, and go some joint states forth, or back."""
+        """Pause and move by some joint states, forward or back."""
         self.playing = False
         row = self.recording.tick(self._time) + ticks
         self._go(float(self.recording.ticks[min(max(row, 0), len(self.recording.ticks) - 1)]))
@@ -65,7 +65,7 @@ class Player:
         return True
 
     def last_event(self) -> str:
-        """What happened last, in words; empty before the first event."""
+        """The last event in words; empty before the first."""
         events = self.recording.events
         row = bisect.bisect_right([event.time for event in events], self._time + 1e-6) - 1
         return f"{events[row].time:.2f} s: {events[row].text}" if row >= 0 else ""

@@ -2,73 +2,79 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
-from contact_reach_ros.palette import BLUE, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILION
-from contact_reach_ros.viewer.history import JOINTS, QUANTITIES
-
-Array = NDArray[np.float64]
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, ORANGE, VERMILION
+from contact_reach_ros.viewer.history import joint_labels, quantities
 
 LIVE_AXIS = "s, 0 is now"
 BAG_AXIS = "s since the first joint state"
 
-_MIDDLE_GREY = "#888888"
-"""To be told from a light and from a dark ground."""
 _HEIGHT = 165
 _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 
 
-class _Curve(NamedTuple):
+class Curve(NamedTuple):
+    """A quantity of the plotted tables."""
+
     quantity: str
     label: str
     colour: str
 
 
-class _Plot(NamedTuple):
+class Plot(NamedTuple):
+    """Curves over the same time with the same unit."""
+
     title: str
     unit: str
-    curves: tuple[_Curve, ...]
+    curves: tuple[Curve, ...]
 
 
-_COLOURS = (ORANGE, SKY_BLUE, GREEN, BLUE, VERMILION, PURPLE, _MIDDLE_GREY)
-_PLOTS = (
-    _Plot("Distance to the goal", "mm", (_Curve("distance", "flange", BLUE),)),
-    _Plot("Largest contact force", "N", (_Curve("force", "on one link", BLUE),)),
-    _Plot("External torque", "Nm", tuple(map(_Curve, JOINTS, JOINTS, _COLOURS))),
-    _Plot("Age of the plan", "ms", (_Curve("plan age", "since it took effect", BLUE),)),
-    _Plot(
-        "Round trip of a tick",
-        "µs",
-        (_Curve("round trip p50", "median", BLUE), _Curve("round trip p99", "99 of 100 below", ORANGE)),
-    ),
-)
+def page_plots(joints: int) -> tuple[Plot, ...]:
+    """The plots of the page for an arm with `joints` joints."""
+    names = joint_labels(joints)
+    return (
+        Plot("Distance to the goal", "mm", (Curve("distance", "flange", BLUE),)),
+        Plot("Largest contact force", "N", (Curve("force", "on one link", BLUE),)),
+        Plot("External torque", "Nm", tuple(map(Curve, names, names, itertools.cycle(JOINT_COLOURS)))),
+        Plot("Age of the plan", "ms", (Curve("plan age", "since it took effect", BLUE),)),
+        Plot(
+            "Round trip of a tick",
+            "µs",
+            (Curve("round trip p50", "median", BLUE), Curve("round trip p99", "99 of 100 below", ORANGE)),
+        ),
+    )
 
 
 class Plots:
-    """One plot below the other, in the container that is open when it is made.
+    """Plots, one below the other, in the GUI container that is open at construction.
 
     Parameters
     ----------
     server
-        Of the page.
+        Server of the page.
+    joints
+        Number of joints of the arm.
     permitted_force
-        Drawn as a line among the contact forces, N.
+        Force that a line marks among the contact forces, N.
     """
 
-    def __init__(self, server: viser.ViserServer, permitted_force: float) -> None:
+    def __init__(self, server: viser.ViserServer, joints: int, permitted_force: float) -> None:
+        self._columns, self._plots = quantities(joints), page_plots(joints)
         self._permitted = permitted_force
         self._axis = LIVE_AXIS
-        self._handles = [self._add(server, plot) for plot in _PLOTS]
+        self._handles = [self._add(server, plot) for plot in self._plots]
 
     def show(self, table: Array, axis: str) -> None:
-        """Show a table as `History.table` makes it, its times as they are to be shown."""
-        columns = dict(zip(("time", *QUANTITIES), table.T, strict=True))
-        for plot, handle in zip(_PLOTS, self._handles, strict=True):
+        """Show a table with the columns `quantities`; `axis` labels its times."""
+        columns = dict(zip(self._columns, table.T, strict=True))
+        for plot, handle in zip(self._plots, self._handles, strict=True):
             if axis != self._axis:
                 handle.axes = _axes(axis, plot.unit)
             data = self._data(plot, columns)
@@ -78,8 +84,8 @@ class Plots:
             handle.data = data
         self._axis = axis
 
-    def _add(self, server: viser.ViserServer, plot: _Plot) -> Any:
-        empty = dict.fromkeys(("time", *QUANTITIES), np.zeros(0))
+    def _add(self, server: viser.ViserServer, plot: Plot) -> Any:
+        empty = dict.fromkeys(self._columns, np.zeros(0))
         series: list[Any] = [{"label": "time"}]
         series += [{"label": curve.label, "stroke": curve.colour, "width": 2} for curve in plot.curves]
         if plot.unit == "N":
@@ -95,7 +101,7 @@ class Plots:
             padding=(10, 14, 0, 0),
         )
 
-    def _data(self, plot: _Plot, columns: dict[str, Array]) -> tuple[Array, ...]:
+    def _data(self, plot: Plot, columns: dict[str, Array]) -> tuple[Array, ...]:
         data = [np.ascontiguousarray(columns["time"])]
         data += [np.ascontiguousarray(columns[curve.quantity]) for curve in plot.curves]
         if plot.unit == "N":
@@ -104,7 +110,7 @@ class Plots:
 
 
 def _scales(curves: Sequence[Array]) -> Any:
-    """Scales that hold all values: the browser's own choice fails where a curve begins with a gap, a NaN here."""
+    """Scales that include all values: the browser's own choice fails if a curve begins with NaN."""
     values = np.concatenate([*curves, [0.0]])
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
@@ -114,7 +120,7 @@ def _scales(curves: Sequence[Array]) -> Any:
 
 
 def _round_up(value: float) -> float:
-    """The next larger number that makes a good end of an axis; 0 for 0."""
+    """The next larger number suitable for the end of an axis; 0 for 0."""
     if value <= 0.0:
         return 0.0
     power = 10.0 ** np.floor(np.log10(value))

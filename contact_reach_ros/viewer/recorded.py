@@ -1,96 +1,92 @@
-"""A bag as the page shows it: any moment of it, and what happened when."""
+"""A bag as shown on the page: any of its moments, and its events."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.cdr import after_string, text_at
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.bags.columns import JointStates, Stamps, read_raw
+from contact_reach_ros.bags.goals import pursued
+from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, InputError
-from contact_reach_ros.planning.problem import Spheres
-from contact_reach_ros.recording.bag_reader import BagReader
-from contact_reach_ros.recording.columns import JointStates, Stamps
-from contact_reach_ros.recording.index import BagIndex, Place, UnindexedBag
-from contact_reach_ros.recording.mcap_chunks import Block
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import flange_positions
+from contact_reach_ros.messages.cdr import after_string, text_at
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.viewer.frame import Frame, Level, PlanPicture, Status
-from contact_reach_ros.viewer.history import JOINTS, QUANTITIES, SPAN, thinned
+from contact_reach_ros.viewer.frame import Frame, PlanPicture, SafetyLevel, SafetyStatus
+from contact_reach_ros.viewer.history import SPAN, joint_labels, quantities, thinned
+from contact_reach_ros.world.spheres import Spheres
 
-Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _STATES, _TORQUES, _CONTACTS = "/joint_states", "/external_torque", "/sim/contacts"
 _PLANS, _PICTURES, _OBSTACLES = "/reference/pose", "/plan/markers", "/obstacles"
-_GOALS, _SAFETY, _NUMBERS = "/goal_pose", "/safety_state", "/diagnostics"
-_ASKED_FOR = (_PICTURES, _OBSTACLES, _GOALS, _SAFETY, _NUMBERS)
+_GOALS, _SAFETY, _NUMBERS, _STATISTICS = "/goal_pose", "/safety_state", "/diagnostics", "/plan/statistics"
+_ASKED_FOR = (_PICTURES, _OBSTACLES, _SAFETY)
+"""Topics whose messages are read from the bag only when their moment is shown."""
 
 _SAMPLES = 0.02
-"""Time between the points of a curve, s: the rate of the fastest plotted quantities is thinned to that anyway."""
+"""Time between the points of a curve, s: even the fastest plotted quantities are thinned to this rate."""
 _CONTACT_FORCE = 0.5
 """True force that counts as a contact, N."""
 _CONTACT_PAUSE = 0.3
-"""Time without a contact after which the next is another one, s."""
+"""Time without contact after which the next contact is a new one, s."""
 _ROUND_TRIP = b"round trip"
-
-_LINKS = tuple(iiwa14.LINK_NAMES[capsule.link - 1] for capsule in iiwa14.CAPSULES)
 
 T = TypeVar("T")
 
 
 class Decoders(NamedTuple):
-    """What turns serialised messages into what they say; each raises `InputError` for bytes that say nothing."""
+    """Decoders of serialised messages; each raises `InputError` for invalid bytes."""
 
     obstacles: Callable[[bytes], Spheres]
     plan: Callable[[bytes], PlanPicture | None]
     goal: Callable[[bytes], Array]
-    status: Callable[[bytes], tuple[str, Status]]
+    status: Callable[[bytes], tuple[str, SafetyStatus]]
     numbers: Callable[[bytes], Mapping[str, float]]
+    planned: Callable[[bytes], Array | None]
+    """The goal of a plan, from its statistics; None where they lack it."""
 
 
 class Event(NamedTuple):
-    """Something worth jumping to: time, s, what kind ('goal', 'contact', 'stop', 'released'), and more in words."""
+    """Something worth jumping to: time, s, a kind, and a description.
+
+    Kinds are 'goal', 'refused' (a goal without a plan), 'contact', 'stop' and 'released'.
+    """
 
     time: float
     kind: str
     text: str
 
 
-class _Messages(NamedTuple):
-    """Where the messages of a topic are: times of reception (n,) ns, and the `Place` of each (n, 3)."""
-
-    times: Times
-    places: Times
-
-    def before(self, time_ns: int) -> int:
-        """Row of the last message received until then; -1 if there is none."""
-        return int(np.searchsorted(self.times, time_ns, side="right")) - 1
-
-
 class Recording:
-    """A bag, opened for looking at any of its moments.
+    """A bag, opened to show any of its moments.
 
     Parameters
     ----------
     path
         The bag.
+    arm
+        The recorded arm.
     decoders
-        For messages that are not only numbers.
+        Decoders of messages that contain more than numbers.
 
     Attributes
     ----------
     duration
-        From the first to the last joint state, s.
+        Time from the first to the last joint state, s.
     ticks
         (n,) times of the joint states since the first, s, increasing.
     events
-        By time.
+        Events, ordered by time.
 
     Raises
     ------
@@ -98,14 +94,12 @@ class Recording:
         If the bag cannot be read or holds no joint states.
     """
 
-    def __init__(self, path: Path, decoders: Decoders) -> None:
+    def __init__(self, path: Path, arm: Arm, decoders: Decoders) -> None:
         self.path = path
+        self._arm = arm
         self._decode = decoders
-        reader = BagReader(path)
-        files = reader.indexed_files()
-        self._source: BagIndex | UnindexedBag = BagIndex(files) if files else UnindexedBag(reader)
+        self._reader = BagReader(path)
         self._read()
-        self._goals = self._read_goals()
         self.events = self._find_events()
         self._table = self._make_table()
 
@@ -127,44 +121,68 @@ class Recording:
             external_torque=self._torques[torque] if torque >= 0 else None,
             obstacles=self._newest(_OBSTACLES, until_ns, self._decode.obstacles),
             plan=self._newest(_PICTURES, until_ns, self._decode.plan),
-            forces=dict(zip(_LINKS, self._forces[contact].tolist(), strict=True)) if contact >= 0 else {},
+            forces=dict(zip(self._arm.contact_links, self._forces[contact].tolist(), strict=True))
+            if contact >= 0
+            else {},
             goal=self._goals[1][goal] if goal >= 0 else None,
             safety=self._safety_at(until_ns),
         )
 
     def tick(self, time: float) -> int:
-        """Number of the last joint state at or before a time, s."""
+        """Index of the last joint state at or before a time, s."""
         return max(self._row(self.ticks, time), 0)
 
     def table(self, time: float) -> Array:
-        """Time and `QUANTITIES` over the last `SPAN` seconds up to a time, as `History.table`."""
+        """`quantities` over the last `SPAN` seconds before a time, as `History.table`."""
         first, last = np.searchsorted(self._table[:, 0], [time - SPAN, time + 1e-9])
         return thinned(self._table[first:last])
 
+    @property
+    def first_goal(self) -> float:
+        """When the first goal was sent, s; 0 without one."""
+        return next((event.time for event in self.events if event.kind == "goal"), 0.0)
+
     def next_contact(self, time: float) -> float | None:
-        """Start of the first contact after a time, s; None if there is no more."""
+        """Start of the first contact after a time, s; None without any."""
         return next((event.time for event in self.events if event.kind == "contact" and event.time > time + 1e-6), None)
 
     def _read(self) -> None:
         columns = {
-            _STATES: JointStates(["position"], iiwa14.JOINT_NAMES),
-            _TORQUES: JointStates(["effort"], iiwa14.JOINT_NAMES),
-            _CONTACTS: JointStates(["effort"], (*_LINKS, "max")),
+            _STATES: JointStates(["position"], self._arm.joint_names),
+            _TORQUES: JointStates(["effort"], self._arm.joint_names),
+            _CONTACTS: JointStates(["effort"], (*self._arm.contact_links, "max")),
             _PLANS: Stamps(),
         }
+        received: dict[str, list[int]] = {topic: [] for topic in _ASKED_FOR}
         said: list[_Said] = []
-        places: dict[str, list[Times]] = {topic: [] for topic in _ASKED_FOR}
-        for chunk, blocks in self._source.scan({*columns, *_ASKED_FOR}):
-            for topic, block in blocks.items():
-                if topic in columns:
-                    columns[topic].add_block(block)
-                    continue
-                place = [block.log_ns, np.full(len(block.starts), chunk), block.starts, block.sizes]
-                places[topic].append(np.stack(place, axis=1))
-                if topic == _SAFETY:
-                    said += _statuses(block)
+        goals: list[tuple[int, Array]] = []
+        self._numbers: list[tuple[int, Mapping[str, float]]] = []
+        planned: list[Array] = []
+
+        def note(raw: RawMessage) -> None:
+            received[raw.topic].append(raw.log_time_ns)
+            if raw.topic == _SAFETY:
+                said.append(_status(raw.data))
+
+        def take_goal(raw: RawMessage) -> None:
+            with suppress(InputError):
+                goals.append((raw.log_time_ns, self._decode.goal(raw.data)))
+
+        def take_planned(raw: RawMessage) -> None:
+            with suppress(InputError):
+                goal = self._decode.planned(raw.data)
+                planned.extend([] if goal is None else [goal])
+
+        def take_numbers(raw: RawMessage) -> None:
+            # There are thousands of diagnostics, and only the driver's contain the round trip.
+            if _ROUND_TRIP in raw.data:
+                with suppress(InputError):
+                    self._numbers.append((raw.log_time_ns, self._decode.numbers(raw.data)))
+
+        others = {_GOALS: take_goal, _STATISTICS: take_planned, _NUMBERS: take_numbers}
+        read_raw(self._reader, {**columns, **dict.fromkeys(_ASKED_FOR, note), **others})
         states, torques, contacts = (columns[topic].column() for topic in (_STATES, _TORQUES, _CONTACTS))
-        # What the arm's joints are not known of, or what came twice, is no moment to look at.
+        # States with unknown joints, and repeated ones, are not moments to look at.
         good = np.asarray(np.isfinite(states.values).all(axis=1))
         good[1:] &= states.stamp_ns[1:] > np.maximum.accumulate(states.stamp_ns)[:-1]
         if not good.any():
@@ -177,14 +195,14 @@ class Recording:
         self._contact_times = (contacts.stamp_ns - self._start_ns) / NANOSECONDS
         self._forces, self._largest = contacts.values[:, :-1], contacts.values[:, -1]
         self._plan_times = (np.sort(columns[_PLANS].column().stamp_ns) - self._start_ns) / NANOSECONDS
-        self._messages: dict[str, _Messages] = {}
-        for topic, tables in places.items():
-            table = np.concatenate(tables) if tables else np.zeros((0, 4), np.int64)
-            order = np.argsort(table[:, 0], kind="stable")
-            table = table[order]
-            self._messages[topic] = _Messages(table[:, 0], table[:, 1:])
-            if topic == _SAFETY:
-                self._said = [said[row] for row in order]
+        # The files of a bag may overlap.
+        self._messages = {topic: np.sort(np.array(times, np.int64)) for topic, times in received.items()}
+        self._said = [said[row] for row in np.argsort(received[_SAFETY], kind="stable")]
+        times = self._time_of(np.array([received_ns for received_ns, _ in goals], np.int64))
+        positions = np.array([position for _, position in goals]).reshape(-1, 3)
+        accepted = pursued(positions, planned)
+        self._goals = times[accepted], positions[accepted]
+        self._refused = times[~accepted], positions[~accepted]
         self._speakers = {
             name: np.array([row for row, entry in enumerate(self._said) if entry.name == name], np.int64)
             for name in {entry.name for entry in self._said}
@@ -192,21 +210,28 @@ class Recording:
         self._kept: dict[str, tuple[int, Any]] = {}
 
     def _time_of(self, received_ns: int | Times) -> Array:
-        """Robot's time, s, at times of reception."""
+        """Times on the robot's clock, s, at times of reception."""
         return np.asarray(np.interp(received_ns, self._received, self.ticks))
 
     def _row(self, times: Array, time: float) -> int:
         return int(np.searchsorted(times, time + 1e-9, side="right")) - 1
 
     def _raw(self, topic: str, row: int) -> bytes:
-        return self._source.message(Place(*self._messages[topic].places[row].tolist()))
+        times = self._messages[topic]
+        time_ns = int(times[row])
+        same = (raw.data for raw in self._reader.raw_messages([topic], time_ns) if raw.log_time_ns == time_ns)
+        return next(islice(same, row - int(np.searchsorted(times, time_ns)), None), b"")
+
+    def _last_row(self, topic: str, until_ns: int) -> int:
+        """Row of the last message received until `until_ns`; -1 if there is none."""
+        return int(np.searchsorted(self._messages[topic], until_ns, side="right")) - 1
 
     def _newest(self, topic: str, until_ns: int, decode: Callable[[bytes], T]) -> T | None:
-        row = self._messages[topic].before(until_ns)
+        row = self._last_row(topic, until_ns)
         return self._decoded(topic, topic, row, decode) if row >= 0 else None
 
     def _decoded(self, key: str, topic: str, row: int, decode: Callable[[bytes], T]) -> T | None:
-        """A message; the last one of each key is kept. None for one that says nothing."""
+        """Decode a message, keeping the last one of each key; None for an invalid one."""
         kept = self._kept.get(key)
         if kept is None or kept[0] != row:
             try:
@@ -217,8 +242,8 @@ class Recording:
         value: T | None = kept[1]
         return value
 
-    def _safety_at(self, until_ns: int) -> dict[str, Status]:
-        last = self._messages[_SAFETY].before(until_ns)
+    def _safety_at(self, until_ns: int) -> dict[str, SafetyStatus]:
+        last = self._last_row(_SAFETY, until_ns)
         found = {}
         for name, rows in sorted(self._speakers.items()):
             place = int(np.searchsorted(rows, last, side="right")) - 1
@@ -228,32 +253,25 @@ class Recording:
                     found[name] = status[1]
         return found
 
-    def _read_goals(self) -> tuple[Array, Array]:
-        """When goals were sent, (n,), s, and where they are, (n, 3), m."""
-        times, positions = [], []
-        for row, received in enumerate(self._messages[_GOALS].times):
-            try:
-                positions.append(self._decode.goal(self._raw(_GOALS, row)))
-            except InputError:
-                continue
-            times.append(float(self._time_of(received)))
-        return np.array(times), np.array(positions).reshape(-1, 3)
-
     def _find_events(self) -> tuple[Event, ...]:
         events = [
-            Event(time, "goal", f"goal {np.round(position, 3).tolist()} m")
-            for time, position in zip(self._goals[0].tolist(), self._goals[1], strict=True)
+            Event(time, kind, f"{words} {np.round(position, 3).tolist()} m")
+            for (times, positions), kind, words in (
+                (self._goals, "goal", "goal"),
+                (self._refused, "refused", "refused goal"),
+            )
+            for time, position in zip(times.tolist(), positions, strict=True)
         ]
         stopped: dict[str, bool] = {}
         in_contact = []
-        received_at = self._time_of(self._messages[_SAFETY].times).tolist()
+        received_at = self._time_of(self._messages[_SAFETY]).tolist()
         for time, entry in zip(received_at, self._said, strict=True):
-            is_stop = entry.level is Level.STOP
+            is_stop = entry.level is SafetyLevel.STOP
             if is_stop != stopped.get(entry.name, False):
                 stopped[entry.name] = is_stop
                 text = f"{entry.name}: {entry.message}"
                 events.append(Event(time, "stop" if is_stop else "released", text))
-            if entry.level is Level.CONTACT:
+            if entry.level is SafetyLevel.CONTACT:
                 in_contact.append(time)
         if len(self._contact_times):
             touched = self._contact_times[self._largest >= _CONTACT_FORCE]
@@ -264,16 +282,17 @@ class Recording:
         return tuple(sorted(events))
 
     def _make_table(self) -> Array:
-        """All plotted quantities at equal times."""
+        """All plotted quantities at equidistant times."""
         times = np.arange(0.0, self.duration + 0.5 * _SAMPLES, _SAMPLES)
-        table = np.full((len(times), 1 + len(QUANTITIES)), np.nan)
-        columns = dict(zip(("time", *QUANTITIES), table.T, strict=True))
+        names = quantities(self._arm.n)
+        table = np.full((len(times), len(names)), np.nan)
+        columns = dict(zip(names, table.T, strict=True))
         columns["time"][:] = times
         goal = np.searchsorted(self._goals[0], times, side="right") - 1
         known = np.flatnonzero(goal >= 0)
         if len(known):
             ticks = np.searchsorted(self.ticks, times[known] + 1e-9, side="right") - 1
-            flange = flange_positions(self._q[ticks])
+            flange = tip_positions(self._arm, self._q[ticks])
             columns["distance"][known] = 1000.0 * np.linalg.norm(flange - self._goals[1][goal[known]], axis=1)
         place = np.searchsorted(times, self._contact_times)
         inside = place < len(times)
@@ -281,21 +300,14 @@ class Recording:
         _hold(columns["force"])
         if len(self._torque_times):
             rows = np.searchsorted(self._torque_times, times + 1e-9, side="right") - 1
-            for joint, name in enumerate(JOINTS):
+            for joint, name in enumerate(joint_labels(self._arm.n)):
                 columns[name][:] = np.where(rows >= 0, self._torques[rows, joint], np.nan)
         if len(self._plan_times):
             rows = np.searchsorted(self._plan_times, times + 1e-9, side="right") - 1
             columns["plan age"][:] = np.where(rows >= 0, 1000.0 * (times - self._plan_times[rows]), np.nan)
-        places = np.searchsorted(times, self._time_of(self._messages[_NUMBERS].times)).tolist()
-        for row, at in enumerate(places):
-            raw = self._raw(_NUMBERS, row)
-            # There are thousands, and only the driver's tell it.
-            if _ROUND_TRIP not in raw:
-                continue
-            try:
-                numbers = self._decode.numbers(raw)
-            except InputError:
-                continue
+        received = np.array([received_ns for received_ns, _ in self._numbers], np.int64)
+        places = np.searchsorted(times, self._time_of(received)).tolist()
+        for at, (_, numbers) in zip(places, self._numbers, strict=True):
             for name in ("p50", "p99"):
                 if at < len(times) and f"driver/round trip {name} us" in numbers:
                     columns[f"round trip {name}"][at] = numbers[f"driver/round trip {name} us"]
@@ -305,28 +317,24 @@ class Recording:
 
 
 class _Said(NamedTuple):
-    """A safety state, without what belongs to it."""
+    """A safety state without its values."""
 
     name: str
-    level: Level
+    level: SafetyLevel
     message: str
 
 
-def _statuses(block: Block) -> list[_Said]:
-    """What serialised DiagnosticStatus messages say; there may be tens of thousands, most of them alike."""
-    found = []
-    for row in range(len(block.starts)):
-        data = block.data(row)
-        try:
-            name, message = text_at(data, 8), text_at(data, after_string(data, 8))
-        except (struct.error, UnicodeDecodeError):
-            name = message = ""
-        level = Level(min(data[4], Level.STOP.value)) if len(data) > 4 else Level.OK
-        found.append(_Said(name, level, message))
-    return found
+def _status(data: bytes) -> _Said:
+    """Read the needed parts of a serialised DiagnosticStatus; there may be tens of thousands."""
+    try:
+        name, message = text_at(data, 8), text_at(data, after_string(data, 8))
+    except (struct.error, UnicodeDecodeError):
+        name = message = ""
+    level = SafetyLevel(min(data[4], SafetyLevel.STOP.value)) if len(data) > 4 else SafetyLevel.OK
+    return _Said(name, level, message)
 
 
 def _hold(values: Array) -> None:
-    """Fill gaps with what was known last."""
+    """Fill gaps with the last known value."""
     known = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
     values[:] = np.where(known >= 0, values[known], np.nan)

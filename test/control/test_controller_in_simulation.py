@@ -1,10 +1,14 @@
 """Controller and simulated arm together: hold, expiry, stop."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from arm_simulation import (
+    ARM,
     HOME,
     REST,
+    UNWATCHED,
     VELOCITY_LIMITS,
     ClosedLoop,
     ideal_plant,
@@ -13,16 +17,23 @@ from arm_simulation import (
     random_states,
 )
 
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.plant.plant import Actuation
-from contact_reach_ros.plant.settings import JointSettings, SensorSettings
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.scene import MismatchSettings
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.observer import Observer
+from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.stack import Stack
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 
 MS = 1_000_000
+SETTINGS = SupervisionSettings()
 REAL = {"sensors": SensorSettings(), "joints": JointSettings()}
 
 
@@ -39,7 +50,7 @@ def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:
 
 
 def test_gravity_torque_alone_holds_the_arm_still():
-    model = RobotModel()
+    model = RobotModel(ARM)
     for q in random_states(5)[0]:
         plant = ideal_plant(0.9 * q)
         plant.set_actuation(Actuation.COMMANDED)
@@ -96,6 +107,45 @@ def test_compliant_stop_after_the_hold_limit_leaves_the_arm_still():
     assert np.abs(loop.q - stopped_at).max() < 0.01
 
 
+@pytest.mark.parametrize("arm", [{}, REAL], ids=["ideal", "friction and noise"])
+class TestAt200Hz:
+    """An arm that reports, and takes commands, every 5 ms."""
+
+    def loop(self, arm: dict) -> ClosedLoop:
+        return ClosedLoop(ideal_plant(**arm), period=0.005)
+
+    def test_arm_is_held_where_it_starts(self, arm):
+        loop = self.loop(arm)
+        loop.finish(1.5)
+        assert loop.controller.mode is Mode.HOLDING
+        assert np.abs(loop.q - HOME).max() < 2e-3
+        assert np.abs(loop.v).max() < 0.01
+
+    def test_arm_follows_a_plan_and_comes_to_rest(self, arm):
+        loop = self.loop(arm)
+        loop.finish(0.5)
+        start = loop.reference().position
+        moving_plan(loop, 600)
+        loop.finish(0.6)
+        assert loop.controller.mode is Mode.TRACKING
+        assert np.linalg.norm(loop.reference().position - start) > 0.05
+        at_expiry = loop.reference().position
+        loop.finish(1.0)
+        assert loop.controller.mode is Mode.HOLDING
+        assert np.abs(loop.v).max() < 0.01
+        assert np.linalg.norm(loop.reference().position - at_expiry) < 1e-3
+
+    def test_torques_change_as_fast_as_permitted_for_five_milliseconds(self, arm):
+        loop = self.loop(arm)
+        loop.finish(0.5)
+        now = loop.reference()
+        far = Reference(now.position + np.array([0.1, 0.1, -0.1]), now.rotation, now.posture)
+        offer_plan(loop.controller, [far], loop.now_ns, (100 * MS,), loop.now_ns)
+        loop.finish(0.1)
+        shares = np.abs(np.diff(loop.torques, axis=0)) / (0.005 * torque_rates(ARM, LimitSettings()))
+        assert 0.9 < shares.max() <= 1.0 + 1e-9
+
+
 PATIENT = ControllerSettings(supervision=SupervisionSettings(rest_within=10.0))
 """To see the compliant stop alone, however long it takes."""
 
@@ -134,7 +184,7 @@ def test_stopped_arm_gives_way_when_pushed():
 def test_reference_posture_law_pulls_the_null_space_to_zero():
     # Law (6): with q_d = 0 the elbow turns, the flange stays.
     start = HOME + np.array([0.5, 0.0, -0.5, 0.0, 0.4, 0.0, 0.3])
-    settings = ControllerSettings(ImpedanceSettings(null_damping=5.0))
+    settings = dataclasses.replace(UNWATCHED, impedance=ImpedanceSettings(null_damping=5.0))
     loop = ClosedLoop(ideal_plant(start), settings)
     held = loop.reference()
     offer_plan(loop.controller, [Reference(held.position, held.rotation, REST)], 0, (10_000 * MS,), 0)
@@ -146,8 +196,8 @@ def test_reference_posture_law_pulls_the_null_space_to_zero():
 
 
 def test_controller_never_touches_the_state_it_is_shown():
-    controller = Controller(ControllerSettings(), RobotModel())
-    q, v = HOME.copy(), np.full(7, 0.1)
+    controller = Controller(ARM, ControllerSettings())
+    q, v = HOME.copy(), np.full(ARM.n, 0.1)
     controller.start(q, v, 0)
     torque = controller.tick(q, v, 0, 0)
     kept = torque.copy()
@@ -155,3 +205,56 @@ def test_controller_never_touches_the_state_it_is_shown():
     np.testing.assert_array_equal(q, HOME)
     np.testing.assert_array_equal(v, 0.1)
     np.testing.assert_array_equal(torque, kept)
+
+
+@pytest.mark.parametrize("correct", [True, False])
+@pytest.mark.parametrize("change", [0.0, 0.4], ids=["home", "elsewhere"])
+def test_a_stopped_arm_does_not_sink_with_a_wrong_model_whose_error_the_observer_has_found(correct, change):
+    """It stays within 10 mm and 0.02 rad/s for five seconds."""
+    start = HOME + change * np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    robot = SimulatedRobot(Scene("sinking", ARM, 0, start, np.zeros(3), mismatch=MismatchSettings()))
+    observer = Observer(ARM, ObserverSettings(), ContactBudget())
+    settings = SupervisionSettings(correct_stop=correct, drive_brakes=False)
+    controller = Controller(ARM, ControllerSettings(supervision=settings))
+    stopped_at, travel, fastest = None, 0.0, 0.0
+    for tick in range(1, 6500):
+        (state,) = robot.read()
+        report = observer.update(state)
+        if report.due:
+            controller.hear(report.verdict, tick * MS)
+        if tick == 1500:
+            controller.stop("test")
+            stopped_at = robot.plant.tip_position
+        torque = controller.update(state, tick * MS)
+        if torque is not None:
+            robot.command(torque, tick * MS)
+        robot.step(tick * MS)
+        if stopped_at is not None:
+            travel = max(travel, float(np.linalg.norm(robot.plant.tip_position - stopped_at)))
+            fastest = max(fastest, float(np.abs(robot.plant.joint_velocities).max()))
+    assert controller.stop_reason.startswith("test")
+    stays = travel < 0.01 and fastest < 0.02
+    assert stays == correct, (travel, fastest)
+
+
+@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MismatchSettings()], ids=["ideal", "mismatch"])
+def test_a_stopped_arm_ends_in_the_brakes(mismatch):
+    """It is carried by the model for `brake_after`, does not creep meanwhile, and can be released afterwards."""
+    stack = Stack(Scene("stopped", ARM, 0, HOME, np.zeros(3), mismatch=mismatch))
+    stack.settle(1.0)
+    stack.stop()
+    stopped_at, travel, ticks = stack.robot.plant.tip_position, 0.0, 0
+    while stack.controller.mode is Mode.STOPPED:
+        stack.step()
+        ticks += 1
+        travel = max(travel, float(np.linalg.norm(stack.robot.plant.tip_position - stopped_at)))
+    assert SETTINGS.brake_after <= ticks / 1000 < SETTINGS.brake_after + SETTINGS.rest_within
+    assert stack.controller.stop_reason == "stop requested"
+    for _ in range(150):
+        stack.step()
+    assert stack.robot.stop_reason.startswith("no command for ") and travel < 0.01
+    stack.robot.drive.reset()
+    stack.reset()
+    for _ in range(700):
+        stack.step()
+    assert stack.controller.mode is Mode.HOLDING and not stack.stop_reason and stack.robot.is_open

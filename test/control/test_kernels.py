@@ -5,34 +5,33 @@ import sys
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST, TICK_NS, ClosedLoop, ideal_plant, offer_plan
+from arm_simulation import ARM, HOME, REST, TICK_NS, ClosedLoop, ideal_plant, offer_plan
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.robot.model import RobotModel
 
 # In a process of its own, where no test has called a compiled function before.
 TICKS = """
 import numpy as np
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.reference import PoseKnots, PostureKnots
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.control.references import PoseKnots, PostureKnots
+from contact_reach_ros.arms import load_arm
 
 def compiled():
     functions = [value for value in vars(kernels).values() if hasattr(value, "nopython_signatures")]
     return sum(len(function.nopython_signatures) for function in functions)
 
-controller = Controller(ControllerSettings(), RobotModel())
+ARM = load_arm()
+controller = Controller(ARM, ControllerSettings())
 before = compiled()
-q, v = np.array(iiwa14.HOME_POSITION), np.full(7, 0.1)
-singular, fast = np.zeros(7), np.full(7, 1.4)
+q, v = np.array(ARM.home), np.full(ARM.n, 0.1)
+singular, fast = np.zeros(ARM.n), np.full(ARM.n, 1.4)
 at_limit = q.copy()
-at_limit[3] = iiwa14.POSITION_LIMITS[3] - 0.01
+at_limit[3] = ARM.upper[3] - 0.01
 controller.start(q, v, 0)
-position, rotation = controller.model.flange_pose(q)
+position, rotation = controller.model.tip_pose(q)
 controller.references.offer_poses(PoseKnots(1, (10**9,), position[None], rotation[None]), 1)
 controller.references.offer_postures(PostureKnots(1, (10**9,), q[None]), 1)
 for now_ns, state in enumerate(((q, v), (singular, v), (q, fast), (at_limit, v)), 2):
@@ -59,9 +58,9 @@ def test_no_tick_compiles_anything(kept: bool) -> None:
 
 
 def test_arrays_of_any_layout_are_taken_and_left_alone() -> None:
-    plain, odd = (Controller(ControllerSettings(), RobotModel()) for _ in range(2))
+    plain, odd = (Controller(ARM, ControllerSettings()) for _ in range(2))
     q, v = HOME + 0.1, np.linspace(-0.2, 0.2, 7)
-    position, rotation = plain.model.flange_pose(HOME)
+    position, rotation = plain.model.tip_pose(HOME)
     reference = Reference(position + 0.01, rotation, HOME)
     strided = np.zeros((7, 4))
     strided[:, 1], strided[:, 2] = q, v

@@ -4,20 +4,20 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_simulation import HOME, REST, mobility, null_space_projection, random_states
+from arm_simulation import ARM, HOME, REST, mobility, null_space_projection, random_states
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.robot.mjcf import build_mjcf
-from contact_reach_ros.robot.model import RobotModel
 
 SETTINGS = ImpedanceSettings()
 
 
 def reference_at(model: RobotModel, q: np.ndarray) -> Reference:
-    return Reference(*model.flange_pose(q), q)
+    return Reference(*model.tip_pose(q), q)
 
 
 def law_torque(law: ImpedanceLaw, model: RobotModel, q: np.ndarray, v: np.ndarray, reference: Reference) -> np.ndarray:
@@ -38,7 +38,7 @@ def regular_states(model: RobotModel, count: int) -> list[tuple[np.ndarray, np.n
 
 
 def test_what_law_two_adds_causes_no_task_acceleration():
-    model, law, random = RobotModel(), ImpedanceLaw(SETTINGS), np.random.default_rng(0)
+    model, law, random = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS), np.random.default_rng(0)
     largest = []
     for q, v in regular_states(model, 100):
         model.update(q, v)
@@ -52,7 +52,7 @@ def test_what_law_two_adds_causes_no_task_acceleration():
 
 
 def test_task_acceleration_is_what_law_one_asks_for():
-    model, law = RobotModel(), ImpedanceLaw(SETTINGS)
+    model, law = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS)
     reference = reference_at(model, HOME)
     for q, v in regular_states(model, 100):
         torque = law_torque(law, model, q, v, reference)
@@ -64,7 +64,7 @@ def test_task_acceleration_is_what_law_one_asks_for():
 
 
 def test_law_is_the_sum_of_the_papers_terms():
-    model, law = RobotModel(), ImpedanceLaw(SETTINGS)
+    model, law = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS)
     reference = reference_at(model, HOME)
     for q, v in regular_states(model, 20):
         torque = law_torque(law, model, q, v, reference)
@@ -78,17 +78,17 @@ def test_law_is_the_sum_of_the_papers_terms():
 
 def simulate(start: tuple[np.ndarray, np.ndarray], reference: Reference, step: float, seconds: float) -> np.ndarray:
     """Task errors (N, 6) of MuJoCo's arm under the law at the end of each millisecond."""
-    simulated = mujoco.MjModel.from_xml_string(build_mjcf())
+    simulated = mujoco.MjModel.from_xml_string(build_mjcf(ARM))
     simulated.opt.timestep = step
     data = mujoco.MjData(simulated)
     data.qpos[:], data.qvel[:] = start
-    model, law, errors = RobotModel(), ImpedanceLaw(SETTINGS), []
+    model, law, errors = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS), []
     per_millisecond = round(1e-3 / step)
     for tick in range(round(seconds / step)):
         data.ctrl[:] = law_torque(law, model, data.qpos.copy(), data.qvel.copy(), reference) + model.bias
         mujoco.mj_step(simulated, data)
         if (tick + 1) % per_millisecond == 0:
-            errors.append(pose_error(*model.flange_pose(data.qpos), reference))
+            errors.append(pose_error(*model.tip_pose(data.qpos), reference))
     return np.array(errors)
 
 
@@ -101,8 +101,8 @@ def second_order_law(error: np.ndarray, rate: np.ndarray, times: np.ndarray) -> 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["from rest", "moving"])
 def test_task_error_follows_the_second_order_law(moving):
-    model, seconds = RobotModel(), 0.15
-    position, rotation = model.flange_pose(HOME)
+    model, seconds = RobotModel(ARM), 0.15
+    position, rotation = model.tip_pose(HOME)
     # The null space is kept busy too; the task must not notice.
     posture = HOME + np.array([0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.3])
     reference = Reference(position - (0.03, -0.04, 0.05), pin.exp3(np.array([-0.2, 0.1, 0.15])) @ rotation, posture)
@@ -123,10 +123,10 @@ def test_task_error_follows_the_second_order_law(moving):
 
 def test_reference_posture_law_is_posture_zero():
     # Law (6): q_d = 0 in law (2), the rest is the same.
-    model, law = RobotModel(), ImpedanceLaw(SETTINGS)
-    position, rotation = model.flange_pose(HOME)
+    model, law = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS)
+    position, rotation = model.tip_pose(HOME)
     for q, v in regular_states(model, 10):
-        with_zero = law_torque(law, model, q, v, Reference(position, rotation, np.zeros(7)))
+        with_zero = law_torque(law, model, q, v, Reference(position, rotation, np.zeros(ARM.n)))
         task_only = law_torque(law, model, q, v, Reference(position, rotation, q + SETTINGS.null_damping * v / 30.0))
         pull = null_space_projection(model).T @ (-SETTINGS.null_stiffness * q - SETTINGS.null_damping * v)
         np.testing.assert_allclose(with_zero - task_only, pull, rtol=0, atol=1e-7)
@@ -139,7 +139,7 @@ def test_pose_error_is_right_up_to_half_a_turn(short_of_half_a_turn):
     axes = [*np.eye(3), *-np.eye(3), *random.standard_normal((50, 3))]
     for axis in axes:
         turn = angle * axis / np.linalg.norm(axis)
-        reference = Reference(np.zeros(3), pin.exp3(random.standard_normal(3)), np.zeros(7))
+        reference = Reference(np.zeros(3), pin.exp3(random.standard_normal(3)), np.zeros(ARM.n))
         error = pose_error(np.zeros(3), pin.exp3(turn) @ reference.rotation, reference)[3:]
         # Half a turn to the one side and to the other are the same.
         miss = min(np.abs(error - turn).max(), np.abs(error + turn).max() if short_of_half_a_turn < 1e-7 else np.inf)
@@ -149,7 +149,7 @@ def test_pose_error_is_right_up_to_half_a_turn(short_of_half_a_turn):
 @pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-8, 3e-8, 1e-4])
 def test_pose_error_is_right_for_the_smallest_turns(angle):
     for axis in np.eye(3):
-        reference = Reference(np.zeros(3), np.eye(3), np.zeros(7))
+        reference = Reference(np.zeros(3), np.eye(3), np.zeros(ARM.n))
         error = pose_error(np.zeros(3), pin.exp3(angle * axis), reference)
         np.testing.assert_allclose(error[3:], angle * axis, rtol=1e-12, atol=0)
 
@@ -160,7 +160,7 @@ vectors = st.tuples(small, small, small).map(np.array)
 
 @given(vectors, vectors, vectors)
 def test_pose_error_leads_back_to_the_pose(translation, turn, base_turn):
-    reference = Reference(np.array([0.4, 0.1, 0.3]), pin.exp3(base_turn), np.zeros(7))
+    reference = Reference(np.array([0.4, 0.1, 0.3]), pin.exp3(base_turn), np.zeros(ARM.n))
     rotation = pin.exp3(turn) @ reference.rotation
     error = pose_error(reference.position + translation, rotation, reference)
     np.testing.assert_allclose(error[:3], translation, rtol=0, atol=1e-12)

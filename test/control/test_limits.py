@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from arm_simulation import (
+    ARM,
     HOME,
     POSITION_LIMITS,
     REST,
@@ -22,15 +23,14 @@ from contact_reach_ros.control.kernels import (
 )
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.settings import LimitSettings
-from contact_reach_ros.robot import iiwa14
 
 SETTINGS = LimitSettings()
-CONSTANTS = make_constants(limits=SETTINGS)
+CONSTANTS = make_constants(ARM, limits=SETTINGS)
 
-joints = st.integers(0, 6)
+joints = st.integers(0, ARM.n - 1)
 sides = st.sampled_from([-1.0, 1.0])
 speeds = st.floats(-3.0, 3.0)
-torques = st.lists(st.floats(-1e4, 1e4), min_size=7, max_size=7).map(np.array)
+torques = st.lists(st.floats(-1e4, 1e4), min_size=ARM.n, max_size=ARM.n).map(np.array)
 
 
 def repulsion_at(joint: int, side: float, depth: float, v: np.ndarray = REST) -> np.ndarray:
@@ -40,7 +40,7 @@ def repulsion_at(joint: int, side: float, depth: float, v: np.ndarray = REST) ->
     return repulsion_torque(CONSTANTS, q, v)
 
 
-@given(st.lists(st.floats(-1, 1), min_size=7, max_size=7), st.lists(speeds, min_size=7, max_size=7))
+@given(st.lists(st.floats(-1, 1), min_size=ARM.n, max_size=ARM.n), st.lists(speeds, min_size=ARM.n, max_size=ARM.n))
 def test_no_repulsion_outside_of_the_margin(shares, v):
     q = np.array(shares) * (POSITION_LIMITS - SETTINGS.joint_limit_margin)
     assert not repulsion_torque(CONSTANTS, q, np.array(v)).any()
@@ -48,7 +48,7 @@ def test_no_repulsion_outside_of_the_margin(shares, v):
 
 @given(joints, sides, st.floats(1e-3, 0.5), speeds)
 def test_repulsion_pushes_inwards_and_only_the_joint_concerned(joint, side, depth, speed):
-    torque = repulsion_at(joint, side, depth, speed * np.eye(7)[joint])
+    torque = repulsion_at(joint, side, depth, speed * np.eye(ARM.n)[joint])
     assert side * torque[joint] < 0
     assert not np.delete(torque, joint).any()
 
@@ -61,7 +61,7 @@ def test_repulsion_grows_with_the_depth(joint, side, depth, further):
 
 @given(joints, sides, st.floats(-0.01, 0.3), speeds)
 def test_repulsion_is_continuous(joint, side, depth, speed):
-    v = speed * np.eye(7)[joint]
+    v = speed * np.eye(ARM.n)[joint]
     step = 1e-7
     change = repulsion_at(joint, side, depth + step, v) - repulsion_at(joint, side, depth, v)
     steepest = 1e4  # Nm/rad, more than the stiffest joint has
@@ -80,8 +80,8 @@ def test_repulsion_at_the_limit_is_the_declared_share(joint, side):
 @given(joints, sides, st.floats(0.01, 0.3), st.floats(0.01, 3.0))
 def test_only_motion_towards_the_limit_is_damped(joint, side, depth, speed):
     at_rest = repulsion_at(joint, side, depth)
-    away = repulsion_at(joint, side, depth, -side * speed * np.eye(7)[joint])
-    towards = repulsion_at(joint, side, depth, side * speed * np.eye(7)[joint])
+    away = repulsion_at(joint, side, depth, -side * speed * np.eye(ARM.n)[joint])
+    towards = repulsion_at(joint, side, depth, side * speed * np.eye(ARM.n)[joint])
     np.testing.assert_array_equal(away, at_rest)
     assert side * towards[joint] < side * at_rest[joint]
 
@@ -93,7 +93,7 @@ def test_limiter_keeps_cap_and_rate(first, requests):
     for torque, period in requests:
         limited = limit_torque(CONSTANTS, torque, previous, period)
         assert (np.abs(limited) <= cap).all()
-        step = torque_rates(SETTINGS) * period
+        step = torque_rates(ARM, SETTINGS) * period
         assert (np.abs(limited - previous) <= step + 1e-9).all()
         # Straight towards what was asked for, and as far as the joint permits that has the farthest to go.
         way = np.clip(torque, -cap, cap) - previous
@@ -103,7 +103,7 @@ def test_limiter_keeps_cap_and_rate(first, requests):
 
 
 def test_the_torque_of_a_weaker_joint_changes_as_much_slower():
-    rates = torque_rates(LimitSettings(torque_rate=3200.0))
+    rates = torque_rates(ARM, LimitSettings(torque_rate=3200.0))
     np.testing.assert_allclose(rates, 10.0 * TORQUE_LIMITS)
 
 
@@ -114,15 +114,15 @@ def greedy_reference(loop: ClosedLoop, joint: int, side: float) -> Reference:
     posture[joint] += 0.2 * side
     ahead = q.copy()
     ahead[joint] += 0.1 * side
-    position, _ = loop.controller.model.flange_pose(q)
-    target, target_rotation = loop.controller.model.flange_pose(ahead)
+    position, _ = loop.controller.model.tip_pose(q)
+    target, target_rotation = loop.controller.model.tip_pose(ahead)
     step = target - position
     step *= min(1.0, 0.01 * np.sqrt(3.0) / max(np.linalg.norm(step), 1e-9))
     return Reference(position + step, target_rotation, posture)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize("joint", range(7), ids=iiwa14.JOINT_NAMES)
+@pytest.mark.parametrize("joint", range(ARM.n), ids=ARM.joint_names)
 def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
     start = HOME.copy()
     start[joint] = side * (POSITION_LIMITS[joint] - 0.2)

@@ -1,15 +1,17 @@
 """Plans arrive in two halves, in any order, and live until their last knot."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_simulation import ARM
 from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.reference import PoseKnots, PostureKnots, ReferenceQueue, blend
+from contact_reach_ros.control.references import PoseKnots, PostureKnots, ReferenceQueue, References, blend
 from contact_reach_ros.errors import InputError
 
 MS = 1_000_000
@@ -18,7 +20,7 @@ LEAD = 1.0
 
 @pytest.fixture
 def queue() -> ReferenceQueue:
-    return ReferenceQueue(LEAD)
+    return ReferenceQueue(ARM.n, LEAD)
 
 
 def poses(stamp_ms: float, ends_ms: tuple[float, ...] = (100, 200, 300), value: float = 0.0) -> PoseKnots:
@@ -30,7 +32,7 @@ def poses(stamp_ms: float, ends_ms: tuple[float, ...] = (100, 200, 300), value: 
 
 
 def postures(stamp_ms: float, ends_ms: tuple[float, ...] = (100, 200, 300), value: float = 0.0) -> PostureKnots:
-    values = np.array([np.full(7, value + index) for index in range(len(ends_ms))]).reshape(-1, 7)
+    values = np.array([np.full(ARM.n, value + index) for index in range(len(ends_ms))]).reshape(-1, 7)
     return PostureKnots(int(stamp_ms * MS), tuple(int(end * MS) for end in ends_ms), values)
 
 
@@ -55,7 +57,7 @@ def test_no_plan_no_reference(queue):
 
 @given(st.permutations([(kind, stamp) for kind in ("pose", "posture") for stamp in (10, 20, 30)]))
 def test_halves_pair_in_any_order(order):
-    queue = ReferenceQueue(LEAD)
+    queue = ReferenceQueue(ARM.n, LEAD)
     for kind, stamp in order:
         if kind == "pose":
             queue.offer_poses(poses(stamp, value=stamp), 0)
@@ -89,7 +91,7 @@ def test_halves_that_stay_alone_are_dropped_and_counted(queue):
 
 @given(st.integers(0, 400))
 def test_knots_are_looked_up_by_time(now):
-    queue = ReferenceQueue(LEAD)
+    queue = ReferenceQueue(ARM.n, LEAD)
     offer(queue, 50, 0)
     expected = None if not 50 <= now < 350 else float((now - 50) // 100)
     assert selected(queue, now) == expected
@@ -214,6 +216,51 @@ def test_halves_with_different_times_are_refused(queue):
     with pytest.raises(InputError, match="different time_from_start"):
         queue.offer_postures(postures(0, (100, 200, 400)), 0)
     assert queue.select(50 * MS) is None
+
+
+def whole(stamp_ms: float, ends_ms: tuple[float, ...] = (100, 200, 300), value: float = 0.0) -> References:
+    first, second = poses(stamp_ms, ends_ms, value), postures(stamp_ms, ends_ms, value)
+    return References(first.stamp_ns, first.ends_ns, first.positions, first.rotations, second.postures)
+
+
+class TestWholePlans:
+    @given(st.integers(-100, 1000), st.lists(st.integers(1, 100), min_size=1, max_size=5))
+    def test_a_knot_is_in_force_from_the_end_of_the_one_before_it_to_its_own(self, elapsed, durations):
+        ends = tuple(np.cumsum(durations).tolist())
+        references = whole(50, ends)
+        assert references.expiry_ns == (50 + ends[-1]) * MS
+        expected = next((knot for knot, end in enumerate(ends) if elapsed < end), len(ends) - 1)
+        reference = references.at((50 + elapsed) * MS)
+        assert reference.position[0] == expected
+        assert (reference.posture == expected).all()
+        np.testing.assert_array_equal(reference.rotation, np.eye(3))
+
+    @given(st.integers(-50, 400))
+    def test_offering_both_halves_at_once_is_offering_one_after_the_other(self, now):
+        at_once, halves = ReferenceQueue(ARM.n, LEAD), ReferenceQueue(ARM.n, LEAD)
+        at_once.offer(whole(0), 0)
+        offer(halves, 0, 0)
+        assert selected(at_once, now) == selected(halves, now)
+        assert at_once.accepted == halves.accepted == 1
+
+    @pytest.mark.parametrize(
+        ("references", "now_ms", "match"),
+        [
+            (whole(1500), 0, r"header\.stamp.*1\.500 s in the future"),
+            (whole(0), 301, "last knot ended"),
+            (whole(0, (100, 50)), 0, "strictly increasing"),
+            (whole(0, ()), 0, "0 points with 0 times"),
+            (dataclasses.replace(whole(0), postures=np.zeros((3, ARM.n - 1))), 0, "finite angles"),
+            (dataclasses.replace(whole(0), postures=np.full((3, ARM.n), math.nan)), 0, "finite angles"),
+            (dataclasses.replace(whole(0), positions=np.full((3, 3), math.inf)), 0, "non-finite"),
+        ],
+    )
+    def test_what_a_half_would_be_refused_for_the_whole_is(self, queue, references, now_ms, match):
+        offer(queue, 0, 0, value=10.0)
+        with pytest.raises(InputError, match=match):
+            queue.offer(references, now_ms * MS)
+        assert queue.accepted == 1
+        assert selected(queue, 0) == 10.0
 
 
 shares = st.floats(0.0, 1.0)

@@ -3,20 +3,20 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST, mobility
+from arm_simulation import ARM, HOME, REST, mobility
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import solve_bounded
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.robot.mjcf import build_mjcf
-from contact_reach_ros.robot.model import RobotModel
 
 FLOOR = ImpedanceSettings().singularity_floor
 
 SINGULAR = {
-    "stretched upwards": np.zeros(7),
+    "stretched upwards": np.zeros(ARM.n),
     "stretched forwards": np.array([0.0, np.pi / 4, 0.0, 0.0, 0.0, np.pi / 4, 0.0]),
     "shoulder": np.array([0.3, 0.0, np.pi / 2, -1.2, 0.4, 0.8, 0.1]),
     "wrist": np.array([0.3, 0.6, 0.2, -1.2, np.pi / 2, 0.0, 0.1]),
@@ -93,7 +93,7 @@ def singular(request) -> np.ndarray:
 
 def pulled_reference(model: RobotModel, q: np.ndarray) -> Reference:
     """1 cm and some posture away from the pose at `q`."""
-    position, rotation = model.flange_pose(q)
+    position, rotation = model.tip_pose(q)
     return Reference(position + np.array([0.006, 0.005, -0.006]), rotation, q + 0.2)
 
 
@@ -109,14 +109,14 @@ def largest_torque(model: RobotModel, law: ImpedanceLaw, q: np.ndarray, v: np.nd
 
 
 def test_torques_are_bounded_at_and_beside_a_singularity(singular):
-    model, law, random = RobotModel(), ImpedanceLaw(ImpedanceSettings()), np.random.default_rng(0)
+    model, law, random = RobotModel(ARM), ImpedanceLaw(ARM, ImpedanceSettings()), np.random.default_rng(0)
     reference = pulled_reference(model, singular)
-    v = 0.1 * random.standard_normal(7)
+    v = 0.1 * random.standard_normal(ARM.n)
     at = torque_at(model, law, singular, v, reference)
     bound = largest_torque(model, law, singular, v, reference)
     assert np.linalg.norm(at) <= bound
     for _ in range(50):
-        direction = random.standard_normal(7)
+        direction = random.standard_normal(ARM.n)
         beside = singular + 1e-3 * direction / np.linalg.norm(direction)
         torque = torque_at(model, law, beside, v, reference)
         assert np.linalg.norm(torque) <= 1.1 * bound
@@ -124,8 +124,8 @@ def test_torques_are_bounded_at_and_beside_a_singularity(singular):
 
 
 def test_torques_change_smoothly_along_a_path_through_a_singularity(singular):
-    model, law, random = RobotModel(), ImpedanceLaw(ImpedanceSettings()), np.random.default_rng(1)
-    direction, v = random.standard_normal(7), 0.1 * random.standard_normal(7)
+    model, law, random = RobotModel(ARM), ImpedanceLaw(ARM, ImpedanceSettings()), np.random.default_rng(1)
+    direction, v = random.standard_normal(ARM.n), 0.1 * random.standard_normal(ARM.n)
     direction /= np.linalg.norm(direction)
     reference = pulled_reference(model, singular)
 
@@ -140,28 +140,28 @@ def test_torques_change_smoothly_along_a_path_through_a_singularity(singular):
 
 
 def test_chosen_poses_are_singular(singular):
-    assert smallest_mobility(RobotModel(), singular) < 1e-12
+    assert smallest_mobility(RobotModel(ARM), singular) < 1e-12
 
 
 def final_error(start: np.ndarray, reference: Reference, floor: float) -> tuple[float, float]:
     """Distance to the reference, m, and joint speed, rad/s, after 2 s in MuJoCo."""
-    simulated = mujoco.MjModel.from_xml_string(build_mjcf())
+    simulated = mujoco.MjModel.from_xml_string(build_mjcf(ARM))
     data = mujoco.MjData(simulated)
     data.qpos[:] = start
-    model, law = RobotModel(), ImpedanceLaw(ImpedanceSettings(singularity_floor=floor))
+    model, law = RobotModel(ARM), ImpedanceLaw(ARM, ImpedanceSettings(singularity_floor=floor))
     for _ in range(2000):
         data.ctrl[:] = torque_at(model, law, data.qpos.copy(), data.qvel.copy(), reference) + model.bias
         mujoco.mj_step(simulated, data)
-    return float(np.linalg.norm(model.flange_pose(data.qpos)[0] - reference.position)), float(np.abs(data.qvel).max())
+    return float(np.linalg.norm(model.tip_pose(data.qpos)[0] - reference.position)), float(np.abs(data.qvel).max())
 
 
 @pytest.mark.parametrize(("elbow", "cost"), [(-0.6, 1e-5), (-0.4, 1e-3), (-0.3, 4e-3), (0.0, 11e-3)])
 def test_bounding_costs_little_task_error(elbow, cost):
     # The arm is asked to reach 1 cm further out, in a posture that it does not have; from -0.2 on it cannot get there.
-    model = RobotModel()
+    model = RobotModel(ARM)
     start = HOME.copy()
     start[3] = elbow
-    position, rotation = model.flange_pose(start)
+    position, rotation = model.tip_pose(start)
     outwards = position - (0.0, 0.0, 0.36)
     outwards *= 0.01 / np.linalg.norm(outwards)
     posture = start + np.array([0.2, 0.2, 0.2, -0.2, 0.2, 0.2, 0.2])

@@ -1,14 +1,24 @@
 """What keeps the joints below their speed limits."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from arm_simulation import POSITION_LIMITS, TICK_NS, VELOCITY_LIMITS, ClosedLoop, ideal_plant, offer_plan
+from arm_simulation import (
+    ARM,
+    POSITION_LIMITS,
+    TICK_NS,
+    UNWATCHED,
+    VELOCITY_LIMITS,
+    ClosedLoop,
+    ideal_plant,
+    offer_plan,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.control.constants import make_constants, torque_rates
-from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.kernels import (
     Constant,
     keep_speed,
@@ -19,19 +29,19 @@ from contact_reach_ros.control.kernels import (
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.settings import LimitSettings
 
-torques = st.lists(st.floats(-1e4, 1e4), min_size=7, max_size=7).map(np.array)
-speed_shares = st.lists(st.floats(-1.2, 1.2), min_size=7, max_size=7).map(np.array)
+torques = st.lists(st.floats(-1e4, 1e4), min_size=ARM.n, max_size=ARM.n).map(np.array)
+speed_shares = st.lists(st.floats(-1.2, 1.2), min_size=ARM.n, max_size=ARM.n).map(np.array)
 
 
 class TestSpeedLimiter:
     MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
     INVERSE = np.linalg.inv(MASS)
     LIMITS = LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
-    CONSTANTS = make_constants(limits=LIMITS)
+    CONSTANTS = make_constants(ARM, limits=LIMITS)
     CEILING = 0.8 * VELOCITY_LIMITS
 
     def permitted(self, left: np.ndarray) -> np.ndarray:
-        return np.array([permitted_acceleration(self.CONSTANTS, i, left[i], self.INVERSE) for i in range(7)])
+        return np.array([permitted_acceleration(self.CONSTANTS, i, left[i], self.INVERSE) for i in range(ARM.n)])
 
     def bounds(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest acceleration of each joint (7,), rad/s²; of a joint that is too fast, its braking."""
@@ -47,19 +57,19 @@ class TestSpeedLimiter:
         v = 0.1 * VELOCITY_LIMITS
         v[2] = side * 0.7 * VELOCITY_LIMITS[2]
         braked = self.INVERSE @ null_brake(self.CONSTANTS, v, self.MASS)
-        expected = np.zeros(7)
+        expected = np.zeros(ARM.n)
         expected[2] = -side * 100.0 * 0.3 * VELOCITY_LIMITS[2]
         np.testing.assert_allclose(braked, expected, rtol=0, atol=1e-9)
 
     def test_near_the_limit_acceleration_is_in_proportion_to_what_is_left(self):
         for left in (-0.5, -0.01, 0.0, 0.01):
-            np.testing.assert_allclose(self.permitted(np.full(7, left)), 100.0 * left, rtol=1e-12)
+            np.testing.assert_allclose(self.permitted(np.full(ARM.n, left)), 100.0 * left, rtol=1e-12)
 
     @pytest.mark.parametrize("left", [0.1, 1.0, 4.0])
     def test_a_permitted_acceleration_can_be_ended_in_time(self, left):
         """With what a joint's own torque can do at its greatest rate, and the others' doing nothing."""
-        jerk = torque_rates(self.LIMITS) * np.diag(self.INVERSE)
-        left = np.full(7, left)
+        jerk = torque_rates(ARM, self.LIMITS) * np.diag(self.INVERSE)
+        left = np.full(ARM.n, left)
         acceleration = self.permitted(left)
         for _ in range(20000):
             acceleration = np.maximum(self.permitted(left), acceleration - 1e-4 * jerk)
@@ -78,14 +88,15 @@ class TestSpeedLimiter:
 
     @given(speed_shares, torques, torques)
     def test_after_the_torque_limits_each_joint_brakes_by_its_own_torque(self, shares, previous, wish):
-        v, cap, step = shares * VELOCITY_LIMITS, self.CONSTANTS[Constant.TORQUE_CAP], torque_rates(self.LIMITS) * 1e-3
+        v, step = shares * VELOCITY_LIMITS, torque_rates(ARM, self.LIMITS) * 1e-3
+        cap = self.CONSTANTS[Constant.TORQUE_CAP]
         previous = np.clip(previous, -cap, cap)
         before = np.clip(np.clip(wish, previous - step, previous + step), -cap, cap)
         after = before.copy()
         keep_speed(self.CONSTANTS, v, self.INVERSE, before, after, previous, 1e-3)
         assert (np.abs(after) <= cap).all() and (np.abs(after - previous) <= step + 1e-9).all()
         least, most = self.bounds(v)
-        for i in range(7):
+        for i in range(ARM.n):
             # Those before it have been mended, those after it have not.
             acceleration = self.INVERSE @ np.concatenate([after[: i + 1], before[i + 1 :]])
             at_its_least = after[i] <= max(previous[i] - step[i], -cap[i]) + 1e-9
@@ -114,7 +125,7 @@ def pulled(kind: str, settings: LimitSettings) -> tuple[ClosedLoop, float, float
 
     The references move with the flange and stay far ahead of the posture, or stay far ahead of the flange.
     """
-    loop = ClosedLoop(ideal_plant(), ControllerSettings(limits=settings))
+    loop = ClosedLoop(ideal_plant(), dataclasses.replace(UNWATCHED, limits=settings))
     start = loop.reference()
     fastest = farthest = 0.0
 

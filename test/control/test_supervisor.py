@@ -1,24 +1,25 @@
 """The state machine: what its table allows, and what stops the arm."""
 
+import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST
+from arm_simulation import ARM, HOME, REST
 
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.stop_reasons import Verdict
 
 SETTINGS = SupervisionSettings()
-LIMITS = np.array(iiwa14.VELOCITY_LIMITS)
+LIMITS = np.array(ARM.velocity_limits)
 
 
 @pytest.fixture
 def supervisor() -> Supervisor:
-    made = Supervisor(SETTINGS)
+    made = Supervisor(ARM, SETTINGS)
     made.happens(Event.START)
     return made
 
@@ -40,7 +41,7 @@ def test_every_state_can_be_stopped_and_only_reset_leads_out():
 
 
 def test_events_that_do_not_belong_to_a_state_change_nothing():
-    supervisor = Supervisor(SETTINGS)
+    supervisor = Supervisor(ARM, SETTINGS)
     for event in (Event.PLAN, Event.PLAN_ENDED, Event.RESET):
         assert not supervisor.happens(event)
         assert supervisor.mode is Mode.WAITING
@@ -57,16 +58,16 @@ class TestStopThatBringsNoRest:
     """Nothing is commanded any more, and the reason tells both stories."""
 
     MS = 1_000_000
-    SLOW = np.eye(7)[4] * 2.0 * SETTINGS.reset_velocity
+    SLOW = np.eye(ARM.n)[4] * 2.0 * SETTINGS.reset_velocity
 
     @pytest.fixture
     def stopped(self, supervisor) -> Supervisor:
         supervisor.stop("pushed")
         return supervisor
 
-    def watch(self, supervisor, v, first_ms, last_ms):
+    def watch(self, supervisor, v, first_ms, last_ms, q=HOME):
         for ms in range(first_ms, last_ms + 1):
-            supervisor.watch_stop(v, ms * self.MS)
+            supervisor.watch_stop(q, v, ms * self.MS)
 
     def test_an_arm_that_is_not_at_rest_in_time(self, stopped):
         due = round(1000 * SETTINGS.rest_within)
@@ -84,16 +85,18 @@ class TestStopThatBringsNoRest:
 
     def test_an_arm_that_rested_may_be_moved_by_hand_but_not_fast(self, stopped):
         self.watch(stopped, REST, 0, 600)
-        self.watch(stopped, SETTINGS.stop_speed_gain * np.eye(7)[1], 601, 2000)
+        self.watch(stopped, SETTINGS.stop_speed_gain * np.eye(ARM.n)[1], 601, 1800)
         assert stopped.mode is Mode.STOPPED
-        self.watch(stopped, -1.01 * SETTINGS.stop_speed_gain * np.eye(7)[1], 2001, 2000 + SETTINGS.velocity_debounce)
+        self.watch(
+            stopped, -1.01 * SETTINGS.stop_speed_gain * np.eye(ARM.n)[1], 1801, 1800 + SETTINGS.velocity_debounce
+        )
         assert stopped.mode is Mode.SILENT
         assert "in the stop lbr_A2 got faster" in stopped.stop_reason
 
     def test_an_arm_that_slows_down_is_left_to_the_compliant_stop(self, stopped):
         for ms in range(400):
-            stopped.watch_stop(np.full(7, 1.0 - ms / 400), ms * self.MS)
-        self.watch(stopped, REST, 400, 3000)
+            stopped.watch_stop(HOME, np.full(ARM.n, 1.0 - ms / 400), ms * self.MS)
+        self.watch(stopped, REST, 400, 2300)
         assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
 
     def test_each_stop_has_its_own_time(self, stopped):
@@ -104,22 +107,91 @@ class TestStopThatBringsNoRest:
         assert stopped.mode is Mode.STOPPED
 
     def test_joint_states_that_the_observer_distrusts(self, supervisor):
-        supervisor.observer_report("too much torque", 0)
+        supervisor.hear_observer(Verdict("too much torque"), 0)
         assert supervisor.mode is Mode.STOPPED
-        supervisor.observer_report("too much torque", 1, "encoder stuck")
+        supervisor.hear_observer(Verdict("too much torque", "encoder stuck"), 1)
         assert supervisor.mode is Mode.SILENT
         assert supervisor.stop_reason.startswith("too much torque; encoder stuck; nothing is commanded")
-        moving = Supervisor(SETTINGS)
+        moving = Supervisor(ARM, SETTINGS)
         moving.happens(Event.START)
-        moving.observer_report("encoder stuck", 0, "encoder stuck")
+        moving.hear_observer(Verdict("encoder stuck", "encoder stuck"), 0)
         assert moving.mode is Mode.SILENT
         assert moving.stop_reason.startswith("encoder stuck; nothing is commanded")
 
 
-@pytest.mark.parametrize("joint", range(7))
+class TestRest:
+    """A stop ends in the drive's brakes: soon after the arm has come to rest, at once when it creeps."""
+
+    MS = 1_000_000
+    RATE = 0.8 * SETTINGS.reset_velocity
+
+    def stopped(self, **settings) -> Supervisor:
+        made = Supervisor(ARM, SupervisionSettings(**settings))
+        made.happens(Event.START)
+        made.stop("pushed")
+        return made
+
+    def creep(self, supervisor, joint, last_ms):
+        """Let a joint move by less than the speed of rest; returns how far it is when the stop is given up, rad."""
+        direction = np.eye(ARM.n)[joint]
+        for ms in range(last_ms):
+            moved = self.RATE * ms / 1000
+            supervisor.watch_stop(HOME + moved * direction, self.RATE * direction, ms * self.MS)
+            if supervisor.mode is Mode.SILENT or "crept" in supervisor.stop_reason:
+                return moved
+        return math.inf
+
+    def test_the_brakes_get_the_arm_once_it_has_rested(self):
+        supervisor, due = self.stopped(), round(1000 * SETTINGS.brake_after)
+        for ms in range(300):
+            supervisor.watch_stop(HOME, np.full(ARM.n, 0.3), ms * self.MS)
+        for ms in range(300, 300 + due):
+            supervisor.watch_stop(HOME, REST, ms * self.MS)
+        assert supervisor.mode is Mode.STOPPED
+        supervisor.watch_stop(HOME, REST, (300 + due) * self.MS)
+        assert (supervisor.mode, supervisor.stop_reason) == (Mode.SILENT, "pushed")
+        assert supervisor.happens(Event.RESET)
+        assert supervisor.mode is Mode.HOLDING
+
+    @pytest.mark.parametrize("joint", range(ARM.n))
+    def test_a_joint_that_creeps_has_them_at_once(self, joint):
+        supervisor = self.stopped()
+        assert SETTINGS.stop_creep < self.creep(supervisor, joint, 2000) <= SETTINGS.stop_creep + 1e-4
+        assert supervisor.mode is Mode.SILENT
+        expected = (
+            f"pushed; {ARM.joint_names[joint]} has crept by 0.010 rad since it came to rest; nothing is commanded"
+        )
+        assert supervisor.stop_reason.startswith(expected)
+
+    def test_an_arm_that_is_moved_by_hand_does_not_creep(self):
+        supervisor, by_hand = self.stopped(), 4 * SETTINGS.reset_velocity
+        for ms in range(1500):
+            moves = 600 <= ms < 1000
+            moved = by_hand * (min(max(ms, 600), 1000) - 600) / 1000
+            supervisor.watch_stop(HOME + moved, by_hand * moves * np.ones(ARM.n), ms * self.MS)
+        assert (supervisor.mode, supervisor.stop_reason) == (Mode.STOPPED, "pushed")
+
+    def test_a_drive_without_brakes_is_never_left_alone(self):
+        resting, creeping, moving = (self.stopped(drive_brakes=False) for _ in range(3))
+        for ms in range(5000):
+            resting.watch_stop(HOME, REST, ms * self.MS)
+            moving.watch_stop(HOME, np.full(ARM.n, 0.3), ms * self.MS)
+        self.creep(creeping, 2, 2000)
+        assert {one.mode for one in (resting, creeping, moving)} == {Mode.STOPPED}
+        assert resting.stop_reason == "pushed"
+        assert "lbr_A3 has crept by 0.010 rad" in creeping.stop_reason and "support the arm" in creeping.stop_reason
+        assert "still moves with 0.30 rad/s" in moving.stop_reason and "support the arm" in moving.stop_reason
+
+    def test_joint_states_that_are_distrusted_end_all_commands_even_without_brakes(self):
+        supervisor = self.stopped(drive_brakes=False)
+        supervisor.hear_observer(Verdict("encoder stuck", "encoder stuck"), 0)
+        assert supervisor.mode is Mode.SILENT
+
+
+@pytest.mark.parametrize("joint", range(ARM.n))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_joint_that_is_too_fast_for_some_states_in_a_row_stops_the_arm(supervisor, joint, side):
-    fast = np.where(np.arange(7) == joint, side * 1.01 * LIMITS, 0.0)
+    fast = np.where(np.arange(ARM.n) == joint, side * 1.01 * LIMITS, 0.0)
     for _ in range(SETTINGS.velocity_debounce - 1):
         supervisor.watch_joints(HOME, fast)
     supervisor.watch_joints(HOME, REST)
@@ -128,8 +200,47 @@ def test_a_joint_that_is_too_fast_for_some_states_in_a_row_stops_the_arm(supervi
     assert supervisor.mode is Mode.HOLDING
     supervisor.watch_joints(HOME, fast)
     assert supervisor.mode is Mode.STOPPED
-    name, speed = iiwa14.JOINT_NAMES[joint], 1.01 * LIMITS[joint]
+    name, speed = ARM.joint_names[joint], 1.01 * LIMITS[joint]
     assert supervisor.stop_reason == f"{name} moves with {speed:.2f} rad/s, permitted {LIMITS[joint]:.2f} rad/s"
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.005, 0.01])
+@pytest.mark.parametrize("debounce", [1, 3, 20, 100])
+def test_the_debounce_lasts_as_long_at_every_rate(period, debounce):
+    made = Supervisor(ARM, SupervisionSettings(velocity_debounce=debounce), period)
+    made.happens(Event.START)
+    fast, states = np.where(np.arange(ARM.n) == 2, 1.01 * LIMITS, 0.0), 0
+    while not made.stopped:
+        made.watch_joints(HOME, fast)
+        states += 1
+    least = min(debounce, 2)
+    assert states >= least
+    assert states == least or abs(1000 * period * states - debounce) <= 1000 * period / 2
+
+
+@pytest.mark.parametrize("period", [0.001, 0.005])
+def test_a_controller_that_was_held_up_itself_blames_the_observer_only_after_another_timeout(period):
+    pause_ns, timeout_ns = 200_000_000, round(1e9 * SETTINGS.observer_timeout)
+    made = Supervisor(ARM, SETTINGS, period)
+    made.happens(Event.START)
+    made.hear_observer(Verdict(), 0)
+    made.watch_observer(0)
+    made.watch_observer(pause_ns)
+    assert not made.stopped
+    step_ns = round(1e9 * period)
+    for elapsed_ns in range(step_ns, timeout_ns + step_ns, step_ns):
+        made.watch_observer(pause_ns + elapsed_ns)
+    assert not made.stopped
+    made.watch_observer(pause_ns + timeout_ns + step_ns)
+    assert made.stop_reason.startswith("observer silent for ")
+
+
+@pytest.mark.parametrize("speed", [0.06, -0.06, math.nan])
+def test_reset_of_a_moving_arm_is_refused(supervisor, speed):
+    supervisor.stop("test")
+    with pytest.raises(InputError):
+        supervisor.check_reset(HOME, speed * np.eye(ARM.n)[4], 0)
+    assert supervisor.mode is Mode.STOPPED
 
 
 def test_speeds_up_to_the_limit_are_permitted(supervisor):
@@ -138,15 +249,15 @@ def test_speeds_up_to_the_limit_are_permitted(supervisor):
     assert supervisor.mode is Mode.HOLDING
 
 
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", range(ARM.n))
 def test_a_joint_beyond_its_position_limit_stops_the_arm_and_keeps_it_stopped(supervisor, joint):
-    limit = iiwa14.POSITION_LIMITS[joint]
+    limit = ARM.upper[joint]
     q = HOME.copy()
     q[joint] = -limit + 1e-6
     supervisor.watch_joints(q, REST)
     assert supervisor.mode is Mode.HOLDING
     q[joint] = -limit - 1e-3
     supervisor.watch_joints(q, REST)
-    assert f"{iiwa14.JOINT_NAMES[joint]} at {q[joint]:.3f} rad is beyond its position limit" in supervisor.stop_reason
+    assert f"{ARM.joint_names[joint]} at {q[joint]:.3f} rad is beyond its position limit" in supervisor.stop_reason
     with pytest.raises(InputError, match="beyond the position limit; move the arm back by hand"):
         supervisor.check_reset(q, REST, 0)

@@ -2,47 +2,47 @@
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.doctor.arm import JointRecord, clock_skew, driver_rate, gravity, joint_names
 from contact_reach_ros.doctor.findings import Verdict
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
 
-BUDGET = ContactBudget()
-HOME = np.array(iiwa14.HOME_POSITION)
+BUDGET = ContactBudget().resolve(ARM)
+HOME = np.array(ARM.home)
 START_NS = 1_700_000_000_000_000_000
 TICK_NS = 1_000_000
 
 
 @pytest.fixture(scope="module")
 def model():
-    return RobotModel()
+    return RobotModel(ARM)
 
 
 def record(count=1000, **changes):
     """One second of an arm at rest whose torques are not known."""
     stamps = START_NS + TICK_NS * np.arange(count)
     values = {
-        "names": (iiwa14.JOINT_NAMES,),
+        "names": (ARM.joint_names,),
         "stamps_ns": stamps,
         "received_ns": stamps + 300_000,
         "position": np.tile(HOME, (count, 1)),
-        "velocity": np.zeros((count, 7)),
-        "effort": np.full((count, 7), np.nan),
+        "velocity": np.zeros((count, ARM.n)),
+        "effort": np.full((count, ARM.n), np.nan),
     }
     return JointRecord(**{**values, **changes})
 
 
 def test_the_right_names_pass_with_others_beside_them():
-    assert joint_names(record()).verdict is Verdict.PASS
-    finding = joint_names(record(names=((*iiwa14.JOINT_NAMES, "gripper"),)))
+    assert joint_names(record(), ARM).verdict is Verdict.PASS
+    finding = joint_names(record(names=((*ARM.joint_names, "gripper"),)), ARM)
     assert finding.verdict is Verdict.PASS and "gripper" in finding.found
 
 
 def test_missing_names_are_named():
     names = (*(f"iiwa_A{number}" for number in range(1, 7)), "lbr_A7")
-    finding = joint_names(record(names=(names,)))
+    finding = joint_names(record(names=(names,)), ARM)
     assert finding.verdict is Verdict.FAIL
     assert "lbr_A1" in finding.found and "lbr_A7" not in finding.found.partition(";")[0] and "prefix" in finding.fix
 
@@ -52,14 +52,14 @@ SWAPPED = ("lbr_A1", "lbr_A2", "lbr_A4", "lbr_A3", "lbr_A5", "lbr_A6", "lbr_A7")
 
 def test_another_order_fails_unless_the_commands_are_known_to_be_in_order():
     swapped = record(names=(SWAPPED,))
-    assert joint_names(swapped).verdict is Verdict.FAIL
-    assert joint_names(swapped, iiwa14.JOINT_NAMES).verdict is Verdict.PASS
-    finding = joint_names(record(), SWAPPED)
+    assert joint_names(swapped, ARM).verdict is Verdict.FAIL
+    assert joint_names(swapped, ARM, ARM.joint_names).verdict is Verdict.PASS
+    finding = joint_names(record(), ARM, SWAPPED)
     assert finding.verdict is Verdict.FAIL and ", ".join(SWAPPED) in finding.found
 
 
 def test_one_of_two_drivers_with_another_order_is_seen():
-    assert joint_names(record(names=(iiwa14.JOINT_NAMES, SWAPPED))).verdict is Verdict.FAIL
+    assert joint_names(record(names=(ARM.joint_names, SWAPPED)), ARM).verdict is Verdict.FAIL
 
 
 def at_rate(rate):
@@ -67,10 +67,22 @@ def at_rate(rate):
     return record(int(rate), stamps_ns=stamps, received_ns=stamps + 200_000)
 
 
-@pytest.mark.parametrize(("rate", "verdict"), [(1000, "pass"), (995, "pass"), (960, "warn"), (500, "fail")])
-def test_rate(rate, verdict):
-    finding = driver_rate(at_rate(rate), simulated_time=False)
+@pytest.mark.parametrize(
+    ("rate", "nominal", "verdict", "consequence"),
+    [
+        (1000, 1000.0, "pass", ""),
+        (995, 1000.0, "pass", ""),
+        (960, 1000.0, "warn", ""),
+        (800, 1000.0, "fail", "noticed that much later"),
+        (500, 1000.0, "fail", "the arm, which is not started"),
+        (500, 500.0, "pass", ""),
+        (1000, 800.0, "fail", "false stops"),
+    ],
+)
+def test_rate(rate, nominal, verdict, consequence):
+    finding = driver_rate(at_rate(rate), False, nominal)
     assert finding.verdict.value == verdict
+    assert consequence in finding.found and ("the nodes count on" in finding.found) == bool(consequence)
     assert finding.values["rate_hz"] == pytest.approx(rate, rel=0.01)
     assert finding.values["stamp_jitter_us"] < 1.0
 
@@ -78,24 +90,28 @@ def test_rate(rate, verdict):
 def test_a_long_gap_is_a_warning():
     stamps = START_NS + TICK_NS * np.arange(10_000)
     stamps[5000:] += 30 * TICK_NS
-    finding = driver_rate(record(10_000, stamps_ns=stamps, received_ns=stamps), simulated_time=False)
+    finding = driver_rate(record(10_000, stamps_ns=stamps, received_ns=stamps), False, 1000.0)
     assert finding.verdict is Verdict.WARN and finding.values["longest_gap_us"] == pytest.approx(31_000)
 
 
 def test_stamps_that_go_back_fail():
     stamps = record().stamps_ns.copy()
     stamps[500] = stamps[400]
-    assert driver_rate(record(stamps_ns=stamps), simulated_time=False).verdict is Verdict.FAIL
+    assert driver_rate(record(stamps_ns=stamps), False, 1000.0).verdict is Verdict.FAIL
 
 
 def test_simulated_time_may_run_at_any_speed_but_not_skip():
     slow = record(received_ns=START_NS + 7 * TICK_NS * np.arange(1000))
-    assert driver_rate(slow, simulated_time=True).verdict is Verdict.PASS
+    assert driver_rate(slow, True, 1000.0).verdict is Verdict.PASS
     coarse = record(stamps_ns=START_NS + 4 * TICK_NS * np.arange(1000))
-    assert driver_rate(coarse, simulated_time=True).verdict is Verdict.FAIL
+    finding = driver_rate(coarse, True, 1000.0)
+    assert finding.verdict is Verdict.FAIL and "not started" in finding.found
+    assert driver_rate(coarse, True, 250.0).verdict is Verdict.PASS
 
 
-@pytest.mark.parametrize("checked", [lambda empty: driver_rate(empty, False), lambda empty: clock_skew(empty, None)])
+@pytest.mark.parametrize(
+    "checked", [lambda empty: driver_rate(empty, False, 1000.0), lambda empty: clock_skew(empty, None)]
+)
 def test_silence_fails(checked):
     assert checked(record(0, names=())).verdict is Verdict.FAIL
 
@@ -155,6 +171,6 @@ def test_closed_brakes_and_motion_are_not_compared(model):
 
 
 def test_states_from_before_the_brakes_opened_are_left_out(model):
-    efforts = with_torque(model, np.zeros(7)).effort.copy()
+    efforts = with_torque(model, np.zeros(ARM.n)).effort.copy()
     efforts[:400] = np.nan
     assert gravity(record(effort=efforts), model, BUDGET).verdict is Verdict.PASS

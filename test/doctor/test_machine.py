@@ -1,36 +1,65 @@
 """Checks of the machine and its software, and how findings are reported."""
 
 import json
-import shutil
 import subprocess
 import sys
 
 import pytest
 from rich.console import Console
 
-from contact_reach_ros.doctor import jitter, machine, software
-from contact_reach_ros.doctor.findings import Check, Verdict, failed, passed, warned
-from contact_reach_ros.doctor.jitter import timer_jitter
-from contact_reach_ros.doctor.planner import planner_speed
-from contact_reach_ros.doctor.report import exit_code, print_table, write_json
+from contact_reach_ros.doctor import machine, software
+from contact_reach_ros.doctor.findings import (
+    Verdict,
+    check,
+    exit_code,
+    failed,
+    graded,
+    passed,
+    print_table,
+    warned,
+    write_json,
+)
+from contact_reach_ros.doctor.machine import timer_jitter
+from contact_reach_ros.errors import InputError
 
 
-def test_a_check_that_breaks_has_failed():
-    def breaks():
-        raise RuntimeError("no such thing")
+@pytest.mark.parametrize("error", [InputError("no such thing"), FileNotFoundError("no such thing")])
+def test_a_check_that_meets_an_error_has_failed(error):
+    def meets():
+        raise error
 
-    (finding,) = Check("thing", breaks).run()
+    finding = check("thing")(meets)()
     assert finding.verdict is Verdict.FAIL and finding.name == "thing"
-    assert "RuntimeError: no such thing" in finding.found and finding.fix
+    assert "no such thing" in finding.found and finding.fix
+
+
+def test_a_fault_of_a_check_is_no_finding():
+    def broken():
+        raise RuntimeError("a bug")
+
+    with pytest.raises(RuntimeError, match="a bug"):
+        check("thing")(broken)()
 
 
 def test_only_failures_make_the_exit_code():
-    assert exit_code({"part": [passed("a", "good"), warned("b", "so so", "better it")]}) == 0
-    assert exit_code({"part": [passed("a", "good")], "other": [failed("b", "bad", "mend it")]}) == 1
+    assert exit_code({"part": [passed("good"), warned("so so", "better it")]}) == 0
+    assert exit_code({"part": [passed("good")], "other": [failed("bad", "mend it")]}) == 1
+
+
+@pytest.mark.parametrize(
+    ("conditions", "verdict"),
+    [({}, "pass"), ({"warn": True}, "warn"), ({"fail": True}, "fail"), ({"warn": True, "fail": True}, "fail")],
+)
+def test_only_a_finding_that_passes_has_no_fix(conditions, verdict):
+    finding = graded("found", "mend it", **conditions, number=3)
+    assert finding.verdict.value == verdict and finding.values == {"number": 3}
+    assert bool(finding.fix) == (verdict != "pass")
 
 
 def test_report(tmp_path, capsys):
-    report = {"part": [passed("a", "good [0, 1]", number=3.0), failed("b", "bad", "mend it")]}
+    good = check(lambda part: part)(lambda part: passed("good [0, 1]", number=3.0))
+    bad = check("b")(lambda: failed("bad", "mend it"))
+    report = {"part": [good("a"), bad()]}
     print_table(report, Console(width=80))
     printed = capsys.readouterr().out
     assert "good [0, 1]" in printed and "fix: mend it" in printed and "1 pass, 0 warn, 1 fail" in printed
@@ -51,7 +80,7 @@ def test_refused_priority_names_the_limit_to_raise(monkeypatch):
     monkeypatch.setattr(machine.os, "sched_setscheduler", refuse)
     monkeypatch.setattr(machine, "_CONTAINERS", ())
     finding = machine.realtime_permission()
-    assert finding.verdict is Verdict.WARN and "rtprio 90" in finding.fix
+    assert finding.verdict is Verdict.WARN and "rtprio 90" in finding.fix and "memlock" in finding.fix
     assert timer_jitter(0.02).values["realtime"] is False
 
 
@@ -62,88 +91,44 @@ def test_granted_priority_passes_and_stays_with_its_thread(monkeypatch):
     assert machine.os.sched_getscheduler(0) == policy
 
 
-@pytest.mark.parametrize(("limit", "verdict"), [(8 * 2**20, "warn"), (64 * 2**30, "pass"), (-1, "pass")])
-def test_memory_lock(monkeypatch, limit, verdict):
-    monkeypatch.setattr(machine, "_capable", lambda _: False)
-    monkeypatch.setattr(machine.resource, "getrlimit", lambda _: (limit, limit))
-    finding = machine.memory_lock()
-    assert finding.verdict.value == verdict
-    assert verdict == "pass" or "memlock unlimited" in finding.fix
+@pytest.mark.parametrize(
+    ("cores", "load", "isolated", "verdict", "fix"),
+    [
+        (8, 1.0, set(), "pass", ""),
+        (8, 9.0, set(), "warn", "top"),
+        (2, 1.0, set(), "warn", "docs/realtime.md"),
+        (2, 1.0, {1}, "pass", ""),
+    ],
+)
+def test_processors(monkeypatch, cores, load, isolated, verdict, fix):
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: set(range(cores)))
+    monkeypatch.setattr(machine.os, "getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr(machine, "isolated_cpus", lambda: isolated)
+    finding = machine.processors()
+    assert finding.verdict.value == verdict and fix in finding.fix
 
 
 @pytest.mark.parametrize(
-    ("governors", "verdict"),
-    [([], "pass"), (["performance"] * 2, "pass"), (["performance", "powersave"], "warn"), (["schedutil"] * 2, "warn")],
+    ("governors", "named"),
+    [([], False), (["performance"] * 2, False), (["performance", "powersave"], True), (["schedutil"] * 2, True)],
 )
-def test_frequency_scaling(tmp_path, governors, verdict):
+def test_late_wake_ups_are_put_down_to_the_governor(tmp_path, governors, named):
     for number, governor in enumerate(governors):
         folder = tmp_path / f"cpu{number}" / "cpufreq"
         folder.mkdir(parents=True)
         (folder / "scaling_governor").write_text(f"{governor}\n")
-    finding = machine.frequency_scaling(tmp_path)
-    assert finding.verdict.value == verdict
-    assert verdict == "pass" or "cpupower frequency-set -g performance" in finding.fix
+    fixes = " ".join(machine.late_wake_up_fixes(True, tmp_path))
+    assert ("cpupower frequency-set -g performance" in fixes) == named
 
 
-def test_kernel(tmp_path):
-    assert machine.kernel(tmp_path / "none", "#1 SMP PREEMPT_RT").verdict is Verdict.PASS
-    finding = machine.kernel(tmp_path / "none", "#1 SMP PREEMPT_DYNAMIC")
-    assert finding.verdict is Verdict.WARN and "PREEMPT_RT" in finding.fix
+def test_late_wake_ups_are_put_down_to_the_kernel(tmp_path):
+    def fixes(version: str) -> str:
+        return " ".join(machine.late_wake_up_fixes(True, tmp_path, tmp_path / "realtime", version))
+
+    assert "PREEMPT_RT" not in fixes("#1 SMP PREEMPT_RT")
+    assert "PREEMPT_RT" in fixes("#1 SMP PREEMPT_DYNAMIC")
     (tmp_path / "realtime").write_text("1\n")
-    assert machine.kernel(tmp_path / "realtime", "#1 SMP").verdict is Verdict.PASS
-
-
-@pytest.mark.parametrize(
-    ("runtime", "cores", "verdict"), [(950000, 2, "warn"), (950000, 8, "pass"), (-1, 2, "pass"), (1000000, 1, "pass")]
-)
-def test_realtime_throttling(tmp_path, runtime, cores, verdict):
-    (tmp_path / "sched_rt_runtime_us").write_text(f"{runtime}\n")
-    (tmp_path / "sched_rt_period_us").write_text("1000000\n")
-    finding = machine.realtime_throttling(tmp_path, cores, "6.8.0-generic", tmp_path / "none")
-    assert finding.verdict.value == verdict
-    if verdict == "warn":
-        assert "50 ms in 1000 ms" in finding.found and "kernel.sched_rt_runtime_us=-1" in finding.fix
-
-
-@pytest.mark.parametrize(
-    ("runtimes", "cores", "verdict", "found"),
-    [
-        ([50_000_000, 50_000_000], 2, "warn", "50 ms in 1000 ms"),
-        ([0, 20_000_000], 2, "warn", "20 ms in 1000 ms"),
-        ([50_000_000] * 8, 8, "pass", "8 cores"),
-        ([0, 0], 2, "pass", "off"),
-        ([], 2, "warn", "unless that is changed"),
-    ],
-)
-def test_from_linux_6_12_on_the_fair_servers_count_and_the_sysctl_does_not(tmp_path, runtimes, cores, verdict, found):
-    (tmp_path / "sched_rt_runtime_us").write_text("-1\n")
-    (tmp_path / "sched_rt_period_us").write_text("1000000\n")
-    servers = tmp_path / "fair_server"
-    for number, runtime in enumerate(runtimes):
-        server = servers / f"cpu{number}"
-        server.mkdir(parents=True)
-        (server / "runtime").write_text(f"{runtime}\n")
-        (server / "period").write_text("1000000000\n")
-    finding = machine.realtime_throttling(tmp_path, cores, "6.12.3-rt", servers, set())
-    assert finding.verdict.value == verdict and found in finding.found
-    if verdict == "warn":
-        assert f"{servers}/cpu*/runtime" in finding.fix and "isolcpus=1" in finding.fix
-        # Who has done so is told that it helped, and a single CPU cannot be kept free.
-        assert machine.realtime_throttling(tmp_path, 1, "6.12.3-rt", servers, {1}).verdict is Verdict.PASS
-        assert "isolcpus" not in machine.realtime_throttling(tmp_path, 1, "6.12.3-rt", servers, set()).fix
-
-
-def test_a_system_that_shows_no_throttling(tmp_path):
-    assert machine.realtime_throttling(tmp_path, 2, "6.8.0", tmp_path / "none").verdict is Verdict.PASS
-
-
-@pytest.mark.parametrize(("free", "verdict"), [(500e9, "pass"), (0.5e9, "warn"), (0.05e9, "fail")])
-def test_disk(monkeypatch, tmp_path, free, verdict):
-    usage = shutil.disk_usage(tmp_path)._replace(free=free)
-    monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: usage)
-    finding = machine.disk(tmp_path / "bags" / "not yet there", 1e6)
-    assert finding.verdict.value == verdict
-    assert finding.values["minutes"] == pytest.approx(free / 60e6)
+    assert "PREEMPT_RT" not in fixes("#1 SMP")
 
 
 def test_timer_reports_what_it_measured():
@@ -160,7 +145,7 @@ def test_versions_against_constraints(tmp_path):
     finding = software.python_packages(constraints)
     assert finding.verdict is Verdict.WARN
     assert "mujoco" in finding.found and "tested 0.0.1" in finding.found
-    assert finding.fix == f"pip install -c {constraints} mujoco"
+    assert finding.fix == f"{sys.executable} -m pip install -c {constraints} mujoco"
 
 
 def test_a_missing_package_is_named(monkeypatch):
@@ -170,21 +155,8 @@ def test_a_missing_package_is_named(monkeypatch):
     assert finding.verdict is Verdict.FAIL and "brax" in finding.fix
 
 
-def test_a_planner_that_cannot_start_says_why():
-    finding = planner_speed({"planning.deadline": 1e9})
-    assert finding.verdict is Verdict.FAIL and "deadline" in finding.found
-
-
-def test_a_planner_is_timed():
-    small = {"population": 32, "elite": 8, "line_search_points": 32, "max_steps": 3}
-    parameters = {f"planning.{name}": value for name, value in small.items()} | {"max_spheres": 0}
-    finding = planner_speed({**parameters, "latency": 1000.0})
-    assert finding.verdict is Verdict.PASS and finding.values["spheres"] == 0
-    assert finding.values["compile_s"] > 0.0 and finding.values["solve_ms"] > 0.0
-
-
 def test_the_timer_of_a_process_tells_how_far_it_is():
-    command = [sys.executable, "-m", jitter.__name__, "81"]
+    command = [sys.executable, "-m", machine.__name__, "81"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         first, second = ([int(number) for number in process.stdout.readline().split()] for _ in range(2))
         process.kill()

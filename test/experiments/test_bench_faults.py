@@ -2,19 +2,40 @@
 
 import dataclasses
 import json
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 
 from contact_reach_ros.control.settings import LimitSettings
-from contact_reach_ros.experiments import bench_faults, fault_checks
-from contact_reach_ros.experiments.bench_faults import DRAWS, random_schedule
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments import bench_faults
+from contact_reach_ros.experiments.bench_faults import (
+    DRAWS,
+    fault_setup,
+    random_schedule,
+    run_with_faults,
+    summary,
+    text_of,
+)
 from contact_reach_ros.experiments.episode import EpisodeResult
-from contact_reach_ros.experiments.fault_checks import End, end_of, force_violations, speed_share, torque_violations
-from contact_reach_ros.plant.fault_kinds import KINDS
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.experiments.fault_checks import (
+    BOUNDS,
+    End,
+    bounds_used,
+    end_of,
+    speed_share,
+    violations,
+)
+from contact_reach_ros.simulation.fault_kinds import fault_kinds
+from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+
+NEAREST = (123, 156, 313, 320, 334, 378)
+"""Seeds of `bench faults --seed 100 --episodes 310` whose episodes came nearest to a bound."""
+UNTOLD = {"scene": "free", "planner": "small", "rate": 200, "faults": "push"}
 
 
 def result(ticks: int = 1000, **changes) -> EpisodeResult:
@@ -22,10 +43,9 @@ def result(ticks: int = 1000, **changes) -> EpisodeResult:
         "duration": 1.0,
         "start_position": np.zeros(3),
         "positions": np.zeros((ticks, 3)),
-        "joints": np.zeros((ticks, 7)),
-        "link_forces": np.zeros((ticks, 6)),
-        "external_torques": np.zeros((ticks, 7)),
-        "torques": np.zeros((ticks, 7)),
+        "joints": np.zeros((ticks, ARM.n)),
+        "link_forces": np.zeros((ticks, len(ARM.contact_links))),
+        "external_torques": np.zeros((ticks, ARM.n)),
         "distances": np.zeros(ticks),
         "stop_reason": "",
         "failure": "",
@@ -44,59 +64,85 @@ class TestChecks:
         assert end_of(dataclasses.replace(nowhere, stop_reason="why", end_speed=0.06)) is End.MOVING
         assert end_of(dataclasses.replace(nowhere, end_speed=float("nan"))) is End.MOVING
 
+    @staticmethod
+    def violated(**changes) -> list[str]:
+        schedule = parse_faults(changes.pop("faults", ""), ARM)
+        return violations(bounds_used(result(**changes), LimitSettings(), ARM, schedule))
+
     def test_torques(self):
-        cap = 0.9 * np.array(iiwa14.TORQUE_LIMITS)
-        torques = np.tile(-cap, (1000, 1))
-        torques[:5] = np.nan
-        assert not torque_violations(result(torques=torques), LimitSettings())
-        torques[500, 3] = 1.01 * cap[3]
-        assert torque_violations(result(torques=torques), LimitSettings()) == [
-            "the torque on lbr_A4 is 1.01 times its cap"
-        ]
+        cap = 0.9 * np.array(ARM.torque_limits)
+        torques, times = np.tile(-cap, (1000, 1)), 0.001 * np.arange(1000)
+        assert not self.violated(commands=torques, command_times=times)
+        torques[:, 3] *= 1.01
+        assert self.violated(commands=torques, command_times=times) == ["torque: 1.01 times what is permitted"]
         torques[500, 3] = np.nan
-        assert torque_violations(result(torques=torques), LimitSettings()) == ["a commanded torque is not finite"]
+        assert "torque: inf times what is permitted" in self.violated(commands=torques, command_times=times)
+
+    def test_rates_count_from_command_to_command_but_not_over_a_pause(self):
+        step = 4.0 * ARM.torque_limits / ARM.torque_limits.max()
+        torques, times = np.outer([0, 1, 2, 3], step), np.array([0.0, 0.001, 0.050, 0.051])
+        assert not self.violated(commands=torques, command_times=times)
+        torques[2:] += 0.5 * step
+        assert self.violated(commands=torques, command_times=times) == ["torque rate: 1.50 times what is permitted"]
+        assert not self.violated(commands=torques, command_times=times, period=0.002)
+        assert not self.violated(commands=torques, command_times=times + np.array([0.0, 0.0, 0.1, 0.1]))
 
     @pytest.mark.parametrize(
         ("force", "ticks", "is_wrong"),
         [(139.0, 1000, False), (270.0, 400, False), (141.0, 600, True), (281.0, 1, True)],
     )
     def test_forces(self, force, ticks, is_wrong):
-        forces = np.zeros((1000, 6))
-        forces[100 : 100 + ticks, 2] = force
-        assert bool(force_violations(result(link_forces=forces))) is is_wrong
+        forces = np.zeros((1000, len(ARM.contact_links)))
+        forces[:ticks, 2] = force
+        assert bool(self.violated(link_forces=forces)) is is_wrong
 
     def test_a_simulation_that_is_not_finite_is_wrong(self):
-        assert force_violations(result(joints=np.full((1000, 7), np.nan)))
+        assert self.violated(joints=np.full((1000, ARM.n), np.nan))
 
     def test_speed(self):
-        joints = np.zeros((1000, 7))
-        joints[:, 5] = 0.001 * iiwa14.VELOCITY_LIMITS[5] * np.arange(1000) / 2
-        assert speed_share(result(joints=joints)) == pytest.approx(0.5)
+        joints = np.zeros((1000, ARM.n))
+        joints[:, 5] = 0.001 * ARM.velocity_limits[5] * np.arange(1000) / 2
+        assert speed_share(result(joints=joints), ARM) == pytest.approx(0.5)
+        assert self.violated(joints=3 * joints) == ["joint speed: 1.20 times what is permitted"]
+        assert not self.violated(joints=3 * joints, faults="push")
 
 
 class TestSchedules:
     def test_every_kind_is_drawn(self):
-        scene = make_scene(read_scene("free"), 0)
-        assert set(DRAWS) == set(KINDS)
-        drawn = [random_schedule(scene, seed) for seed in range(200)]
-        assert {fault.KIND for schedule in drawn for fault in schedule} == set(KINDS)
+        scene = make_scene(read_scene("free"), ARM, 0)
+        assert set(DRAWS) == set(fault_kinds(ARM))
+        drawn = [random_schedule(scene, seed, ARM) for seed in range(200)]
+        assert {fault.name for schedule in drawn for fault in schedule} == set(DRAWS)
         assert {len(schedule) for schedule in drawn} == {1, 2, 3}
-        assert random_schedule(scene, 5) == drawn[5]
+        assert random_schedule(scene, 5, ARM) == drawn[5]
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory):
-    file = tmp_path_factory.mktemp("faults") / "faults.json"
-    returned = bench_faults.bench_faults(10, 0, file)
-    assert json.loads(file.read_text())["ends"] == returned["ends"]
-    return returned
+def record(seed: int, end: str = "stopped", **used: float) -> dict:
+    shares = dict.fromkeys(BOUNDS, 0.5) | {name.replace("_", " "): share for name, share in used.items()}
+    return {"seed": seed, "end": end, "kinds": ["push"], "used": shares, "violations": violations(shares)}
 
 
-def test_torques_and_forces_stay_within_their_bounds(report):
-    assert report["violations"] == []
-    assert report["largest_force"] <= fault_checks.TRANSIENT_FORCE
+def test_summary_counts_ends_and_violations_and_lists_the_seeds_nearest_to_each_bound():
+    report = summary([record(0), record(1, "reached", torque=0.9), record(2, torque=1.1, joint_speed=0.7), record(3)])
+    assert report["ends"] == {"stopped": 3, "reached": 1} and report["by_kind"] == {"push": report["ends"]}
+    assert report["bounds"]["torque"]["violations"] == 1 and report["violations"] == [2]
+    assert [near["seed"] for near in report["bounds"]["torque"]["nearest"]] == [2, 1, 3]
+    assert report["bounds"]["joint speed"]["nearest"][0] == {"seed": 2, "share": 0.7}
+    assert "| torque | 1 | 2 (1.100), 1 (0.900), 3 (0.500) |" in text_of(report)
 
 
-def test_report_counts_every_episode(report):
-    assert sum(report["ends"].values()) == len(report["records"]) == 10
-    assert [record["seed"] for record in report["records"]] == list(range(10))
+def test_bench_runs_its_seeds_on_workers_and_writes_them_in_order(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bench_faults, "start_workers", lambda count, scheduler: nullcontext())
+    monkeypatch.setattr(bench_faults, "run_all", lambda client, run, seeds: [(s, run(s)) for s in reversed(seeds)])
+    monkeypatch.setattr(bench_faults, "run_with_faults", lambda seed, setup: record(seed) | UNTOLD)
+    bench_faults.bench_faults(3, 5, file=tmp_path / "faults.json")
+    written = json.loads((tmp_path / "faults.json").read_text())
+    assert [each["seed"] for each in written["records"]] == [5, 6, 7]
+    assert "3 episodes: stopped 3" in capsys.readouterr().out
+    with pytest.raises(SettingsError, match="--episodes 0"):
+        bench_faults.bench_faults(0)
+
+
+@pytest.mark.parametrize("seed", [NEAREST[0], *(pytest.param(seed, marks=pytest.mark.slow) for seed in NEAREST[1:])])
+def test_bounds_hold_also_where_faults_came_nearest_to_them(seed):
+    assert run_with_faults(seed, fault_setup())["violations"] == []

@@ -4,13 +4,14 @@ import dataclasses
 import json
 
 import pytest
+from arm_simulation import ARM, with_obstacle
 
 from contact_reach_ros.cli import main
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.experiments import bench_foam
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Scene
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene import Scene
 
 
 def test_report_holds_every_node_and_the_steps(tmp_path, monkeypatch, capsys):
@@ -34,8 +35,8 @@ def test_report_holds_every_node_and_the_steps(tmp_path, monkeypatch, capsys):
 
 
 def test_nodes_lie_in_the_lattice_and_can_move():
-    scene = make_scene(read_scene("wall"), 0)
-    shape = scene.walls[-1].settings.nodes
+    scene = make_scene(read_scene("wall"), ARM, 0)
+    shape = scene.obstacles[-1].lattice
     nodes = bench_foam._surface_nodes(scene)
     assert len(set(nodes)) == len(nodes)
     for node in nodes:
@@ -63,15 +64,14 @@ def pressed(scene: Scene, force: float = 10.0) -> list[bench_foam.Press]:
 def in_use(scene: Scene, scale: float) -> Scene:
     """The scene with another stiffness for the planner, and the same foam in the plant."""
     walls = tuple(
-        dataclasses.replace(wall, settings=dataclasses.replace(wall.settings, planner_stiffness_scale=scale))
-        for wall in scene.walls
+        dataclasses.replace(wall, material=dataclasses.replace(wall.material, planner_scale=scale))
+        for wall in scene.obstacles
     )
-    return dataclasses.replace(scene, walls=walls)
+    return dataclasses.replace(scene, obstacles=walls)
 
 
 def walls_of(**changes) -> Scene:
-    file = read_scene("wall")
-    return make_scene(dataclasses.replace(file, wall=dataclasses.replace(file.wall, **changes)), 0)
+    return make_scene(with_obstacle(read_scene("wall"), **changes), ARM, 0)
 
 
 class TestFit:

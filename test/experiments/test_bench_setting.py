@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.cli import main
 from contact_reach_ros.experiments import bench_setting
+from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.grid import episode_seeds
 
 
@@ -17,6 +17,7 @@ def run(*arguments: str) -> int:
     return end.value.code
 
 
+@pytest.mark.slow
 def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
     """x_d is latched with every plan, so fewer plans move it less far."""
     file = tmp_path / "report.json"
@@ -29,6 +30,7 @@ def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
     assert "| free | 0.04 | 1/1 |" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(monkeypatch):
     seeds: list[tuple[int, int | None]] = []
     episode = bench_setting.run_episode
@@ -41,7 +43,7 @@ def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(m
         seeds[-1] = (seeds[-1][0], options.noise_seed)
         return episode(scene, method, dataclasses.replace(options, timeout=0.1))
 
-    monkeypatch.setattr(ReferenceMethod, "reseed", reseed)
+    monkeypatch.setattr(Method, "reseed", reseed)
     monkeypatch.setattr(bench_setting, "run_episode", run_episode)
     assert run("latency", "0.04", "0.1", "--scene", "free", "--targets", "2") == 0
     assert seeds[:2] == seeds[2:] == [episode_seeds(0, 0), episode_seeds(1, 0)]

@@ -6,7 +6,10 @@ import pytest
 
 from contact_reach_ros.cli import main
 from contact_reach_ros.experiments.bench_solver import STARTS, bench_solver
-from contact_reach_ros.planning.settings import SOLVER_METHODS, PlanningSettings
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver import SOLVERS
+
+pytestmark = pytest.mark.slow
 
 SMALL = PlanningSettings(population=16, elite=4, line_search_points=16, horizon=1, substeps=2, gradient_steps=2)
 
@@ -19,7 +22,7 @@ def measured(tmp_path_factory) -> dict:
 
 
 def test_every_method_lowers_the_cost(measured):
-    for method in SOLVER_METHODS:
+    for method in SOLVERS:
         entry = measured[method]
         assert entry["decrease"] > 0.0
         assert entry["ms"] > 0.0
@@ -28,7 +31,7 @@ def test_every_method_lowers_the_cost(measured):
 
 
 def test_decrease_grows_with_the_steps(measured):
-    for method in SOLVER_METHODS:
+    for method in SOLVERS:
         curve = measured[method]["decrease_by_step"]
         assert curve[0] == 0.0
         assert curve == sorted(curve)

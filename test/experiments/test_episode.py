@@ -4,30 +4,31 @@ import dataclasses
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 from plans import make_plan
 
-from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.free_path import free_path
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene
-from contact_reach_ros.scenes.spheres import rest_positions, sphere_capacity
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import rest_positions, sphere_capacity
 
 
 class StraightPlanner:
     """Leads the arm along its free path, whatever stands in the way, and keeps the spheres it was shown."""
 
     def __init__(self, scene):
-        self.model = RobotModel()
+        self.model = RobotModel(ARM)
         self.path = free_path(self.model, scene.start, scene.target)
-        self.positions = np.array([self.model.flange_pose(q)[0] for q in self.path])
+        self.positions = np.array([self.model.tip_pose(q)[0] for q in self.path])
         self.spheres = []
         self.number = 0
 
@@ -37,19 +38,19 @@ class StraightPlanner:
     def plan(self, q, v, now_ns, effect_ns, goal, spheres):
         self.spheres.append(spheres)
         self.number += 1
-        nearest = np.linalg.norm(self.positions - self.model.flange_pose(q)[0], axis=1).argmin()
+        nearest = np.linalg.norm(self.positions - self.model.tip_pose(q)[0], axis=1).argmin()
         knots = self.path[np.minimum(nearest + 6 * np.arange(1, 4), len(self.path) - 1)]
-        poses = [self.model.flange_pose(knot) for knot in knots]
+        poses = [self.model.tip_pose(knot) for knot in knots]
         positions, rotations = (np.array(parts) for parts in zip(*poses, strict=True))
         return make_plan(positions, rotations, knots, number=self.number, effect_ns=effect_ns)
 
 
 @pytest.fixture(scope="module")
 def episode():
-    scene = make_scene(read_scene("wall"), 0)
+    scene = make_scene(read_scene("wall"), ARM, 0)
     planner = StraightPlanner(scene)
     options = EpisodeOptions(period=0.1, settle=0.6, timeout=6.0)
-    return scene, planner, run_episode(scene, ReferenceMethod(planner, ControllerSettings()), options)
+    return scene, planner, run_episode(scene, Method(planner, ControllerSettings()), options)
 
 
 def test_the_planner_sees_the_walls_give_way(episode):
@@ -58,9 +59,9 @@ def test_the_planner_sees_the_walls_give_way(episode):
     np.testing.assert_allclose(first.center, rest_positions(scene), rtol=0, atol=1e-6)
     moved = np.linalg.norm(last.center - last.rest, axis=1)
     assert moved.max() > 0.01
-    fixed = np.concatenate([wall.fixed for wall in scene.walls])
+    fixed = np.concatenate([wall.fixed for wall in scene.obstacles])
     assert not moved[fixed].any()
-    assert len(last.edges) == sum(len(wall.edges) for wall in scene.walls)
+    assert len(last.edges) == sum(len(wall.edges) for wall in scene.obstacles)
 
 
 def test_pushing_through_is_felt(episode):
@@ -75,7 +76,7 @@ def test_the_noise_has_a_seed_of_its_own(episode):
 
     def joints(noise_seed):
         options = EpisodeOptions(period=0.1, settle=0.6, timeout=0.2, noise_seed=noise_seed)
-        result = run_episode(scene, ReferenceMethod(StraightPlanner(scene), ControllerSettings()), options)
+        result = run_episode(scene, Method(StraightPlanner(scene), ControllerSettings()), options)
         return result.joints
 
     # Without one it is the scene's, 0.
@@ -84,17 +85,18 @@ def test_the_noise_has_a_seed_of_its_own(episode):
     np.testing.assert_allclose(joints(0), joints(1), atol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("patience", [0.0, 0.5])
 def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):
     """The goal is 3 cm inside a ball of foam that the weight of contact alone would not let the hand press."""
-    q = np.array(iiwa14.HOME_POSITION)
-    position, rotation = RobotModel().flange_pose(q)
+    q = np.array(ARM.home)
+    position, rotation = RobotModel(ARM).tip_pose(q)
     ahead = rotation[:, 2]
-    ball = Ball(position + 0.175 * ahead, BallSettings(radius=0.1, stiffness=150.0))
-    scene = Scene("foam", 0, q, position + 0.06 * ahead, balls=(ball,))
+    ball = BallSettings(radius=0.1, stiffness=150.0).at(position + 0.175 * ahead)
+    scene = Scene("foam", ARM, 0, q, position + 0.06 * ahead, obstacles=ball)
     settings = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64, contact_patience=patience)
-    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), permitted_force=10.0, capacity=1)
-    result = run_episode(scene, ReferenceMethod(planner, ControllerSettings()), EpisodeOptions(timeout=4.0))
+    planner = RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), permitted_force=10.0, capacity=1)
+    result = run_episode(scene, Method(planner, ControllerSettings()), EpisodeOptions(timeout=4.0))
     assert result.reached == (patience > 0.0)
     assert not result.stop_reason
     assert result.contact_forces.max() < 10.0
@@ -104,14 +106,15 @@ def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):
         assert result.distances[-1] > 0.02
 
 
+@pytest.mark.slow
 def test_patience_can_be_kept_from_pressing_into_foam():
     """The goal is inside a wall: what a plan expects there is a part of the force, of the nodes that it looks at."""
     file = read_scene("wall")
-    scene = dataclasses.replace(make_scene(file, 0), target=np.array([0.5, 0.0, 0.248]))
+    scene = dataclasses.replace(make_scene(file, ARM, 0), target=np.array([0.5, 0.0, 0.248]))
     small = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64)
     settings = dataclasses.replace(small, contact_patience_share=0.15)
-    planner = RecedingHorizonPlanner(settings, ImpedanceSettings(), 10.0, sphere_capacity(file))
+    planner = RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), 10.0, sphere_capacity(file))
     options = EpisodeOptions(period=0.06, latency=0.06, timeout=12.0, hold_orientation=False)
-    result = run_episode(scene, ReferenceMethod(planner, ControllerSettings()), options)
+    result = run_episode(scene, Method(planner, ControllerSettings()), options)
     assert not result.stop_reason
     assert 1.0 < result.contact_forces.max() < 10.0

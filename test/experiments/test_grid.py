@@ -7,9 +7,9 @@ import pytest
 from contact_reach_ros.experiments import grid
 from contact_reach_ros.experiments.grid import EpisodeTask, Setup, by_program, cell_of, cells, episode_seeds, run_cell
 from contact_reach_ros.experiments.latency import MIN_LATENCY, LatencyTask, measure_latency, rounded_up
-from contact_reach_ros.experiments.workers import ProcessCrew, run_all
+from contact_reach_ros.experiments.workers import local_workers, run_all
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.scenes.files import read_scene
+from contact_reach_ros.world.files import read_scene
 
 TINY = Setup(
     planning=PlanningSettings(
@@ -35,9 +35,10 @@ def here():
     return [run_cell(task) for task in tasks()]
 
 
+@pytest.mark.slow
 def test_other_processes_and_another_order_give_the_same_to_the_last_bit(here):
-    with ProcessCrew(2) as crew:
-        found = {task.cell: record for task, record in run_all(crew, run_cell, tasks()[::-1])}
+    with local_workers(2) as client:
+        found = {task.cell: record for task, record in run_all(client, run_cell, tasks()[::-1])}
     assert [figures(found[task.cell]) for task in tasks()] == [figures(record) for record in here]
     assert {record["failure"] for record in here} == {""}
 

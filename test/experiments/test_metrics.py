@@ -23,7 +23,6 @@ def episode(positions, **changes):
         "joints": np.zeros((count, 7)),
         "link_forces": np.zeros((count, 6)),
         "external_torques": np.zeros((count, 7)),
-        "torques": np.zeros((count, 7)),
         "distances": np.full(count, 0.009),
         "stop_reason": "",
         "failure": "",

@@ -1,55 +1,64 @@
 """Running the cases of the fault matrix, each once."""
 
+import dataclasses
 import functools
 
 import pytest
+from arm_simulation import ARM
 from cases import CASES, Case, shortcomings
 from page import write
-from scripted import ScriptedPlanner
 
-from contact_reach_ros.baselines.method import ReferenceMethod
 from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.experiments.baselines.method import Method
+from contact_reach_ros.experiments.baselines.scripted import ScriptedPlanner
+from contact_reach_ros.experiments.bench_faults import SMALL_PLANNER
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.plant.drive import WatchdogSettings
-from contact_reach_ros.plant.fault_schedules import parse_faults
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.spheres import sphere_capacity
+from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.simulation.settings import WatchdogSettings
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.rigid import Block
 
-CONTROLLER = ControllerSettings(supervision=SupervisionSettings(hold_limit=0.5))
-SMALL = PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
-TIMEOUTS = {"free": 4.0, "ball": 5.0, "wall": 5.0}
+CONTROLLER = ControllerSettings()
+TIMEOUTS = {"free": 4.0, "ball": 5.0, "wall": 5.0, "table": 5.0}
+TABLE = Block("table", (0.45, -0.14, -0.16), (0.4, 0.4, 0.2))
+"""Added to the scene `free`, under the goal."""
+PERIOD = 0.05
+"""Between plans, s."""
 
 _outcomes: dict[str, tuple] = {}
 
 
 @functools.cache
 def scene(name):
-    return make_scene(read_scene(name), 0)
+    if name == "table":
+        return dataclasses.replace(scene("free"), environment=(*scene("free").environment, TABLE))
+    return make_scene(read_scene(name), ARM, 0)
 
 
 @functools.cache
-def small_planner(name):
-    file = read_scene(name)
-    return RecedingHorizonPlanner(SMALL, ImpedanceSettings(), ContactBudget().permitted_force, sphere_capacity(file))
+def small_planner():
+    """One for all scenes but the walls, so that it is compiled once."""
+    return RecedingHorizonPlanner(ARM, SMALL_PLANNER, ImpedanceSettings(), ContactBudget().permitted_force, capacity=1)
 
 
 def run_case(case: Case) -> tuple:
     """Outcome of a case and what it lacks."""
     if case.name not in _outcomes:
-        planner = ScriptedPlanner(scene(case.scene)) if case.planner == "scripted" else small_planner(case.scene)
+        planner = ScriptedPlanner(scene(case.scene)) if case.planner == "scripted" else small_planner()
         options = EpisodeOptions(
-            settle=0.6,
+            period=PERIOD,
+            rate=case.rate,
+            settle=0.0 if case.from_start else 0.6,
             timeout=case.timeout or TIMEOUTS[case.scene],
             linger=1.0,
-            faults=parse_faults(case.fault),
+            faults=parse_faults(case.fault, ARM),
             watchdog=WatchdogSettings(),
         )
-        result = run_episode(scene(case.scene), ReferenceMethod(planner, CONTROLLER), options)
+        result = run_episode(scene(case.scene), Method(planner, CONTROLLER), options)
         _outcomes[case.name] = (result, shortcomings(case, result, CONTROLLER.limits))
     return _outcomes[case.name]
 

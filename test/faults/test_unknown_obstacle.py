@@ -4,13 +4,14 @@ import functools
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 from conftest import CONTROLLER, scene, small_planner
 
-from contact_reach_ros.baselines.method import ReferenceMethod
+from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
-from contact_reach_ros.plant.drive import WatchdogSettings
-from contact_reach_ros.plant.fault_schedules import parse_faults
+from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.simulation.settings import WatchdogSettings
 
 
 @functools.cache
@@ -18,11 +19,11 @@ def episode(reaction: str, stiffness: float) -> EpisodeResult:
     options = EpisodeOptions(
         settle=0.6,
         timeout=3.0,
-        faults=parse_faults(f'obstacle position="0.512 -0.075 0.125" radius=0.05 at=0.2 stiffness={stiffness}'),
+        faults=parse_faults(f'obstacle position="0.512 -0.075 0.125" radius=0.05 at=0.2 stiffness={stiffness}', ARM),
         watchdog=WatchdogSettings(),
         unexpected_contact=UnexpectedContactSettings(reaction=reaction),
     )
-    return run_episode(scene("ball"), ReferenceMethod(small_planner("ball"), CONTROLLER), options)
+    return run_episode(scene("ball"), Method(small_planner(), CONTROLLER), options)
 
 
 @pytest.mark.parametrize("stiffness", [500.0, 1000.0])

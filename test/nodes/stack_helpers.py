@@ -36,6 +36,10 @@ def module(name: str) -> list[str]:
     return [sys.executable, "-m", f"contact_reach_ros.{name}"]
 
 
+UNWATCHED = ["--ros-args", "-p", "supervision.require_observer:=false"]
+"""Arguments of a controller that moves an arm without an observer."""
+
+
 @contextmanager
 def running(
     command: list[str], env: dict[str, str], output: Path, prepare: Callable[[], None] | None = None

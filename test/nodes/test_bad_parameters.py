@@ -5,7 +5,7 @@ import subprocess
 import pytest
 from stack_helpers import environment, module, parameter_file
 
-NODES = ("driver", "controller", "observer", "planner", "recorder")
+NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder")
 
 
 def start(node, *arguments):
@@ -35,6 +35,7 @@ def test_an_unknown_key_is_named_with_its_file(node, tmp_path):
         ("observer", {"momentum": {"gain": "high"}}, "momentum.gain"),
         ("planner", {"period": 0.0}, "period"),
         ("driver", {"seed": 1.5}, "seed"),
+        ("adapter", {"kind": "hydraulic"}, "kind"),
     ],
 )
 def test_a_value_out_of_range_is_named_with_what_is_accepted(node, content, key, tmp_path):

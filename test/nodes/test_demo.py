@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
 
-from contact_reach_ros.scenes.files import scene_names
-from contact_reach_ros.scenes.scene import WallSettings
-from contact_reach_ros.scenes.spheres import WALL_SPHERES
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.world.files import scene_names
+from contact_reach_ros.world.kinds.wall import WallSettings
+from contact_reach_ros.world.spheres import MAX_SPHERES
 
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
@@ -41,6 +43,9 @@ TYPES = {
     "/intake/observer": "std_msgs/msg/Int64MultiArray",
     "/intake/planner": "std_msgs/msg/Int64MultiArray",
 }
+
+GOAL_TICK = 600
+"""Time at which the goal is sent, in joint states: the first look, every 0.1 s, at which the brakes are open."""
 
 
 def demo(folder, *arguments):
@@ -119,9 +124,9 @@ def test_the_bag_opens_with_rosbags_and_the_counts_agree(ball):
             reader.deserialize(data, connection.msgtype)
 
 
-def replayed(bag: str, folder: Path, *arguments: str) -> dict:
+def reexecuted(bag: str, folder: Path, *arguments: str) -> dict:
     result = subprocess.run(
-        [*module("cli"), "replay", bag, *arguments, "--json", str(folder / "again.json")],
+        [*module("cli"), "reexecute", bag, *arguments, "--json", str(folder / "again.json")],
         env=environment(),
         capture_output=True,
         text=True,
@@ -134,7 +139,7 @@ def replayed(bag: str, folder: Path, *arguments: str) -> dict:
 def test_every_tick_of_the_bag_can_be_executed_again(ball, tmp_path):
     """Also the first one: the recorder hears everybody before time begins."""
     _, report = ball
-    again = replayed(report["bag"], tmp_path, "--recompute")
+    again = reexecuted(report["bag"], tmp_path)
     for node in ("controller", "observer"):
         found = again[node]
         assert found["identical"] and found["compared"] == found["outputs"] >= report["ticks"] - 100
@@ -143,11 +148,42 @@ def test_every_tick_of_the_bag_can_be_executed_again(ball, tmp_path):
 
 def test_a_plan_of_the_bag_is_made_again_bit_for_bit(ball, tmp_path):
     _, report = ball
-    again = replayed(report["bag"], tmp_path, "--plan", "6")["plan"]
+    again = reexecuted(report["bag"], tmp_path, "--plan", "6")["plan"]
     assert again["number"] == 6 and again["identical"] and again["plans_solved"] == 5
     assert float(again["recorded"]["cost"]) == again["now"]["cost"] > 0.0
 
 
+SAME = ("joint_states", "effort_controller/commands", "external_torque", "reference/pose", "reference/posture")
+
+
+def recorded(bag: str, ticks: int) -> dict[str, list[bytes]]:
+    """Messages of a bag as they are, by topic: those of the first joint states, each of which is answered once."""
+    found: dict[str, list[bytes]] = {f"/{name}": [] for name in SAME}
+    for raw in BagReader(Path(bag)).raw_messages(found):
+        found[raw.topic].append(raw.data)
+    # The first one is repeated until everybody is there.
+    found["/joint_states"] = list(dict.fromkeys(found["/joint_states"]))
+    plans = (ticks - GOAL_TICK) // 30
+    return {name: data[: plans if name.startswith("/reference") else ticks] for name, data in found.items()}
+
+
+def test_a_run_beside_a_busy_program_is_the_same_to_the_last_digit(ball, tmp_path):
+    """Joint states, commands, external torques and plans, from the first on until half a second after the goal."""
+    _, report = ball
+    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
+        try:
+            demo(tmp_path, "--scene", "ball", "--seed", "1", "--timeout", "0.5")
+        finally:
+            busy.kill()
+    again = json.loads((tmp_path / "r.json").read_text())
+    ticks = again["ticks"]
+    assert abs(ticks - (GOAL_TICK + 500)) <= 1
+    first, second = recorded(report["bag"], ticks), recorded(again["bag"], ticks)
+    for name, data in first.items():
+        assert len(data) > 10 and data == second[name], name
+
+
+@pytest.mark.slow
 def test_walls_are_shown_and_planned_with(tmp_path):
     """The start of a reach is enough to see what driver and planner tell each other."""
     result = demo(tmp_path, "--scene", "wall", "--timeout", "0.4")
@@ -175,7 +211,7 @@ def test_walls_are_shown_and_planned_with(tmp_path):
         assert obstacles[0]["edges", index] > 2 * nodes
     assert pictures and {"flange", "elbow", "arm"} <= pictures[0]
     assert diagnostics and "refused obstacles" not in diagnostics
-    assert plans and {int(plan["spheres left out"]) for plan in plans} == {2 * nodes - WALL_SPHERES}
+    assert plans and {int(plan["spheres left out"]) for plan in plans} == {2 * nodes - MAX_SPHERES}
 
 
 def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):

@@ -7,22 +7,24 @@ import sys
 import pytest
 import stack_helpers
 
+from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.nodes import discovery
-from contact_reach_ros.nodes.bringup import BringupSettings
-from contact_reach_ros.nodes.parameters import early_value
+from contact_reach_ros.ros import discovery
+from contact_reach_ros.ros.parameters import early_value
 
 TALK = """
 import json, os, sys
-from contact_reach_ros.doctor.sockets import bound_addresses
-from contact_reach_ros.nodes import discovery, topics
-from contact_reach_ros.nodes.managed import initialise
+from contact_reach_ros.ros.node_processes import bound_addresses
+from contact_reach_ros.ros import discovery
+from contact_reach_ros.messages import topics
+from contact_reach_ros.ros.process import initialise
+from contact_reach_ros.ros.qos import qos_profile
 from rclpy.node import Node
 
 initialise(["test"], *sys.argv[1:])
 node = Node("test")
-publisher = node.create_publisher(topics.JOINT_STATES.type, topics.JOINT_STATES.name, topics.STREAM)
-node.create_subscription(topics.JOINT_STATES.type, topics.JOINT_STATES.name, print, topics.NEWEST)
+publisher = node.create_publisher(topics.JOINT_STATES.type, topics.JOINT_STATES.name, qos_profile(topics.STREAM))
+node.create_subscription(topics.JOINT_STATES.type, topics.JOINT_STATES.name, print, qos_profile(topics.NEWEST))
 publisher.publish(topics.JOINT_STATES.type())
 print(json.dumps([sorted(bound_addresses(os.getpid())), discovery.reach(os.environ)]))
 """
@@ -103,7 +105,7 @@ def test_an_unknown_choice_is_refused(unset):
         discovery.environment("world")
 
 
-(ENTRY,) = (entry for entry in BringupSettings.declared() if entry.name == "discovery")
+(ENTRY,) = (entry for entry in BringupOptions.declared() if entry.name == "discovery")
 
 
 @pytest.mark.parametrize(

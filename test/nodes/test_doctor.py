@@ -1,4 +1,7 @@
-"""The doctor finds a good stack good, and names what is wrong with a bad one, and how to put it right."""
+"""The doctor finds a good stack good, and names what is wrong with a bad one, and how to put it right.
+
+Goals, stops and resets of the command line come last, in the same stack.
+"""
 
 import json
 import os
@@ -17,16 +20,20 @@ from stack_helpers import (
     wait_for,
 )
 
+from contact_reach_ros.arms import iiwa14
+from contact_reach_ros.doctor import software
+from contact_reach_ros.doctor import stack as checks
 from contact_reach_ros.doctor.findings import Verdict
-from contact_reach_ros.nodes import discovery, doctor, topics
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.messages import topics
+from contact_reach_ros.ros import discovery
 
 HELPER = """
 import sys, time
 from rclpy.node import Node
-from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.managed import initialise
-from contact_reach_ros.robot import iiwa14
+from contact_reach_ros.messages import topics
+from contact_reach_ros.ros.process import initialise
+from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.arms import iiwa14
 
 initialise(["helper"])
 {body}
@@ -36,10 +43,11 @@ BAD_STACK = """
 node = Node("arm")
 commanders = [Node("controller"), Node("other_commander")]
 for commander in commanders:
-    commander.create_publisher(topics.COMMANDS.type, topics.COMMANDS.name, topics.COMMANDS.qos)
-publisher = node.create_publisher(topics.JOINT_STATES.type, topics.JOINT_STATES.name, topics.JOINT_STATES.qos)
-node.create_subscription(topics.COMMANDS.type, topics.COMMANDS.name, print, topics.NEWEST)
-state = topics.JOINT_STATES.type(name=list(iiwa14.JOINT_NAMES[::-1]), position=[0.0] * 7, velocity=[0.0] * 7)
+    commander.create_publisher(topics.COMMANDS.type, topics.COMMANDS.name, qos_profile(topics.COMMANDS.qos))
+states = topics.JOINT_STATES
+publisher = node.create_publisher(states.type, states.name, qos_profile(states.qos))
+node.create_subscription(topics.COMMANDS.type, topics.COMMANDS.name, print, qos_profile(topics.NEWEST))
+state = topics.JOINT_STATES.type(name=list(iiwa14.ARM.joint_names[::-1]), position=[0.0] * 7, velocity=[0.0] * 7)
 print("up", flush=True)
 while True:
     state.header.stamp = node.get_clock().now().to_msg()
@@ -59,7 +67,7 @@ def helper(body, env, output):
 def examine(env, folder, *arguments):
     """Run the doctor; returns the finished process, and its findings by name."""
     file = folder / "doctor.json"
-    command = [*module("cli"), "doctor", "--quick", "--bags", str(folder), "--json", str(file), *arguments]
+    command = [*module("cli"), "doctor", "--json", str(file), *arguments]
     result = subprocess.run(command, env={**env, "COLUMNS": "200"}, capture_output=True, text=True, timeout=120)
     report = json.loads(file.read_text())
     assert report["exit_code"] == result.returncode, result.stdout + result.stderr
@@ -74,7 +82,7 @@ def test_joints_in_another_order_and_a_second_commander_fail(tmp_path):
     assert result.returncode == 1
     order = found["joint names and order"]
     assert order["verdict"] == "fail" and "lbr_A7, lbr_A6" in order["found"]
-    assert ", ".join(iiwa14.JOINT_NAMES) in order["fix"] and "effort_controller" in order["fix"]
+    assert ", ".join(iiwa14.ARM.joint_names) in order["fix"] and "effort_controller" in order["fix"]
     commands = found["effort_controller/commands"]
     assert commands["verdict"] == "fail" and "2 publishers" in commands["found"]
     assert "end /other_commander" in commands["fix"] and "end /other_commander" in result.stdout
@@ -88,28 +96,27 @@ def test_joints_in_another_order_and_a_second_commander_fail(tmp_path):
     assert rate["verdict"] == "fail" and "1000 Hz" in rate["fix"] and rate["values"]["rate_hz"] < 200.0
     gravity = found["gravity against torque"]
     assert gravity["verdict"] == "warn" and "not compared" in gravity["found"] and "torque_source" in gravity["fix"]
-    assert not found["disk for bags"]["values"]["measured"]
 
 
 def test_without_a_stack_it_says_what_to_start(tmp_path):
     parameters = parameter_file(tmp_path / "wrong.yaml", planner={"perod": 0.1})
     result, found, _ = examine(environment(), tmp_path, "--parameters", str(parameters))
     assert found["nodes"]["verdict"] == "warn" and "no stack is running" in found["nodes"]["found"]
-    assert "ros2 run contact_reach_ros bringup" in found["nodes"]["fix"]
-    assert "joint_states" not in found and not found["disk for bags"]["values"]["measured"]
+    assert "contact-reach up" in found["nodes"]["fix"]
+    assert "joint_states" not in found
     assert result.returncode == 1
     assert found["parameters"]["verdict"] == "fail"
     assert "did you mean 'period'" in found["parameters"]["found"] and str(parameters) in found["parameters"]["fix"]
 
 
 def test_parameters_of_a_node_that_there_is_not(tmp_path):
-    finding = doctor.parameter_file(parameter_file(tmp_path / "own.yaml", planer={"period": 0.1}))
-    assert finding.verdict is Verdict.WARN and "planer" in finding.found and "planner" in finding.fix
+    finding = software.parameter_file(parameter_file(tmp_path / "own.yaml", planer={"period": 0.1}))
+    assert finding.verdict is Verdict.FAIL and "'planer'; did you mean 'planner'" in finding.found
 
 
 def test_parameters_that_do_not_go_together(tmp_path):
     file = parameter_file(tmp_path / "own.yaml", driver={"watchdog": {"hold_after": 0.2, "stop_after": 0.1}})
-    finding = doctor.parameter_file(file)
+    finding = software.parameter_file(file)
     assert finding.verdict is Verdict.FAIL and "hold_after" in finding.found
 
 
@@ -117,12 +124,12 @@ def test_two_budgets_fail(tmp_path):
     own = tmp_path / "budget.yaml"
     own.write_text("permitted_force: 20.0\n")
     budgets = {"planner": {"contact_budget": str(own)}, "observer": {"contact_budget": ""}}
-    finding = doctor.contact_budget(parameter_file(tmp_path / "own.yaml", **budgets))
+    finding = software.contact_budget(parameter_file(tmp_path / "own.yaml", **budgets), iiwa14.ARM)
     assert finding.verdict is Verdict.FAIL and "different budgets" in finding.found
     budgets["observer"]["contact_budget"] = str(own)
-    assert doctor.contact_budget(parameter_file(tmp_path / "own.yaml", **budgets)).verdict is Verdict.PASS
+    assert software.contact_budget(parameter_file(tmp_path / "own.yaml", **budgets), iiwa14.ARM).verdict is Verdict.PASS
     own.write_text("permitted_farce: 20.0\n")
-    finding = doctor.contact_budget(parameter_file(tmp_path / "own.yaml", **budgets))
+    finding = software.contact_budget(parameter_file(tmp_path / "own.yaml", **budgets), iiwa14.ARM)
     assert finding.verdict is Verdict.FAIL and "permitted_farce" in finding.found
 
 
@@ -140,19 +147,19 @@ def test_discovery_of_the_environment(monkeypatch, variables, verdict, words):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    finding = doctor.discovery_in_use()
+    finding = checks.discovery_in_use()
     assert finding.verdict is verdict and words in finding.fix
 
 
 def test_without_rclpy_it_says_so_and_goes_on(tmp_path):
     blocked = "import sys; sys.modules['rclpy'] = None; from contact_reach_ros.cli import main; main(sys.argv[1:])"
     file = tmp_path / "doctor.json"
-    command = [sys.executable, "-c", blocked, "doctor", "--quick", "--json", str(file)]
+    command = [sys.executable, "-c", blocked, "doctor", "--json", str(file)]
     result = subprocess.run(command, env=dict(os.environ), capture_output=True, text=True, timeout=60)
     assert result.returncode == 1 and "Traceback" not in result.stderr
     found = {check["name"]: check for check in json.loads(file.read_text())["checks"]}
     assert found["rclpy"]["verdict"] == "fail" and "source /opt/ros" in found["rclpy"]["fix"]
-    assert {"timer at 1 kHz", "Python packages", "disk for bags"} <= set(found)
+    assert {"timer at 1 kHz", "Python packages"} <= set(found)
 
 
 # The stack takes whole cores: what does not need it comes before.
@@ -160,12 +167,12 @@ def test_without_rclpy_it_says_so_and_goes_on(tmp_path):
 
 @pytest.fixture(scope="module")
 def stack(tmp_path_factory):
-    """A lockstep stack at rest, without a goal: its environment."""
+    """A lockstep stack at rest that is recorded, without a goal: its environment."""
     folder = tmp_path_factory.mktemp("stack")
     env, output = environment(), folder / "bringup.txt"
     parameters = parameter_file(folder / "small.yaml", planner=SMALL_PLANNER)
-    command = [*module("nodes.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
-    with running([*command, "-p", "lockstep:=true"], env, output) as process:
+    command = [*module("cli"), "up", "--parameters", str(parameters), "--scene", "free", "--lockstep"]
+    with running([*command, "--bag", str(folder / "bag")], env, output) as process:
         wait_for(lambda: "all nodes are active" in output.read_text() or process.poll() is not None, 300, "stack up")
         assert process.poll() is None, output.read_text()
         # The brakes open after half a second of simulated time.
@@ -181,24 +188,64 @@ def test_in_lockstep_nobody_keeps_others_from_running(stack):
 
 def test_a_good_stack_passes(stack, tmp_path):
     result, found, report = examine(stack, tmp_path)
-    expected = ["nodes", "lifecycle", "time source", "safety state", "discovery", "sockets", "parameters"]
-    expected += ["contact budget", "rclpy", "middleware", "disk for bags"]
+    expected = ["nodes", "lifecycle", "time source", "gains", "safety state", "discovery", "sockets", "parameters"]
+    expected += ["contact budget", "rclpy"]
     expected += ["joint names and order", "driver rate", "clocks", "gravity against torque"]
     expected += [topic.name for topic in topics.ALL]
     others = {name: found[name] for name in expected if found[name]["verdict"] != "pass"}
     assert not others
     assert set(found["nodes"]["values"]["nodes"]) >= {"/bringup", "/driver", "/controller", "/observer", "/planner"}
-    assert found["effort_controller/commands"]["values"] == {
+    commands = found["effort_controller/commands"]["values"]
+    assert {**commands, "subscriptions": sorted(commands["subscriptions"])} == {
         "type": "std_msgs/msg/Float64MultiArray",
         "publishers": ["/controller"],
-        "subscriptions": ["/driver"],
+        "subscriptions": ["/driver", "/recorder"],
     }
     assert max(map(abs, found["gravity against torque"]["values"]["residual_nm"])) < 1.0
     assert "controller: holding" in found["safety state"]["found"]
     assert "127.0.0.1" in found["sockets"]["found"] and "driver" in found["sockets"]["found"]
-    assert found["disk for bags"]["values"]["measured"]
     assert sum(report["verdicts"].values()) == len(report["checks"])
     # A warning or failure without a way out is worth nothing.
     assert all(check["fix"] for check in report["checks"] if check["verdict"] != "pass")
     for name in expected:
         assert name in result.stdout
+
+
+MANY = """
+import json, sys
+from contact_reach_ros.cli import main
+
+for line in json.loads(sys.argv[1]):
+    try:
+        main(line.split())
+    except SystemExit as ended:
+        print(ended.code, flush=True)
+"""
+
+
+def command_lines(env, *lines):
+    """Run command lines in one process; returns the last line that each printed, with its exit code."""
+    command = [sys.executable, "-c", MANY, json.dumps(lines)]
+    result = subprocess.run(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=200)
+    printed = result.stdout.splitlines()
+    ends = [index for index, line in enumerate(printed) if line.isdecimal()]
+    assert len(ends) == len(lines), result.stdout
+    return [(int(printed[index]), printed[index - 1]) for index in ends]
+
+
+def test_without_a_stack_a_command_names_the_domain_and_what_to_start():
+    env = environment()
+    ((code, line),) = command_lines(env, "stop")
+    assert code == 2 and f"ROS domain {env['ROS_DOMAIN_ID']}" in line and "contact-reach up" in line
+
+
+def test_goals_stops_and_resets_from_the_command_line(stack):
+    refused, reached, stopped, kept, released = command_lines(
+        stack, "goto 2.0 0.0 0.3", "goto 0.51 0.025 0.145 --wait", "stop", "goto 0.5 0.1 0.3", "reset"
+    )
+    assert refused[0] == 1 and "the planner refused the goal" in refused[1] and "position" in refused[1]
+    assert reached[0] == 0 and reached[1].startswith("reached: ")
+    # By the controller, unless the observer was discovered a second before it.
+    assert stopped in [(0, "controller: compliant stop"), (0, "observer: stopped")]
+    assert kept[0] == 1 and "stop service called" in kept[1] and "contact-reach reset" in kept[1]
+    assert released[0] == 0 and "controller: holding" in released[1], released

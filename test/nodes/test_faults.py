@@ -7,26 +7,35 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from stack_helpers import environment, module, running, wait_for
 from std_msgs.msg import Float64MultiArray, String
+from visualization_msgs.msg import MarkerArray
 
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.doctor import fault_tool as tool
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.nodes import faults as tool
-from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.driver import DriverNode, driver_faults
+from contact_reach_ros.messages import topics
+from contact_reach_ros.nodes.driver import DriverNode
+from contact_reach_ros.ros.node_processes import node_processes
+from contact_reach_ros.simulation.fault_schedules import driver_faults
+
+ARM = load_arm("iiwa14")
 
 
 @pytest.fixture
 def driver():
     domain = int(environment()["ROS_DOMAIN_ID"])
     rclpy.init(args=["--ros-args", "-p", "scene:=free"], domain_id=domain)
-    yield DriverNode()
+    node = DriverNode()
+    node.boundary.protect(node)
+    yield node
     rclpy.shutdown()
 
 
 def send(node, text):
-    node._on_faults(String(data=text))
+    (heard,) = (entry for entry in node.subscriptions if entry.topic_name.endswith(topics.SIM_FAULTS.name))
+    heard.callback(String(data=text))
     node._tick(0)
 
 
@@ -37,24 +46,24 @@ class TestDriver:
         send(driver, "push force='0 50 0' at=0.001 for=0.002")
         pushed = []
         for _ in range(4):
-            pushed.append(bool(driver._plant.data.xfrc_applied.any()))
+            pushed.append(bool(driver._robot.plant.data.xfrc_applied.any()))
             driver._tick(0)
         assert pushed == [False, True, True, False]
 
     def test_an_empty_schedule_ends_all_faults(self, driver):
-        mass = driver._plant.model.body_mass.sum()
+        mass = driver._robot.plant.model.body_mass.sum()
         send(driver, "payload mass=3")
-        assert driver._plant.model.body_mass.sum() == pytest.approx(mass + 3.0)
+        assert driver._robot.plant.model.body_mass.sum() == pytest.approx(mass + 3.0)
         send(driver, "")
-        assert driver._plant.model.body_mass.sum() == pytest.approx(mass)
-        assert driver._faults is None
+        assert driver._robot.plant.model.body_mass.sum() == pytest.approx(mass)
+        assert driver._robot.faults is None
 
     def test_nan_commands_are_refused_and_counted(self, driver):
         send(driver, "nan_commands")
         driver._on_command(serialize_message(Float64MultiArray(data=[1.0] * 7)))
         driver._tick(0)
         assert driver.refused == {"commands": 1}
-        assert driver._drive.rejected == 1
+        assert driver._robot.drive.rejected == 1
 
     def test_what_is_no_schedule_is_refused_and_changes_nothing(self, driver):
         send(driver, "payload mass=3")
@@ -63,23 +72,38 @@ class TestDriver:
         assert driver.refused == {"faults": 3}
         assert driver.diagnosis()[1]["faults"] == "payload mass=3"
 
+    def test_a_scene_with_nothing_but_a_floor_is_published_again_and_again_until_that_gets_lost(
+        self, driver, monkeypatch
+    ):
+        driver._prepare_messages()
+        shown = []
+        monkeypatch.setattr(driver._obstacles, "publish", shown.append)
+        for schedule, count in (("", 5), ("drop_obstacles", 0), ("", 5)):
+            send(driver, schedule)
+            shown.clear()
+            for _ in range(100):
+                driver._publish(driver._read())
+                driver._tick(0)
+            markers = [deserialize_message(data, MarkerArray).markers for data in shown]
+            assert [[marker.text for marker in each] for each in markers] == count * [["floor"]]
+
     def test_nobody_has_to_answer_a_lost_state(self, driver):
         driver._prepare_messages()
         for schedule, answers in (("", 1), ("drop_states", 0), ("nan_states", 0), ("duplicate_states", 1)):
             send(driver, schedule)
             driver._tick(0)
-            driver._publish()
-            assert driver._unanswered == answers
+            driver._publish(driver._read())
+            assert driver._lockstep.unanswered == answers
 
 
 def test_nodes_are_silenced_by_the_tool_not_by_the_driver():
     with pytest.raises(SettingsError, match="freeze or kill the node"):
-        driver_faults("push; observer_silent")
+        driver_faults("push; observer_silent", ARM)
 
 
 @pytest.mark.parametrize("topic", tool.ATTACKED, ids=lambda topic: topic.name)
 def test_disturbing_messages_are_of_the_topics_type(topic):
-    message = tool.spoilt_message(topic, float("nan"), 0)
+    message = tool.spoilt_message(topic, float("nan"), 0, ARM)
     assert isinstance(message, topic.type)
     assert "nan" in str(message)
 
@@ -96,11 +120,13 @@ def test_processes_are_those_of_the_node_and_the_domain(tmp_path):
     fake_process(tmp_path, 2, ["python", "-m", "contact_reach_ros.nodes.planner"], "8")
     fake_process(tmp_path, 3, ["/usr/bin/python3", "/ws/lib/contact_reach_ros/controller"], "7")
     fake_process(tmp_path, 4, ["vim", "planner.py", "planner"], "7")
+    fake_process(tmp_path, 5, ["python", "-m", "contact_reach_ros.bringup.bringup"], "7")
+    fake_process(tmp_path, 6, ["/venv/bin/python", "/venv/bin/viewer"], "7")
+    fake_process(tmp_path, 7, ["python", "-m", "contact_reach_ros.cli", "demo"], "7")
     user = (tmp_path / "1").stat().st_uid
-    assert tool.node_processes("planner", tmp_path, "7", user) == [1]
-    assert tool.node_processes("controller", tmp_path, "7", user) == [3]
-    assert tool.node_processes("controller", tmp_path, "8", user) == []
-    assert tool.node_processes("planner", tmp_path, "7", user + 1) == []
+    assert node_processes("7", tmp_path, user) == {1: "planner", 3: "controller", 5: "bringup", 6: "viewer"}
+    assert node_processes("8", tmp_path, user) == {2: "planner"}
+    assert node_processes("7", tmp_path, user + 1) == {}
 
 
 def test_rate_and_time_are_checked():
@@ -109,7 +135,9 @@ def test_rate_and_time_are_checked():
 
 
 def call(env: dict[str, str], *arguments: str) -> subprocess.CompletedProcess:
-    return subprocess.run([*module("nodes.faults"), *arguments], env=env, capture_output=True, text=True, timeout=120)
+    return subprocess.run(
+        [*module("doctor.fault_tool"), *arguments], env=env, capture_output=True, text=True, timeout=120
+    )
 
 
 def state_of(pid: int) -> str:
@@ -138,4 +166,4 @@ def test_tool_on_a_running_driver(tmp_path):
 
 
 def test_zeros_are_finite():
-    assert np.isfinite(tool.spoilt_message(topics.COMMANDS, 0.0, 0).data).all()
+    assert np.isfinite(tool.spoilt_message(topics.COMMANDS, 0.0, 0, ARM).data).all()

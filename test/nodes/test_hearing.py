@@ -8,9 +8,12 @@ from arm_simulation import HOME, REST
 from rclpy.node import Node
 from stack_helpers import environment, wait_for
 
-from contact_reach_ros.nodes import topics
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.nodes.topics import Topic
+from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.world.spheres import Spheres
 
 HALVES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 
@@ -19,7 +22,8 @@ HALVES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 def planner() -> Iterator[PlannerNode]:
     rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
     node = PlannerNode()
-    node._state = HOME, REST
+    node._planner.state = JointState(0, HOME, REST, None)
+    node._planner.see(Spheres.none())
     yield node
     node.destroy_node()
     rclpy.shutdown()
@@ -29,9 +33,9 @@ def make(name: str, heard: tuple[Topic, ...], published: tuple[Topic, ...] = ())
     """A node with these subscriptions and publishers."""
     node = rclpy.create_node(name)
     for topic in heard:
-        node.create_subscription(topic.type, topic.name, lambda _: None, topic.qos)
+        node.create_subscription(topic.type, topic.name, lambda _: None, qos_profile(topic.qos))
     for topic in published:
-        node.create_publisher(topic.type, topic.name, topic.qos)
+        node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
     return node
 
 

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from contact_reach_ros.nodes.interruption import Interruption
+from contact_reach_ros.bringup.interruption import Interruption
 
 
 @pytest.fixture

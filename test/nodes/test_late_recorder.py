@@ -12,7 +12,8 @@ from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, running, wait_for
 
-from contact_reach_ros.nodes import topics
+from contact_reach_ros.messages import topics
+from contact_reach_ros.ros.qos import qos_profile
 
 LOOPS = ("observer", "controller", "driver")
 LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "scene:=free")
@@ -36,7 +37,10 @@ def test_the_first_messages_are_in_the_bag(domain, tmp_path):
     look = rclpy.create_node("look")
     spoke = set()
     look.create_subscription(
-        topics.SAFETY_STATE.type, topics.SAFETY_STATE.name, lambda status: spoke.add(status.name), topics.ALL_EVENTS
+        topics.SAFETY_STATE.type,
+        topics.SAFETY_STATE.name,
+        lambda status: spoke.add(status.name),
+        qos_profile(topics.ALL_EVENTS),
     )
 
     def answered() -> bool:
@@ -70,7 +74,7 @@ def test_seconds_of_ticks_are_in_the_bag(domain, tmp_path):
     """On a busy machine it takes that long until a recorder finds a topic."""
     look = rclpy.create_node("look")
     topic = topics.JOINT_STATES.kept(True)
-    publisher = look.create_publisher(topic.type, topic.name, topic.qos)
+    publisher = look.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
     for _ in range(KEPT):
         publisher.publish(JointState())
     bag = tmp_path / "bag"

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 
+from contact_reach_ros.arm.kinematics import rotation_about
+from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes.messages import nanoseconds, set_time, to_quaternion, to_time
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.joint_order import JointOrder
-from contact_reach_ros.robot.kinematics import rotation_about
+from contact_reach_ros.messages.conversions import set_time, to_quaternion, to_time
+from contact_reach_ros.messages.joint_order import JointOrder
+from contact_reach_ros.messages.values import nanoseconds
 
 
 def state(names):
@@ -19,26 +20,26 @@ def state(names):
 
 
 def test_joints_are_picked_by_name_from_any_order_and_among_others():
-    order = JointOrder(iiwa14.JOINT_NAMES)
+    order = JointOrder(iiwa14.ARM.joint_names)
     expected = np.arange(1.0, 8.0)
     for names in (
-        iiwa14.JOINT_NAMES,
-        iiwa14.JOINT_NAMES[::-1],
-        ("gripper_9", *iiwa14.JOINT_NAMES[3:], *iiwa14.JOINT_NAMES[:3]),
+        iiwa14.ARM.joint_names,
+        iiwa14.ARM.joint_names[::-1],
+        ("gripper_9", *iiwa14.ARM.joint_names[3:], *iiwa14.ARM.joint_names[:3]),
     ):
         assert np.array_equal(order.pick(state(names), "position", "joint_states"), expected)
 
 
 def test_missing_joints_are_named():
-    order = JointOrder(iiwa14.JOINT_NAMES)
+    order = JointOrder(iiwa14.ARM.joint_names)
     with pytest.raises(InputError, match=r"joint_states: field name lacks lbr_A3, lbr_A7; expected all of lbr_A1"):
-        order.pick(state([name for name in iiwa14.JOINT_NAMES if name[-1] not in "37"]), "position", "joint_states")
+        order.pick(state([name for name in iiwa14.ARM.joint_names if name[-1] not in "37"]), "position", "joint_states")
 
 
 def test_a_field_of_the_wrong_length_is_named():
-    order = JointOrder(iiwa14.JOINT_NAMES)
+    order = JointOrder(iiwa14.ARM.joint_names)
     with pytest.raises(InputError, match="velocity has 0 values"):
-        order.pick(state(iiwa14.JOINT_NAMES), "velocity", "joint_states")
+        order.pick(state(iiwa14.ARM.joint_names), "velocity", "joint_states")
 
 
 def test_times_survive_the_way_to_a_message_and_back():

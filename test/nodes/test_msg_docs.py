@@ -3,34 +3,29 @@
 import pytest
 from setting_rows import setting_row
 
-from contact_reach_ros.nodes import bringup, topics
-from contact_reach_ros.nodes.controller import ControllerNode
-from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.nodes.observer import ObserverNode
-from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.nodes.recorder import RecorderNode
-from contact_reach_ros.parameter_files import full_name
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bringup import bringup
+from contact_reach_ros.messages import topics
+from contact_reach_ros.node_settings import SECTIONS
+from contact_reach_ros.parameter_files import ROBOT, full_name
 from contact_reach_ros.resources import share_directory
-from contact_reach_ros.viewer.settings import ViewerSettings
 
-SECTIONS = {
-    "driver": DriverNode.SECTIONS,
-    "controller": ControllerNode.SECTIONS,
-    "observer": ObserverNode.SECTIONS,
-    "planner": PlannerNode.SECTIONS,
-    "recorder": RecorderNode.SECTIONS,
-    "viewer": {"": ViewerSettings},
-    "bringup": bringup.SECTIONS,
-}
+NODES = {**SECTIONS, "bringup": bringup.SECTIONS}
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_parameter_is_listed_with_its_default_and_range(node):
+    page = (share_directory() / "msg_docs" / f"{node}.md").read_text()
+    for prefix, settings in NODES[node].items():
+        for entry in settings.declared():
+            row = setting_row(full_name(prefix, entry.name), entry.for_arm(load_arm()))
+            assert row in page, f"msg_docs/{node}.md lacks the row {row}"
 
 
 @pytest.mark.parametrize("node", SECTIONS)
-def test_every_parameter_is_listed_with_its_default_and_range(node):
+def test_the_arm_is_a_parameter_of_every_node(node):
     page = (share_directory() / "msg_docs" / f"{node}.md").read_text()
-    for prefix, settings in SECTIONS[node].items():
-        for entry in settings.declared():
-            row = setting_row(full_name(prefix, entry.name), entry)
-            assert row in page, f"msg_docs/{node}.md lacks the row {row}"
+    assert f"`{ROBOT.name}` (default {ROBOT.default})" in page
 
 
 def test_every_topic_is_described_on_some_page():

@@ -9,15 +9,16 @@ from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
 from stack_helpers import environment
 
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes.observer import ObserverNode, read_contact
-from contact_reach_ros.nodes.serialized import JointStateWriter
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.safety_state import DISTRUST, read_contact
+from contact_reach_ros.messages.serialized import JointStateWriter
+from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.safety import DISTRUST
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
 
-BUDGET = ContactBudget()
+BUDGET = ContactBudget().resolve(iiwa14.ARM)
 LIGHT = np.array([0.0, 5.0, 0.0, 4.0, 0.0, 0.0, 0.0])
 UNKNOWN = np.full(7, np.nan)
 
@@ -38,8 +39,10 @@ class Watched:
     def __init__(self) -> None:
         self.node = ObserverNode()
         self.safety = self.node._safety = Publisher()
-        self._writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity", "effort"])
-        self._gravity = RobotModel().gravity_at(HOME)
+        self._writer = JointStateWriter(
+            iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity", "effort"]
+        )
+        self._gravity = RobotModel(iiwa14.ARM).gravity_at(HOME)
         self._tick = 0
 
     def give(self, external: np.ndarray, count: int, velocity: np.ndarray = REST) -> None:
@@ -47,7 +50,8 @@ class Watched:
             self._tick += 1
             # As encoders tell an arm at rest; without any tremor they would be stuck.
             q = HOME + 1e-5 * (self._tick % 2)
-            self.node._on_state(self._writer.write(self._tick * TICK_NS, q, velocity, self._gravity - external))
+            data = self._writer.write(self._tick * TICK_NS, q, velocity, self._gravity - external)
+            self.node.inbox.give(topics.JOINT_STATES, data)
 
     @property
     def last(self) -> tuple[bytes, str, dict[str, str]]:
@@ -76,9 +80,9 @@ def test_levels_are_told_when_they_change_and_as_a_sign_of_life(watched):
     level, message, values = watched.last
     assert (level, message) == (DiagnosticStatus.WARN, "contact")
     assert values["level"] == "contact"
-    assert values["contact link"] in iiwa14.LINK_NAMES[1:]
+    assert values["contact link"] in iiwa14.ARM.link_names[1:]
     assert float(values["contact force N"]) > 5.0
-    contact = read_contact(watched.safety.messages[-1])
+    contact = read_contact(watched.safety.messages[-1], iiwa14.ARM)
     assert contact.link == values["contact link"]
     assert contact.strength == pytest.approx(float(values["contact force N"]), abs=0.2)
     # On the axis of a link near home's flange, and not at the base.
@@ -119,8 +123,8 @@ def test_torque_of_which_a_part_is_not_finite_is_refused(watched):
     external = np.zeros(7)
     external[3] = np.nan
     watched.give(external, 3)
-    assert watched.node.refused == {"joint states": 3}
     _, values = watched.node.diagnosis()
+    assert values["refused states"] == 3
     watched.give(REST, 50)
     assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")
     assert np.isfinite(float(watched.last[2]["external torque max Nm"]))
@@ -130,11 +134,14 @@ def test_torque_of_which_a_part_is_not_finite_is_refused(watched):
 def test_contact_that_is_none_is_refused(watched):
     watched.give(LIGHT, 60)
     message = watched.safety.messages[-1]
-    assert read_contact(watched.safety.messages[0]) is None
-    for entry, spoilt in ((2, "lbr_link_9"), (4, "1 2"), (5, "1 2 x"), (5, "nan 0 0")):
+    assert read_contact(watched.safety.messages[0], iiwa14.ARM) is None
+    link, force, place = "contact link", "contact force xyz N", "contact position xyz m"
+    keys = [entry.key for entry in message.values]
+    for key, spoilt in ((link, "lbr_link_9"), (force, "1 2"), (place, "1 2 x"), (place, "nan 0 0")):
+        entry = keys.index(key)
         kept, message.values[entry].value = message.values[entry].value, spoilt
         with pytest.raises(InputError, match="safety_state: contact"):
-            read_contact(message)
+            read_contact(message, iiwa14.ARM)
         message.values[entry].value = kept
 
 

@@ -1,26 +1,32 @@
 """Obstacles survive the way into markers and back, and what is no obstacle is refused by name."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 from rclpy.serialization import deserialize_message, serialize_message
 from serialized_helpers import garbage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes import obstacle_markers as obstacle_markers_module
-from contact_reach_ros.nodes.messages import to_point
-from contact_reach_ros.nodes.obstacle_markers import (
-    Material,
-    ObstacleMarkerReader,
+from contact_reach_ros.messages import obstacle_markers as obstacle_markers_module
+from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.obstacle_markers import (
     ObstacleMarkerWriter,
+    SerializedObstacleReader,
     obstacle_markers,
 )
-from contact_reach_ros.scenes.lattice import make_walls
-from contact_reach_ros.scenes.scene import Ball, BallSettings, Scene, WallSettings
-from contact_reach_ros.scenes.spheres import obstacle_spheres, rest_positions
+from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.kinds.wall import WallSettings
+from contact_reach_ros.world.obstacle import numbered
+from contact_reach_ros.world.rigid import Block, Plane
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
-MATERIAL = Material(
+MATERIAL = AssumedMaterial(
     sphere_stiffness=100.0,
     sphere_damping=30.0,
     node_stiffness=0.0,
@@ -32,13 +38,14 @@ STAMP_NS = 1_795_233_693_122_143_135
 
 def scene() -> Scene:
     """Two balls and two walls, made of what `MATERIAL` says."""
-    balls = tuple(Ball(np.array([0.1 * k, 0.2, 0.9]), BallSettings(radius=0.05 * (k + 1))) for k in range(2))
-    return Scene("test", 0, HOME, np.zeros(3), balls, make_walls(WallSettings(), np.array([0.5, 0.0, 0.3])))
+    balls = [BallSettings(radius=0.05 * (k + 1)).at(np.array([0.1 * k, 0.2, 0.9])) for k in range(2)]
+    obstacles = itertools.chain(*balls, WallSettings().at(np.array([0.5, 0.0, 0.3])))
+    return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(obstacles))
 
 
 def displaced() -> np.ndarray:
     rests = rest_positions(scene())
-    fixed = np.concatenate([np.zeros(2, bool), *(wall.fixed for wall in scene().walls)])
+    fixed = np.concatenate([obstacle.fixed for obstacle in scene().obstacles])
     return rests + np.where(fixed[:, None], 0.0, np.random.default_rng(0).normal(0.0, 0.02, rests.shape))
 
 
@@ -62,8 +69,27 @@ def as_set(spheres) -> set:
 def test_the_planner_reads_what_the_driver_writes():
     positions = displaced()
     written = deserialize_message(ObstacleMarkerWriter(scene()).write(positions, STAMP_NS), MarkerArray)
-    spheres = ObstacleMarkerReader(MATERIAL).read(written)
+    spheres = SerializedObstacleReader(ARM.base_frame, MATERIAL).read(written)
     assert as_set(spheres) == as_set(obstacle_spheres(scene(), positions))
+
+
+def test_they_were_seen_at_the_oldest_stamp_that_is_set():
+    message = obstacle_markers(scene(), displaced(), STAMP_NS)
+    marker(message, "edges").header.stamp.sec -= 3
+    marker(message, "rest").header.stamp.sec = marker(message, "rest").header.stamp.nanosec = 0
+    reader, serialized = (SerializedObstacleReader(ARM.base_frame, MATERIAL) for _ in range(2))
+    for later_s in (0, 1):
+        for one in message.markers:
+            one.header.stamp.sec += later_s if one.header.stamp.sec else 0
+        reader.read(message)
+        serialized.read_serialized(serialize_message(message))
+        assert reader.stamp_ns == serialized.stamp_ns == STAMP_NS + (later_s - 3) * 1_000_000_000
+    for one in message.markers:
+        one.header.stamp.sec = one.header.stamp.nanosec = 0
+    for unstamped in (message, MarkerArray()):
+        reader.read(unstamped)
+        serialized.read_serialized(serialize_message(unstamped))
+        assert reader.stamp_ns is None and serialized.stamp_ns is None
 
 
 def test_fast_writing_is_the_same_as_building_the_message():
@@ -77,15 +103,15 @@ def test_fast_writing_is_the_same_as_building_the_message():
 
 
 def test_no_obstacles_make_an_empty_message():
-    empty = Scene("free", 0, HOME, np.zeros(3))
+    empty = Scene("free", ARM, 0, HOME, np.zeros(3))
     message = deserialize_message(ObstacleMarkerWriter(empty).write(np.zeros((0, 3)), STAMP_NS), MarkerArray)
     assert message.markers == []
-    assert len(ObstacleMarkerReader(MATERIAL).read(message)) == 0
+    assert len(SerializedObstacleReader(ARM.base_frame, MATERIAL).read(message)) == 0
 
 
 def test_movable_and_fixed_nodes_and_edges_are_told_apart():
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
-    wall = scene().walls[0]
+    wall = scene().obstacles[2]
     assert len(marker(message, "obstacles").points) == (~wall.fixed).sum()
     assert len(marker(message, "fixed").points) == wall.fixed.sum()
     assert len(marker(message, "edges").points) == 2 * len(wall.edges)
@@ -94,7 +120,7 @@ def test_movable_and_fixed_nodes_and_edges_are_told_apart():
 
 
 def test_edges_follow_the_nodes_and_are_looked_up_again_when_they_change():
-    reader = ObstacleMarkerReader(MATERIAL)
+    reader = SerializedObstacleReader(ARM.base_frame, MATERIAL)
     first = reader.read(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS))
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     np.testing.assert_array_equal(reader.read(message).edges, first.edges)
@@ -109,12 +135,12 @@ def test_edges_follow_the_nodes_and_are_looked_up_again_when_they_change():
 
 
 def test_places_where_spheres_were_first_seen_are_their_rest():
-    reader = ObstacleMarkerReader(MATERIAL)
+    reader = SerializedObstacleReader(ARM.base_frame, MATERIAL)
     for positions in (rest_positions(scene()), displaced()):
         message = obstacle_markers(scene(), positions, STAMP_NS)
         message.markers = [one for one in message.markers if one.ns != "rest"]
         spheres = reader.read(message)
-    told = ObstacleMarkerReader(MATERIAL).read(obstacle_markers(scene(), displaced(), STAMP_NS))
+    told = SerializedObstacleReader(ARM.base_frame, MATERIAL).read(obstacle_markers(scene(), displaced(), STAMP_NS))
     np.testing.assert_array_equal(spheres.rest, told.rest)
 
 
@@ -122,7 +148,7 @@ def test_spheres_of_perception_may_be_in_any_namespace():
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     message.markers = [marker(message, "obstacles", 0)]
     message.markers[0].ns = "balls"
-    assert len(ObstacleMarkerReader(MATERIAL).read(message)) == 1
+    assert len(SerializedObstacleReader(ARM.base_frame, MATERIAL).read(message)) == 1
 
 
 def spoil_frame(message):
@@ -192,7 +218,7 @@ def spoil_fixture(message):
     ],
 )
 def test_bad_message_is_refused_by_name(spoil, said):
-    reader = ObstacleMarkerReader(MATERIAL)
+    reader = SerializedObstacleReader(ARM.base_frame, MATERIAL)
     reader.read(obstacle_markers(scene(), rest_positions(scene()), STAMP_NS))
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     spoil(message)
@@ -208,7 +234,7 @@ class TestSerialized:
         return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in vars(one))
 
     def test_a_stream_of_messages_is_read_as_each_by_itself(self):
-        reader, writer = ObstacleMarkerReader(MATERIAL), ObstacleMarkerWriter(scene())
+        reader, writer = SerializedObstacleReader(ARM.base_frame, MATERIAL), ObstacleMarkerWriter(scene())
         for index in range(5):
             positions = displaced() + 0.01 * index
             if index % 2:
@@ -216,11 +242,11 @@ class TestSerialized:
                 data = serialize_message(obstacle_markers(scene(), positions, STAMP_NS + index))
             else:
                 data = writer.write(positions, STAMP_NS + index)
-            expected = ObstacleMarkerReader(MATERIAL).read(deserialize_message(data, MarkerArray))
+            expected = SerializedObstacleReader(ARM.base_frame, MATERIAL).read(deserialize_message(data, MarkerArray))
             assert self.same(reader.read_serialized(data), expected)
 
     def test_messages_that_fit_are_not_turned_into_objects(self, monkeypatch):
-        reader, writer = ObstacleMarkerReader(MATERIAL), ObstacleMarkerWriter(scene())
+        reader, writer = SerializedObstacleReader(ARM.base_frame, MATERIAL), ObstacleMarkerWriter(scene())
         reader.read_serialized(writer.write(rest_positions(scene()), STAMP_NS))
         monkeypatch.setattr(obstacle_markers_module, "decode", None)
         spheres = reader.read_serialized(writer.write(displaced(), STAMP_NS + 1))
@@ -228,7 +254,7 @@ class TestSerialized:
 
     @pytest.mark.parametrize("change", ["scale", "id", "action"])
     def test_what_else_changes_is_noticed(self, change):
-        reader = ObstacleMarkerReader(MATERIAL)
+        reader = SerializedObstacleReader(ARM.base_frame, MATERIAL)
         message = obstacle_markers(scene(), displaced(), STAMP_NS)
         for _ in range(3):
             reader.read_serialized(serialize_message(message))
@@ -245,10 +271,75 @@ class TestSerialized:
                 reader.read_serialized(serialize_message(message))
 
     def test_bytes_that_are_no_message_are_refused(self):
-        reader = ObstacleMarkerReader(MATERIAL)
+        reader = SerializedObstacleReader(ARM.base_frame, MATERIAL)
         message = serialize_message(obstacle_markers(scene(), displaced(), STAMP_NS))
         for data in garbage(message):
             with pytest.raises(InputError, match=r"^obstacles: (\d+ bytes that are no MarkerArray; expected|marker)"):
                 reader.read_serialized(data)
             # Not even a reader that knows the layout by now takes them.
             assert len(reader.read_serialized(message)) == len(displaced())
+
+
+class TestRigidBodies:
+    BODIES = (
+        Plane("floor", (0.0, 0.0, -0.1)),
+        Plane("wall", (1.0, 0.2, 0.0), (-1.0, 0.3, 0.1)),
+        Block("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2), (0.1, 0.2, 0.3, 0.9273618)),
+    )
+
+    def scene(self, *bodies) -> Scene:
+        return dataclasses.replace(scene(), environment=bodies or self.BODIES)
+
+    def reader(self) -> SerializedObstacleReader:
+        return SerializedObstacleReader(ARM.base_frame, MATERIAL)
+
+    def test_the_planner_reads_what_the_driver_writes(self):
+        data = ObstacleMarkerWriter(self.scene()).write(displaced(), STAMP_NS)
+        spheres = self.reader().read_serialized(data)
+        assert as_set(spheres) == as_set(obstacle_spheres(scene(), displaced()))
+        for body, read in zip(self.BODIES, spheres.environment, strict=True):
+            points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+            assert (type(read), read.name) == (type(body), body.name)
+            np.testing.assert_allclose(read.distances(points), body.distances(points), atol=1e-9)
+
+    def test_they_are_kept_while_only_points_change_and_read_again_when_they_move(self):
+        reader, writer = self.reader(), ObstacleMarkerWriter(self.scene())
+        first = reader.read_serialized(writer.write(displaced(), STAMP_NS))
+        later = reader.read_serialized(writer.write(displaced() + 0.1, STAMP_NS + 1))
+        assert later.environment == first.environment
+        moved = dataclasses.replace(self.BODIES[2], center=(0.5, 0.3, 0.1))
+        other = ObstacleMarkerWriter(self.scene(*self.BODIES[:2], moved))
+        for shift in (0.0, 0.1):
+            spheres = reader.read_serialized(other.write(displaced() + shift, STAMP_NS))
+            assert spheres.environment[2].center == moved.center
+        back = reader.read_serialized(writer.write(displaced(), STAMP_NS))
+        assert back.environment == first.environment
+
+    def test_a_scene_without_spheres_has_them_too(self):
+        bare = Scene("test", ARM, 0, HOME, np.zeros(3), environment=self.BODIES)
+        spheres = self.reader().read_serialized(ObstacleMarkerWriter(bare).write(np.zeros((0, 3)), STAMP_NS))
+        assert len(spheres) == 0
+        assert [body.name for body in spheres.environment] == ["floor", "wall", "table"]
+
+    def test_cubes_of_others_are_blocks_named_by_namespace_and_id(self):
+        message = obstacle_markers(self.scene(), displaced(), STAMP_NS)
+        marker(message, "block").ns = "furniture"
+        marker(message, "furniture").text = ""
+        (block,) = (body for body in self.reader().read(message).environment if isinstance(body, Block))
+        assert block.name == "furniture/2"
+
+    @pytest.mark.parametrize(
+        ("change", "error"),
+        [
+            (lambda cube: setattr(cube.scale, "y", 0.0), "marker block/2: table: size = .* expected positive lengths"),
+            (lambda cube: setattr(cube.pose.orientation, "w", 3.0), "marker block/2: table: orientation = .* unit"),
+            (lambda cube: setattr(cube.pose.position, "x", np.nan), "marker block/2: table: center: expected finite"),
+            (lambda cube: setattr(cube.header, "frame_id", "map"), "header.frame_id is 'map'"),
+            (lambda cube: setattr(cube, "action", Marker.DELETE), "marker block/2 has action 2; expected CUBE, to ADD"),
+        ],
+    )
+    def test_one_that_cannot_be_is_refused_by_name(self, change, error):
+        message = obstacle_markers(self.scene(), displaced(), STAMP_NS)
+        change(marker(message, "block"))
+        with pytest.raises(InputError, match=error):
+            self.reader().read(message)

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 from plans import make_plan
 from visualization_msgs.msg import Marker
 
-from contact_reach_ros.nodes.messages import quaternion, vector
-from contact_reach_ros.nodes.plan_markers import PlanMarkers
-from contact_reach_ros.planning.problem import Plan
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames, rotation_from_quaternion
-from contact_reach_ros.robot.model import RobotModel
-from contact_reach_ros.scenes.overlap import capsule_segments
+from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaternion
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.messages.plan_markers import PlanMarkers
+from contact_reach_ros.messages.values import quaternion, vector
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.world.overlap import capsule_segments
 
 PERMITTED = 10.0
 
@@ -29,7 +28,7 @@ def bent_plan(forces: dict[tuple[int, int], float] | None = None) -> Plan:
         q[1:],
         effect_ns=5_000_000_007,
         predicted_q=q,
-        predicted_positions=np.array([RobotModel().flange_pose(angles)[0] for angles in q]),
+        predicted_positions=np.array([RobotModel(ARM).tip_pose(angles)[0] for angles in q]),
         predicted_contact_forces=predicted_forces,
     )
 
@@ -46,21 +45,21 @@ def points(marker: Marker) -> np.ndarray:
 
 def test_paths_run_along_flange_and_elbow():
     plan = bent_plan()
-    markers = by_name(PlanMarkers(PERMITTED).show(plan))
+    markers = by_name(PlanMarkers(ARM, PERMITTED).show(plan))
     np.testing.assert_allclose(points(markers["flange", 0]), plan.predicted_positions, rtol=0, atol=1e-12)
-    elbows = [link_frames(q)[1][3] for q in plan.predicted_q]
+    elbows = [link_frames(ARM, q)[1][3] for q in plan.predicted_q]
     np.testing.assert_allclose(points(markers["elbow", 0]), elbows, rtol=0, atol=1e-12)
     assert {markers[name].type for name in (("flange", 0), ("elbow", 0))} == {Marker.LINE_STRIP}
     for marker in markers.values():
-        assert marker.header.frame_id == iiwa14.BASE_NAME
+        assert marker.header.frame_id == ARM.base_frame
         assert (marker.header.stamp.sec, marker.header.stamp.nanosec) == (5, 7)
 
 
 def test_the_arm_stands_where_the_plan_ends():
     plan = bent_plan()
-    markers = by_name(PlanMarkers(PERMITTED).show(plan))
-    starts, ends = capsule_segments(plan.predicted_q[-1])
-    for index, capsule in enumerate(iiwa14.CAPSULES):
+    markers = by_name(PlanMarkers(ARM, PERMITTED).show(plan))
+    starts, ends = capsule_segments(ARM, plan.predicted_q[-1])
+    for index, capsule in enumerate(ARM.capsules):
         marker = markers["arm", capsule.link]
         x, y, z, w = quaternion(marker.pose.orientation)
         half = 0.5 * marker.scale.z * rotation_from_quaternion((w, x, y, z))[:, 2]
@@ -72,19 +71,19 @@ def test_the_arm_stands_where_the_plan_ends():
 
 def test_a_force_is_told_where_the_link_is_when_it_is_largest():
     plan = bent_plan({(0, 2): 1.0, (1, 2): 7.26, (2, 2): 3.0})
-    markers = by_name(PlanMarkers(PERMITTED).show(plan))
+    markers = by_name(PlanMarkers(ARM, PERMITTED).show(plan))
     texts = {name: marker for name, marker in markers.items() if name[0] == "contact"}
     (((_, link), text),) = texts.items()
-    assert link == iiwa14.CAPSULES[2].link
+    assert link == ARM.capsules[2].link
     assert text.text == "7.3 N" and text.type == Marker.TEXT_VIEW_FACING
-    starts, ends = capsule_segments(plan.predicted_q[2])
+    starts, ends = capsule_segments(ARM, plan.predicted_q[2])
     np.testing.assert_allclose(vector(text.pose.position), (starts[2] + ends[2]) / 2, rtol=0, atol=1e-12)
     # The link is redder than those without contact.
     assert markers["arm", link].color.r > markers["arm", 2].color.r
 
 
 def test_what_is_no_longer_there_is_deleted_once():
-    picture = PlanMarkers(PERMITTED)
+    picture = PlanMarkers(ARM, PERMITTED)
     picture.show(bent_plan({(0, 1): 2.0, (0, 4): 3.0}))
     second = by_name(picture.show(bent_plan({(0, 4): 3.0})))
     assert second["contact", 3].action == Marker.DELETE
@@ -93,7 +92,7 @@ def test_what_is_no_longer_there_is_deleted_once():
 
 
 def test_clearing_deletes_all_and_forgets():
-    picture = PlanMarkers(PERMITTED)
+    picture = PlanMarkers(ARM, PERMITTED)
     picture.show(bent_plan({(0, 1): 2.0}))
     (marker,) = picture.clear().markers
     assert marker.action == Marker.DELETEALL

@@ -6,15 +6,18 @@ import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
 from stack_helpers import environment
+from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.nodes.messages import to_point
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import iiwa14
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.nodes.serialized import JointStateWriter
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
 
-FLANGE, _ = RobotModel().flange_pose(HOME)
+FLANGE, _ = RobotModel(iiwa14.ARM).tip_pose(HOME)
 
 
 class Planner:
@@ -22,8 +25,10 @@ class Planner:
 
     def __init__(self) -> None:
         self.node = PlannerNode()
-        self._writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity"])
+        self.node._solve = lambda _: None
+        self._writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
         self._tick = 0
+        self.node._on_obstacles(serialize_message(MarkerArray()))
         self.state()
         self.goal()
         self.state()
@@ -34,16 +39,16 @@ class Planner:
 
     def goal(self) -> None:
         message = PoseStamped()
-        message.header.frame_id = iiwa14.BASE_NAME
+        message.header.frame_id = iiwa14.ARM.base_frame
         message.pose.position = to_point([0.5, 0.1, 0.4])
         message.pose.orientation.w = 1.0
-        self.node._on_goal(message)
+        self.node.inbox.give(topics.GOAL_POSE, serialize_message(message))
 
     def told(self, **values: str) -> None:
         """The observer tells of contact, with these values."""
         message = DiagnosticStatus(level=DiagnosticStatus.WARN, name="observer", message="contact")
         message.values = [KeyValue(key=key.replace("_", " "), value=value) for key, value in values.items()]
-        self.node._on_safety(message)
+        self.node.inbox.give(topics.SAFETY_STATE, serialize_message(message))
         self.state()
 
     def touched(self, force: str = "0 12 0") -> None:
@@ -53,7 +58,7 @@ class Planner:
 
     @property
     def planned_for(self) -> np.ndarray:
-        return self.node._reaction.goal(self.node._goal).position
+        return self.node._planner.reaction.goal(self.node._planner.goal).position
 
 
 @pytest.fixture
@@ -80,5 +85,5 @@ def test_no_contact_and_one_that_is_none_change_nothing(planner):
     for _ in range(3):
         planner.told(level="free")
         planner.touched("0 x 0")
-    assert planner.node.refused == {"contacts": 3}
+    assert planner.node.refused == {"safety states": 3}
     np.testing.assert_allclose(planner.planned_for, [0.5, 0.1, 0.4])

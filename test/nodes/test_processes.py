@@ -3,27 +3,30 @@
 import pytest
 from stack_helpers import parameter_file
 
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bringup.processes import BringupOptions, processes
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.nodes.processes import StackOptions, processes
-from contact_reach_ros.scenes.files import read_scene
-from contact_reach_ros.scenes.spheres import WALL_SPHERES
+from contact_reach_ros.ros.parameters import settings_of
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.spheres import MAX_SPHERES
 
 
 def planner_parameters(**options):
-    (planner,) = (process for process in processes(StackOptions(**options)) if process.name == "planner")
+    (planner,) = (process for process in processes(BringupOptions(**options)) if process.name == "planner")
     return planner.parameters
 
 
 @pytest.mark.parametrize(
     ("scene", "spheres"),
-    [("free", 0), ("ball", 1), ("wall", WALL_SPHERES), ("ball_mismatch", 1), ("wall_mismatch", WALL_SPHERES)],
+    [("free", 0), ("ball", 1), ("wall", MAX_SPHERES), ("ball_mismatch", 1), ("wall_mismatch", MAX_SPHERES)],
 )
 def test_the_planner_looks_at_as_many_spheres_as_the_scene_needs(scene, spheres):
     assert planner_parameters(scene=scene)["max_spheres"] == spheres
 
 
 def test_the_planner_is_told_what_walls_are_made_of():
-    wall, told = read_scene("wall").wall, planner_parameters(scene="wall")
+    (wall,), told = read_scene("wall").obstacles, planner_parameters(scene="wall")
     assert told["edge_stiffness"] == wall.edge_stiffness
     assert told["node_damping"] == wall.damping
     assert told["node_stiffness"] == wall.anchor_stiffness
@@ -42,22 +45,72 @@ def test_what_the_parameter_file_says_holds(tmp_path):
     assert "max_spheres" not in told and "edge_stiffness" in told
 
 
+def test_a_real_arms_planner_is_told_nothing_of_the_simulated_scene():
+    assert planner_parameters(scene="free", driver=False) == planner_parameters(scene="wall", driver=False)
+    told = planner_parameters(scene="free", driver=False)
+    assert not {"max_spheres", "sphere_stiffness", "sphere_damping"} & set(told)
+
+
+@pytest.mark.parametrize("driver", [True, False])
+def test_with_an_adapter_the_controller_commands_it_and_it_ends_after_the_controller(driver):
+    table = {process.name: process.parameters for process in processes(BringupOptions(adapter="effort", driver=driver))}
+    assert table["controller"]["supervision.adapter"] is True
+    # The simulated driver cannot be asked for the order of its joints.
+    assert (table["adapter"]["kind"], table["adapter"]["effort.ask_joints"]) == ("effort", not driver)
+    # They are ended in the reverse order.
+    names = list(table)
+    assert names.index("adapter") < names.index("controller")
+    without = {process.name: process.parameters for process in processes(BringupOptions(driver=driver))}
+    assert "adapter" not in without and "supervision.adapter" not in without["controller"]
+
+
 def test_overrides_reach_their_node_only():
-    options = StackOptions(overrides=("planner:period=0.05", "driver:seed=7", "planner:goal_orientation=free"))
+    options = BringupOptions(overrides=("planner:period=0.05", "driver:seed=7", "planner:goal_orientation=free"))
     told = {process.name: process.parameters for process in processes(options)}
     assert told["planner"]["period"] == 0.05 and told["planner"]["goal_orientation"] == "free"
     assert told["driver"]["seed"] == 7 and "seed" not in told["controller"]
 
 
 @pytest.mark.parametrize(
-    "text", ["planner", "planner:period", "nobody:period=1", "planner:=1", "planner:a=[1]", "planner:a={"]
+    "text",
+    [
+        "planner",
+        "planner:period",
+        "nobody:period=1",
+        "planner:=1",
+        "planner:a=[1]",
+        "planner:a={",
+        "planner:perod=0.05",
+        "planner:period=5",
+        "planner:impedance.task_damping=50",
+        "planner:state_rate=500",
+        "driver:watchdog.hold_after=0.5",
+    ],
 )
 def test_an_override_that_is_none_is_refused(text):
-    with pytest.raises(SettingsError, match="override"):
-        processes(StackOptions(overrides=(text,)))
+    with pytest.raises(SettingsError):
+        processes(BringupOptions(overrides=(text,)))
+
+
+def test_an_override_of_a_node_that_is_not_started_is_refused():
+    with pytest.raises(SettingsError, match="not started here"):
+        processes(BringupOptions(driver=False, overrides=("driver:seed=7",)))
+
+
+def test_the_planner_plans_for_gains_that_are_changed():
+    options = BringupOptions(overrides=("controller:impedance.task_damping=90.0",))
+    told = {process.name: process.parameters for process in processes(options)}
+    assert told["controller"]["impedance.task_damping"] == 90.0
+    arguments = [
+        "planner",
+        "-p",
+        f"controller:impedance.task_damping:={told['planner']['controller:impedance.task_damping']}",
+    ]
+    read = settings_of(arguments, "controller", {"impedance": ImpedanceSettings}, load_arm())
+    assert read["impedance"].task_damping == 90.0
 
 
 def test_only_the_viewer_may_end_alone():
-    table = processes(StackOptions(view=True, bag="somewhere"))
+    table = processes(BringupOptions(view=True, bag="somewhere"))
     assert [process.name for process in table if not process.essential] == ["viewer"]
-    assert not any(process.name == "viewer" for process in processes(StackOptions()))
+    assert not any(process.name == "viewer" for process in processes(BringupOptions()))

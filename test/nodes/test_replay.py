@@ -18,12 +18,13 @@ from stack_helpers import environment, module, wait_for
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes import topics
-from contact_reach_ros.nodes.replay import main, publisher_qos
-from contact_reach_ros.nodes.replay_guard import Endpoints, Watch, objections
-from contact_reach_ros.recording.bag_writer import BagWriter
-from contact_reach_ros.recording.topics import OfferedQos, Topic
+from contact_reach_ros.messages import topics
+from contact_reach_ros.nodes.recorded_qos import publisher_qos
+from contact_reach_ros.nodes.replay import main
+from contact_reach_ros.ros.replay_guard import Endpoints, Guard, signs_of_a_stack
 
 PATIENCE = 60.0
 MS = 1_000_000
@@ -31,9 +32,9 @@ START = 1_700_000_000_000_000_000
 LATCHED = OfferedQos(depth=3, durability="transient_local")
 BEST_EFFORT = OfferedQos(reliability="best_effort")
 TOPICS = (
-    Topic("/robot_description", "std_msgs/msg/String", (LATCHED,)),
-    Topic("/joint_states", "sensor_msgs/msg/JointState", (OfferedQos(depth=1000),)),
-    Topic("/effort_controller/commands", "std_msgs/msg/Float64MultiArray", (BEST_EFFORT,)),
+    RecordedTopic("/robot_description", "std_msgs/msg/String", (LATCHED,)),
+    RecordedTopic("/joint_states", "sensor_msgs/msg/JointState", (OfferedQos(depth=1000),)),
+    RecordedTopic("/effort_controller/commands", "std_msgs/msg/Float64MultiArray", (BEST_EFFORT,)),
 )
 TICKS = 200
 
@@ -156,34 +157,64 @@ def test_signal_ends_an_endless_replay_cleanly(tmp_path, env, listener, number):
     assert set(times) == {START // 1_000_000_000}
 
 
-def test_commands_are_not_replayed_to_a_live_arm(tmp_path, env):
+@pytest.mark.parametrize(
+    "chosen", [[], ["--everything"], ["--topics", "effort_controller/commands"]], ids=lambda c: " ".join(c[:1])
+)
+def test_nothing_is_replayed_beside_a_live_arm(tmp_path, env, chosen):
     make_bag(tmp_path / "bag")
     arm = Listener(env, "my_arm")
     newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     arm.hear(Float64MultiArray, "/effort_controller/commands", newest)
     try:
-        result = subprocess.run(replay(tmp_path / "bag"), env=env, capture_output=True, text=True, timeout=PATIENCE)
+        result = subprocess.run(
+            replay(tmp_path / "bag", *chosen), env=env, capture_output=True, text=True, timeout=PATIENCE
+        )
         assert result.returncode == 2
-        (line,) = result.stderr.splitlines()
-        assert "/effort_controller/commands is heard by /my_arm, which could move an arm" in line
+        *_, line = result.stderr.splitlines()
+        assert "an arm could move" in line
+        assert "/effort_controller/commands is heard by /my_arm" in line
         assert "--allow-motion" in line
         # It must not even appear as a second publisher, for which a driver would stop its arm.
-        assert arm.node.count_publishers("/effort_controller/commands") == 0
+        for name in ("/effort_controller/commands", "/joint_states"):
+            assert arm.node.count_publishers(name) == 0
     finally:
         arm.close()
+
+
+def test_commands_are_left_out_unless_they_are_asked_for(tmp_path, env):
+    make_bag(tmp_path / "bag")
+    watching = Listener(env, "recorder")
+    commands = watching.hear(Float64MultiArray, "/effort_controller/commands", QoSProfile(depth=1000))
+    try:
+        result = subprocess.run(replay(tmp_path / "bag"), env=env, capture_output=True, text=True, timeout=PATIENCE)
+        assert result.returncode == 0, result.stderr
+        assert f"{TICKS + 1} messages of 2 topics" in result.stdout
+        assert "left out, use --everything or --topics: /effort_controller/commands" in result.stderr
+        assert not commands
+    finally:
+        watching.close()
+
+
+def test_bag_of_nothing_but_commands_says_what_publishes_them(tmp_path, capsys):
+    with BagWriter(tmp_path / "bag", TOPICS[2:]) as writer:
+        writer.write(COMMANDS, serialize_message(Float64MultiArray(data=[0.0])), START)
+    with pytest.raises(SystemExit) as ended:
+        main([str(tmp_path / "bag")])
+    assert ended.value.code == 2
+    assert "--everything publishes commands, references and goals" in capsys.readouterr().err
 
 
 def test_no_message_goes_to_an_arm_found_too_late_to_be_looked_at(env, listener):
     arm = Listener(env, "my_arm")
     kind, name = Float64MultiArray, COMMANDS
     try:
-        watch = Watch(listener.node, [name])
+        guard = Guard(listener.node, [name])
         publisher = listener.node.create_publisher(kind, name, 1)
-        watch.admit(name, publisher)
+        guard.admit(name, publisher)
         arm.hear(kind, name, QoSProfile(depth=1))
         wait_for(publisher.get_subscription_count, PATIENCE, "a match")
         with pytest.raises(InputError, match=f"{name} is heard by /my_arm"):
-            watch.admit(name, publisher)
+            guard.admit(name, publisher)
     finally:
         arm.close()
 
@@ -191,11 +222,11 @@ def test_no_message_goes_to_an_arm_found_too_late_to_be_looked_at(env, listener)
 def test_whoever_only_watches_gets_messages(env, listener):
     watching = Listener(env, "recorder")
     try:
-        watch = Watch(listener.node, [COMMANDS])
+        guard = Guard(listener.node, [COMMANDS])
         publisher = listener.node.create_publisher(Float64MultiArray, COMMANDS, 1)
         watching.hear(Float64MultiArray, COMMANDS, QoSProfile(depth=1))
         wait_for(publisher.get_subscription_count, PATIENCE, "a match")
-        watch.admit(COMMANDS, publisher)
+        guard.admit(COMMANDS, publisher)
     finally:
         watching.close()
 
@@ -205,39 +236,52 @@ def nodes(*names: str) -> frozenset[str]:
 
 
 COMMANDS, STATES, GOAL = "/effort_controller/commands", "/joint_states", "/goal_pose"
-LIVE_STACK = {
-    COMMANDS: Endpoints(nodes("controller"), nodes("driver", "observer")),
-    STATES: Endpoints(nodes("driver"), nodes("controller", "observer", "planner")),
-    GOAL: Endpoints(nodes(), nodes("planner")),
-    "/external_torque": Endpoints(nodes("observer"), nodes("rviz2")),
-}
 
 
 @pytest.mark.parametrize(
-    ("graph", "replayed", "expected"),
+    ("name", "publishers", "listeners", "expected"),
     [
-        (LIVE_STACK, [COMMANDS], "commands is heard by /driver,"),
-        (LIVE_STACK, [STATES], "joint_states is heard by /controller, /planner,"),
-        (LIVE_STACK, [GOAL], "goal_pose is heard by /planner"),
-        (LIVE_STACK, ["/external_torque"], ""),
-        # Whoever only watches may hear all of it.
-        ({COMMANDS: Endpoints(nodes(), nodes("observer", "recorder"))}, [COMMANDS, STATES], ""),
-        ({STATES: Endpoints(nodes(), nodes("rviz2", "observer"))}, [STATES], ""),
-        # Unknown nodes: by what they do.
-        ({COMMANDS: Endpoints(nodes(), nodes("lbr/hardware"))}, [COMMANDS], "/lbr/hardware"),
-        (
-            {STATES: Endpoints(nodes(), nodes("my_law")), COMMANDS: Endpoints(nodes("my_law"), nodes())},
-            [STATES],
-            "joint_states is heard by /my_law",
-        ),
-        ({STATES: Endpoints(nodes("driver"), nodes())}, [STATES], "live and recorded would be mixed"),
-        ({"/left/goal_pose": Endpoints(nodes(), nodes("left/planner"))}, ["/left/goal_pose"], "/left/planner"),
+        (COMMANDS, ["controller"], ["driver", "observer"], "commands is heard by /driver"),
+        (COMMANDS, ["controller"], ["observer"], "commands is published by /controller"),
+        (STATES, ["driver"], ["observer"], "joint_states is published by /driver"),
+        (STATES, [], ["controller", "observer", "planner"], "joint_states is heard by /controller, /planner"),
+        (GOAL, ["viewer"], ["planner"], "goal_pose is heard by /planner"),
+        ("/obstacles", [], ["planner"], "obstacles is heard by /planner"),
+        ("/left/goal_pose", [], ["left/planner"], "/left/planner"),
+        # Unknown nodes, by what they do.
+        (COMMANDS, [], ["lbr/hardware"], "/lbr/hardware"),
+        ("/reference/pose", ["my_planner"], [], "/my_planner"),
+        ("/sim/faults", [], ["my_simulation"], "/my_simulation"),
+        # Those that only watch.
+        (COMMANDS, [], ["observer", "recorder"], ""),
+        (STATES, [], ["rviz2", "observer"], ""),
+        (GOAL, ["rviz2"], ["viewer"], ""),
+        ("/external_torque", ["observer"], ["rviz2"], ""),
     ],
 )
-def test_what_speaks_against_a_replay(graph, replayed, expected):
-    found = "; ".join(objections(replayed, graph))
+def test_what_shows_that_a_stack_runs(name, publishers, listeners, expected):
+    found = "; ".join(signs_of_a_stack({name: Endpoints(nodes(*publishers), nodes(*listeners))}))
     assert expected in found
     assert bool(found) == bool(expected)
+
+
+def test_a_stack_that_starts_during_a_replay_ends_it(env, listener):
+    driver = Listener(env, "my_driver")
+    try:
+        guard = Guard(listener.node, ["/robot_description"])
+        driver.node.create_publisher(JointState, "/left/joint_states", 1)
+        wait_for(lambda: listener.node.count_publishers("/left/joint_states"), PATIENCE, "a publisher")
+
+        def is_refused() -> bool:
+            try:
+                guard.check_next()
+            except InputError as error:
+                return "/left/joint_states is published by /my_driver" in str(error)
+            return False
+
+        wait_for(is_refused, PATIENCE, "a refusal")
+    finally:
+        driver.close()
 
 
 def test_quality_of_service_is_the_best_that_was_offered():

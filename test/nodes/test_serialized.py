@@ -8,17 +8,17 @@ from sensor_msgs.msg import JointState
 from serialized_helpers import garbage
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.nodes.serialized import (
+from contact_reach_ros.messages.serialized import (
     CommandWriter,
     JointStateReader,
     JointStateWriter,
     WrenchWriter,
     read_command,
 )
-from contact_reach_ros.robot import iiwa14
 
-NAMES = list(iiwa14.JOINT_NAMES)
+NAMES = list(iiwa14.ARM.joint_names)
 STAMP_NS = 1_700_000_000_123_456_789
 
 
@@ -52,14 +52,14 @@ def test_joint_states_of_any_layout_are_read_like_decoded_ones(with_effort):
         # From the second one on the numbers are taken from where they stood in the first.
         for stamp_ns in (STAMP_NS, STAMP_NS + 1, 5):
             message = joint_state(random=random, stamp_ns=stamp_ns, **layout)
-            sample = reader.read(serialize_message(message))
-            assert sample.stamp_ns == stamp_ns
-            assert sample.position.tolist() == values_by_name(message, "position")
-            assert sample.velocity.tolist() == values_by_name(message, "velocity")
+            state = reader.read(serialize_message(message))
+            assert state.stamp_ns == stamp_ns
+            assert state.q.tolist() == values_by_name(message, "position")
+            assert state.v.tolist() == values_by_name(message, "velocity")
             if with_effort and message.effort:
-                assert sample.effort.tolist() == values_by_name(message, "effort")
+                assert state.torque.tolist() == values_by_name(message, "effort")
             else:
-                assert sample.effort is None
+                assert state.torque is None
 
 
 def test_renamed_joints_are_refused_though_all_sizes_are_the_same():
@@ -80,14 +80,14 @@ def test_values_that_moved_to_another_field_are_refused_though_the_size_is_the_s
     message.velocity, message.effort = [0.0] * 6, [0.0] * 8
     with pytest.raises(InputError, match="velocity has 6 values"):
         reader.read(serialize_message(message))
-    assert reader.read(serialize_message(joint_state(NAMES, random))).position.shape == (7,)
+    assert reader.read(serialize_message(joint_state(NAMES, random))).q.shape == (7,)
 
 
 def test_an_effort_of_the_wrong_length_is_refused_only_by_who_reads_it():
     message = joint_state(NAMES, np.random.default_rng(0))
     message.effort = [1.0] * 3
     data = serialize_message(message)
-    assert JointStateReader(NAMES, "joint_states").read(data).effort is None
+    assert JointStateReader(NAMES, "joint_states").read(data).torque is None
     with pytest.raises(InputError, match="effort has 3 values"):
         JointStateReader(NAMES, "joint_states", with_effort=True).read(data)
 
@@ -97,9 +97,9 @@ def test_samples_are_not_overwritten_by_later_messages():
     reader = JointStateReader(NAMES, "joint_states")
     first = joint_state(NAMES, random)
     reader.read(serialize_message(first))
-    sample = reader.read(serialize_message(first))
+    state = reader.read(serialize_message(first))
     reader.read(serialize_message(joint_state(NAMES, random)))
-    assert sample.position.tolist() == first.position.tolist()
+    assert state.q.tolist() == first.position.tolist()
 
 
 @pytest.mark.parametrize("fields", [("position", "velocity", "effort"), ("effort",), ("position", "effort")])
@@ -163,7 +163,7 @@ def test_bytes_that_are_no_joint_state_are_refused():
     for data in garbage(message):
         with pytest.raises(InputError, match=f"^joint_states: {len(data)} bytes that are no JointState; expected"):
             reader.read(data)
-        assert reader.read(message).position.shape == (7,)
+        assert reader.read(message).q.shape == (7,)
 
 
 def test_bytes_that_are_no_command_are_refused():

@@ -8,18 +8,20 @@ import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from stack_helpers import environment
+from stack_helpers import UNWATCHED, environment
 from std_msgs.msg import Header
 
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.nodes import topics
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.conversions import set_time
+from contact_reach_ros.messages.safety_state import DISTRUST
+from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.nodes.messages import set_time
-from contact_reach_ros.nodes.serialized import CommandWriter, JointStateWriter
-from contact_reach_ros.observer.safety import DISTRUST
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.ros.lockstep import Lockstep
+from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.units import NANOSECONDS
 
 _HEARD = (topics.JOINT_STATES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
@@ -37,7 +39,7 @@ class Publisher:
 
 @pytest.fixture
 def lockstep():
-    arguments = ["--ros-args", "-p", "use_sim_time:=true", "-p", "lockstep:=true"]
+    arguments = [*UNWATCHED, "-p", "use_sim_time:=true", "-p", "lockstep:=true"]
     rclpy.init(args=arguments, domain_id=int(environment()["ROS_DOMAIN_ID"]))
     try:
         yield
@@ -46,14 +48,14 @@ def lockstep():
 
 
 class Others:
-    """Driver and observer, for a controller whose loop runs when told to."""
+    """Driver, observer and planner, for a controller whose loop runs when told to."""
 
     def __init__(self, controller: ControllerNode) -> None:
         self._node = rclpy.create_node("others")
         self._publishers = {
-            topic.name: self._node.create_publisher(topic.type, topic.name, topic.qos) for topic in _HEARD
+            topic.name: self._node.create_publisher(topic.type, topic.name, qos_profile(topic.qos)) for topic in _HEARD
         }
-        self._writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity"])
+        self._writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
         self._controller = controller
         while not all(publisher.get_subscription_count() for publisher in self._publishers.values()):
             time.sleep(0.01)
@@ -61,51 +63,52 @@ class Others:
     def show(self, tick: int) -> None:
         """Publish a joint state, and have the controller handle what there is until it has seen it."""
         self._publishers[topics.JOINT_STATES.name].publish(self._writer.write(tick * TICK_NS, HOME, REST))
-        while self._controller._state_ns < tick * TICK_NS:
+        while (self._controller._controller.stamp_ns or 0) < tick * TICK_NS:
             self._controller.inbox.wait(NANOSECONDS // 10)
 
     def say(self, done: int, stop: str = "") -> None:
         """The observer has seen the states up to a tick, and perhaps wants a stop."""
         level = DiagnosticStatus.ERROR if stop else DiagnosticStatus.OK
         self._publishers[topics.SAFETY_STATE.name].publish(DiagnosticStatus(level=level, name="observer", message=stop))
-        header = Header(frame_id="observer")
-        set_time(header.stamp, (done + 1) * TICK_NS)
-        self._publishers[topics.LOCKSTEP_HORIZON.name].publish(header)
+        for name in ("observer", "planner"):
+            header = Header(frame_id=name)
+            set_time(header.stamp, (done + 1) * TICK_NS)
+            self._publishers[topics.LOCKSTEP_HORIZON.name].publish(header)
 
 
-def test_in_lockstep_the_next_state_waits_for_what_the_observer_says_of_the_last(lockstep):
+def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(lockstep, monkeypatch):
     node = ControllerNode()
     node._look_around()
     others = Others(node)
-    others.show(1)
-    others.say(done=1)
-    others.show(2)
+    for tick in (1, 2):
+        others.say(done=tick)
+        others.show(tick)
     assert node._controller.mode is Mode.HOLDING
-    threading.Timer(0.5, lambda: others.say(done=2, stop="too much torque")).start()
+    threading.Timer(0.5, lambda: others.say(done=3, stop="too much torque")).start()
     others.show(3)
     assert node._controller.stop_reason == "too much torque"
-    others.say(done=3, stop="too much torque")
     # One that has nothing to say any more holds it up for a while only.
-    others.show(4)
+    monkeypatch.setattr("contact_reach_ros.ros.inbox._LONGEST_HOLD_S", 0.5)
     started = time.monotonic()
-    others.show(5)
-    assert time.monotonic() - started > 1.0
+    others.show(4)
+    assert time.monotonic() - started > 0.4
 
 
 def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
     node = ControllerNode()
     node._look_around()
-    node._horizon, node._safety = Publisher(), Publisher()
+    node._safety, horizon = Publisher(), Publisher()
+    node._lockstep = Lockstep("controller", TICK_NS, horizon.publish)
     commands: list[bytes] = []
     node._write_commands = commands.append
-    writer = JointStateWriter(iiwa14.JOINT_NAMES, iiwa14.BASE_NAME, ["position", "velocity"])
+    writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
 
     def show(tick: int) -> None:
         node._on_state(writer.write(tick * TICK_NS, HOME, REST))
 
     for tick in (1, 2, 2, 1):
         show(tick)
-    assert len(commands) == 2 and not node._horizon.messages
+    assert len(commands) == 2 and not horizon.messages
     values = node.diagnosis()[1]
     assert (values["joint states repeated"], values["joint states older"]) == (1, 1)
     message = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="observer", message="too much torque")
@@ -113,7 +116,7 @@ def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
     node._on_safety(message)
     show(3)
     assert len(commands) == 2
-    (answer,) = node._horizon.messages
+    (answer,) = horizon.messages
     assert (answer.frame_id, answer.stamp.nanosec) == ("controller", 3 * TICK_NS)
     said = node._safety.messages[-1]
     assert (said.level, said.values[0].value) == (DiagnosticStatus.ERROR, "silent")
@@ -123,12 +126,12 @@ def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
 def test_the_driver_takes_that_for_an_answer(lockstep):
     driver = DriverNode()
     driver._prepare_messages()
-    driver._publish()
-    assert driver._unanswered == 1
-    driver._on_horizon(Header(frame_id="observer"))
-    assert driver._unanswered == 1
-    driver._on_horizon(Header(frame_id="controller"))
-    assert driver._unanswered == 0
+    driver._publish(driver._read())
+    assert driver._lockstep.unanswered == 1
+    driver._lockstep.hear(Header(frame_id="observer"))
+    assert driver._lockstep.unanswered == 1
+    driver._lockstep.hear(Header(frame_id="controller"))
+    assert driver._lockstep.unanswered == 0
 
 
 class SteadyClock:
@@ -162,9 +165,9 @@ def clock(monkeypatch):
 def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
     driver = DriverNode()
     driver._prepare_messages()
-    command = CommandWriter(iiwa14.N_JOINTS).write(np.arange(7.0))
+    command = CommandWriter(iiwa14.ARM.n).write(np.arange(7.0))
     taken = []
-    monkeypatch.setattr(driver._drive, "command", lambda torque, _: taken.append(torque.tolist()))
+    monkeypatch.setattr(driver._robot, "command", lambda torque, _: taken.append(torque.tolist()))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: driver._on_command(command))
 
     def turn(late_ns: int) -> None:
@@ -172,10 +175,10 @@ def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
         driver._realtime_tick()
 
     turn(-TICK_NS)
-    assert driver._unanswered == 1 and not taken
+    assert driver._lockstep.unanswered == 1 and not taken
     turn(2 * TICK_NS)
     assert taken == [list(range(7))]
-    driver._unanswered = 0
+    driver._lockstep.unanswered = 0
     turn(2 * TICK_NS)
     assert len(taken) == 1
     assert driver.diagnosis()[1]["missed ticks"] == 4
@@ -195,7 +198,7 @@ def test_contacts_are_published_after_the_answer_where_there_is_time_for_that(cl
     # Late by most of a tick: what is left of it is needed.
     done.clear()
     for _ in range(5):
-        driver._unanswered, driver._next_ns = 0, clock.now_ns - TICK_NS * 9 // 10
+        driver._lockstep.unanswered, driver._next_ns = 0, clock.now_ns - TICK_NS * 9 // 10
         driver._realtime_tick()
     assert done == [*5 * ["state"], "contacts"]
 
@@ -205,21 +208,21 @@ def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):
     driver = DriverNode()
     driver._prepare_messages()
     monkeypatch.setattr(driver.inbox, "wait", lambda _: None)
-    model = RobotModel()
+    model = RobotModel(iiwa14.ARM)
     model.update(HOME, REST)
-    command = CommandWriter(iiwa14.N_JOINTS).write(model.gravity)
+    command = CommandWriter(iiwa14.ARM.n).write(model.gravity)
     driver._next_ns = clock.now_ns
     for _ in range(1000):
         driver._realtime_tick()
         driver._on_command(command)
     assert driver.diagnosis()[1]["actuation"] == "commanded"
-    before_ns = driver._now_ns
+    before_ns = driver._robot.now_ns
     clock.sleep(0.5)
     driver._realtime_tick()
     assert driver.diagnosis()[1]["stop reason"] == ""
     assert driver.diagnosis()[1]["missed ticks"] == 499
     # Stamps go on, and what there was to catch up is bounded.
-    assert driver._now_ns - before_ns == 500 * TICK_NS
+    assert driver._robot.now_ns - before_ns == 500 * TICK_NS
     for _ in range(100):
         driver._realtime_tick()
     assert driver.diagnosis()[1]["stop reason"].startswith("no command for")

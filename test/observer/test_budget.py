@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from arm_simulation import ARM
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -14,14 +15,14 @@ def file(tmp_path) -> Path:
 
 
 def test_budget_of_the_package_says_what_the_code_says():
-    assert load_budget() == ContactBudget()
+    assert load_budget().resolve(ARM) == ContactBudget().resolve(ARM)
 
 
 def test_file_replaces_what_it_names(file):
     file.write_text("permitted_force: 4")
     budget = load_budget(file)
     assert budget.permitted_force == 4.0
-    assert budget.torque_thresholds == ContactBudget().torque_thresholds
+    assert budget.resolve(ARM).torque_thresholds == ContactBudget().resolve(ARM).torque_thresholds
     assert load_budget(str(file)) == budget
 
 
@@ -34,7 +35,6 @@ def test_file_replaces_what_it_names(file):
         ("permitted_force: 141", "permitted_force = 141"),
         ("permitted_force: .nan", "permitted_force = nan"),
         ("permitted_force: ten", "permitted_force = 'ten'"),
-        ("torque_thresholds: [30, 30, 25]", "torque_thresholds = [30, 30, 25]: expected a list of 7 values"),
         ("torque_thresholds: [30, 30, 25, 25, 15, 10, 0]", "torque_thresholds = 0: expected"),
         ("torque_thresholds: 30", "torque_thresholds = 30"),
         ("contact_per_speed: [1, 1, 1, 1, 1, 1, -1]", "contact_per_speed = -1: expected"),
@@ -50,6 +50,12 @@ def test_file_and_key_are_named_when_it_is_refused(file, content, key):
         load_budget(file)
     assert str(raised.value).startswith(str(file))
     assert key in str(raised.value)
+
+
+def test_thresholds_for_another_number_of_joints_are_refused_for_the_arm(file):
+    file.write_text("torque_thresholds: [30, 30, 25]")
+    with pytest.raises(SettingsError, match=r"torque_thresholds = \(30.0, 30.0, 25.0\): expected a list of 7 values"):
+        load_budget(file).resolve(ARM)
 
 
 def test_missing_file_is_named(file):

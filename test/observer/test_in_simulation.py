@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 
 from contact_reach_ros.experiments.free_motion import START, FreeMotion
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.safety import Level
-from contact_reach_ros.scenes.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
 BUDGET = ContactBudget()
 MISMATCH = MismatchSettings()
@@ -26,35 +27,35 @@ def push(motion: FreeMotion, body: str, force: tuple[float, float, float]) -> No
 
 @pytest.mark.parametrize("mismatch", [NO_MISMATCH, MISMATCH], ids=["matching", "mismatch"])
 def test_free_motion_is_neither_contact_nor_collision(mismatch):
-    motion = run(FreeMotion(mismatch, 3, BUDGET), 5.0)
+    motion = run(FreeMotion(ARM, mismatch, 3, BUDGET), 5.0)
     assert not motion.monitor.stopped
     assert motion.monitor.contacts == 0
     # The arm did move, and was watched.
-    assert np.abs(motion.observer.residual).max() > 0.0
-    assert np.linalg.norm(motion.position - motion.plant.scene.start) > 0.3
+    assert np.abs(motion.observer.momentum.residual).max() > 0.0
+    assert np.linalg.norm(motion.state.q - motion.plant.scene.start) > 0.3
 
 
 def test_unknown_weight_is_found_when_the_arm_is_handed_over():
-    motion = run(FreeMotion(dataclasses.replace(NO_MISMATCH, payload=4.0), 0, BUDGET), START)
+    motion = run(FreeMotion(ARM, dataclasses.replace(NO_MISMATCH, payload=4.0), 0, BUDGET), START)
     assert "at hand-over the external torque on lbr_A2" in motion.monitor.stop_reason
     assert "payload" in motion.monitor.stop_reason
-    assert motion.observer.known_for <= BUDGET.handover_time
+    assert motion.observer.momentum.known_for <= BUDGET.handover_time
 
 
 def test_push_is_a_contact_that_ends_with_it():
-    motion = run(FreeMotion(MISMATCH, 0, BUDGET), 2.0)
+    motion = run(FreeMotion(ARM, MISMATCH, 0, BUDGET), 2.0)
     push(motion, "lbr_link_4", (0.0, 0.0, -15.0))
     run(motion, 2.06)
-    assert motion.monitor.level is Level.CONTACT
+    assert motion.monitor.level is SafetyLevel.CONTACT
     push(motion, "lbr_link_4", (0.0, 0.0, 0.0))
     run(motion, 2.6)
-    assert motion.monitor.level is Level.FREE
+    assert motion.monitor.level is SafetyLevel.FREE
 
 
 def test_hard_push_stops_the_arm():
-    motion = run(FreeMotion(MISMATCH, 0, BUDGET), 2.0)
+    motion = run(FreeMotion(ARM, MISMATCH, 0, BUDGET), 2.0)
     push(motion, "lbr_link_5", (0.0, 0.0, -80.0))
     run(motion, 2.1)
-    assert motion.monitor.level is Level.COLLISION
+    assert motion.monitor.level is SafetyLevel.COLLISION
     assert "torque on lbr_A" in motion.monitor.stop_reason
     assert motion.plant.time < 2.03

@@ -3,21 +3,20 @@
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import HOME, ideal_plant
+from arm_simulation import ARM, HOME, ideal_plant
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import ContactLocator
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
 
-SCALES = ContactBudget().contact_thresholds
+SCALES = ContactBudget().resolve(ARM).contact_thresholds
 RANGE = np.array([1.2, 0.5, 0.8, 0.6, 1.2, 0.6, 1.5])
 MID_ARM = (3, 4, 5)
 
 
 @pytest.fixture(scope="module")
 def locator() -> ContactLocator:
-    return ContactLocator(RobotModel(), SCALES)
+    return ContactLocator(RobotModel(ARM), SCALES)
 
 
 class Pushes:
@@ -26,16 +25,16 @@ class Pushes:
     def __init__(self, links: tuple[int, ...], seed: int = 0) -> None:
         self._random = np.random.default_rng(seed)
         self._plant = ideal_plant()
-        self._capsules = [capsule for capsule in iiwa14.CAPSULES if capsule.link in links]
+        self._capsules = [capsule for capsule in ARM.capsules if capsule.link in links]
 
     def draw(self, strength: float = 50.0) -> tuple[np.ndarray, str, np.ndarray, np.ndarray, np.ndarray]:
         """Joint angles (7,), link, point (3,), force (3,), torques (7,)."""
         random, model, data = self._random, self._plant.model, self._plant.data
         q = HOME + random.uniform(-RANGE, RANGE)
-        data.qpos[:7] = q
+        data.qpos[: ARM.n] = q
         mujoco.mj_forward(model, data)
         capsule = self._capsules[random.integers(len(self._capsules))]
-        link = iiwa14.LINK_NAMES[capsule.link - 1]
+        link = ARM.link_names[capsule.link - 1]
         body = model.body(link).id
         rotation = data.xmat[body].reshape(3, 3)
         start, end = np.array(capsule.start), np.array(capsule.end)
@@ -44,7 +43,7 @@ class Pushes:
         force = random.standard_normal(3)
         force -= along * (force @ along)
         force *= strength / np.linalg.norm(force)
-        torque = np.zeros(7)
+        torque = np.zeros(ARM.n)
         mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, torque)
         return q, link, point, force, torque
 
@@ -54,7 +53,7 @@ def test_link_of_most_pushes_at_mid_arm_is_right(locator, noise):
     pushes, random, right, errors = Pushes(MID_ARM), np.random.default_rng(1), [], []
     for _ in range(400):
         q, link, _, force, torque = pushes.draw()
-        contact = locator.locate(q, torque + noise * np.array(SCALES) * random.standard_normal(7))
+        contact = locator.locate(q, torque + noise * np.array(SCALES) * random.standard_normal(ARM.n))
         right.append(contact.link == link)
         errors.append(np.linalg.norm(contact.force - force) / np.linalg.norm(force))
     assert np.mean(right) > 0.8
@@ -80,18 +79,18 @@ def test_no_link_before_the_last_joint_that_feels_it_is_named(locator, link):
         q, _, _, _, torque = pushes.draw()
         felt = np.flatnonzero(np.abs(torque) > 3.0 * np.array(SCALES))
         if felt.size:
-            named = iiwa14.LINK_NAMES.index(locator.locate(q, torque).link)
+            named = ARM.link_names.index(locator.locate(q, torque).link)
             assert named >= felt[-1]
 
 
 def test_nothing_is_explained_by_no_force(locator):
-    contact = locator.locate(HOME, np.zeros(7))
+    contact = locator.locate(HOME, np.zeros(ARM.n))
     assert contact.strength == 0.0
     assert contact.misfit == 0.0
 
 
 def test_estimate_is_finite_where_the_arm_is_singular(locator):
-    contact = locator.locate(np.zeros(7), np.full(7, 5.0))
+    contact = locator.locate(np.zeros(ARM.n), np.full(ARM.n, 5.0))
     assert np.isfinite(contact.force).all()
     assert np.isfinite(contact.position).all()
     assert np.isfinite(contact.misfit)

@@ -4,13 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST, TICK_NS, ideal_plant, random_states
+from arm_simulation import ARM, HOME, REST, TICK_NS, ideal_plant, random_states
 
-from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
-from contact_reach_ros.plant.plant import TICK, Actuation
-from contact_reach_ros.plant.settings import JointSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.observer.momentum import GAP_PERIODS, MomentumObserver, MomentumSettings
+from contact_reach_ros.simulation.plant import TICK, Actuation
+from contact_reach_ros.simulation.settings import JointSettings
 
 SETTINGS = MomentumSettings()
 TICKS_PER_LAG = round(1.0 / SETTINGS.gain / TICK)
@@ -22,14 +21,14 @@ class Observed:
     def __init__(self, start: np.ndarray = HOME, settings: MomentumSettings = SETTINGS, **plant) -> None:
         self.plant = ideal_plant(start, **plant)
         self.plant.set_actuation(Actuation.COMMANDED)
-        self.observer = MomentumObserver(settings, RobotModel())
+        self.observer = MomentumObserver(settings, RobotModel(ARM))
         self.observer.update(start, REST, None, 0)
         self._start = start
-        self._model = RobotModel()
+        self._model = RobotModel(ARM)
 
     def step(self, external: np.ndarray = REST) -> np.ndarray:
         """One tick with an external torque on the joints; returns the residual."""
-        q, v = self.plant.data.qpos[:7].copy(), self.plant.data.qvel[:7].copy()
+        q, v = self.plant.data.qpos[: ARM.n].copy(), self.plant.data.qvel[: ARM.n].copy()
         self._model.update(q, v)
         inertia = np.diag(self._model.mass_matrix)
         command = self._model.bias - inertia * (400.0 * (q - self._start) + 40.0 * v)
@@ -42,10 +41,10 @@ class Observed:
         self.plant.data.xfrc_applied[self.plant.model.body(body).id, :3] = force
 
 
-@pytest.mark.parametrize("joint", range(7), ids=iiwa14.JOINT_NAMES)
+@pytest.mark.parametrize("joint", range(ARM.n), ids=ARM.joint_names)
 def test_residual_follows_a_torque_step_as_a_first_order_lag(joint):
     observed = Observed()
-    external = np.eye(7)[joint] * (10.0 if joint < 4 else 1.0)
+    external = np.eye(ARM.n)[joint] * (10.0 if joint < 4 else 1.0)
     residuals = np.array([observed.step(external) for _ in range(8 * TICKS_PER_LAG)])
     shares = residuals[:, joint] / external[joint]
     ticks = np.arange(1, len(shares) + 1)
@@ -83,8 +82,8 @@ def test_external_torque_is_the_same_from_an_arm_in_motion():
 
 @pytest.mark.parametrize("link", range(1, 8))
 def test_force_on_a_link_is_not_seen_by_the_joints_beyond(link):
-    observed = Observed(HOME + 0.1 * np.arange(7))
-    observed.push(iiwa14.LINK_NAMES[link - 1], (12.0, -9.0, 15.0))
+    observed = Observed(HOME + 0.1 * np.arange(ARM.n))
+    observed.push(ARM.link_names[link - 1], (12.0, -9.0, 15.0))
     for _ in range(6 * TICKS_PER_LAG):
         residual = observed.step()
     assert np.abs(residual[link:]).max(initial=0.0) < 0.02
@@ -94,10 +93,10 @@ def test_force_on_a_link_is_not_seen_by_the_joints_beyond(link):
 
 def test_force_at_the_flange_is_given_back_as_a_wrench():
     observed = Observed(HOME + 0.1)
-    model = RobotModel()
+    model = RobotModel(ARM)
     wrench = np.array([8.0, -6.0, 10.0, 0.4, 0.8, -0.5])
     for _ in range(40 * TICKS_PER_LAG):
-        model.update(observed.plant.data.qpos[:7].copy(), REST)
+        model.update(observed.plant.data.qpos[: ARM.n].copy(), REST)
         residual = observed.step(model.jacobian.T @ wrench)
     np.testing.assert_allclose(residual, model.jacobian.T @ wrench, rtol=0, atol=0.02)
     # The damping of the pseudo-inverse takes a share of what the arm hardly feels.
@@ -106,13 +105,13 @@ def test_force_at_the_flange_is_given_back_as_a_wrench():
 
 
 def test_flange_wrench_stays_finite_at_a_singularity():
-    observer = MomentumObserver(SETTINGS, RobotModel())
+    observer = MomentumObserver(SETTINGS, RobotModel(ARM))
     observer.update(REST, REST, REST, 0)
-    observer.residual = np.ones(7)
+    observer.residual = np.ones(ARM.n)
     wrench = observer.flange_wrench()
     assert np.isfinite(wrench).all()
     # σ / (σ² + λ²) is at most 1 / (2 λ).
-    assert np.linalg.norm(wrench) <= np.linalg.norm(np.ones(7)) / (2 * 0.05)
+    assert np.linalg.norm(wrench) <= np.linalg.norm(np.ones(ARM.n)) / (2 * 0.05)
 
 
 def test_known_friction_is_not_taken_for_a_push():
@@ -120,7 +119,7 @@ def test_known_friction_is_not_taken_for_a_push():
     joints = JointSettings(viscous_friction=friction, coulomb_friction=0.0)
     largest = {}
     for expected in (0.0, friction):
-        observed = Observed(settings=MomentumSettings(viscous_friction=(expected,) * 7), joints=joints)
+        observed = Observed(settings=MomentumSettings(viscous_friction=(expected,) * ARM.n), joints=joints)
         observed.plant.data.qvel[:] = 0.5
         observed.observer.reset()
         largest[expected] = np.abs([observed.step() for _ in range(100)]).max()
@@ -133,7 +132,7 @@ def test_known_dry_friction_of_moving_joints_is_not_taken_for_a_push():
     joints = JointSettings(viscous_friction=0.0, coulomb_friction=friction)
     largest = {}
     for expected in (0.0, friction):
-        observed = Observed(settings=MomentumSettings(coulomb_friction=(expected,) * 7), joints=joints)
+        observed = Observed(settings=MomentumSettings(coulomb_friction=(expected,) * ARM.n), joints=joints)
         observed.plant.data.qvel[:] = 0.5
         observed.observer.reset()
         # These go on for a while; joints at rest stick, with less than the whole dry friction.
@@ -146,9 +145,9 @@ def test_known_dry_friction_of_moving_joints_is_not_taken_for_a_push():
 
 
 def test_expected_dry_friction_has_no_jump_at_rest():
-    settings = MomentumSettings(coulomb_friction=(2.0,) * 7)
-    observers = [MomentumObserver(settings, RobotModel()) for _ in range(2)]
-    gravity, slow = RobotModel().gravity_at(HOME), np.full(7, 1e-5)
+    settings = MomentumSettings(coulomb_friction=(2.0,) * ARM.n)
+    observers = [MomentumObserver(settings, RobotModel(ARM)) for _ in range(2)]
+    gravity, slow = RobotModel(ARM).gravity_at(HOME), np.full(ARM.n, 1e-5)
     for tick in range(100):
         residuals = [
             observer.update(HOME, sign * slow, gravity, tick * TICK_NS)
@@ -159,14 +158,14 @@ def test_expected_dry_friction_has_no_jump_at_rest():
 
 def settled(settings: MomentumSettings, torque: np.ndarray) -> np.ndarray:
     """Residual of an arm at rest at home on which this torque is said to act."""
-    observer = MomentumObserver(settings, RobotModel())
+    observer = MomentumObserver(settings, RobotModel(ARM))
     for tick in range(20 * TICKS_PER_LAG):
         residual = observer.update(HOME, REST, torque, tick * TICK_NS)
     return residual
 
 
 def test_arm_that_compensates_gravity_itself():
-    gravity, push = RobotModel().gravity_at(HOME), np.array([3.0, -2.0, 1.0, 4.0, 0.5, 0.2, -0.1])
+    gravity, push = RobotModel(ARM).gravity_at(HOME), np.array([3.0, -2.0, 1.0, 4.0, 0.5, 0.2, -0.1])
     np.testing.assert_allclose(settled(SETTINGS, gravity - push), push, atol=1e-6)
     compensated = MomentumSettings(gravity_in_torque=False)
     np.testing.assert_allclose(settled(compensated, -push), push, atol=1e-6)
@@ -176,19 +175,19 @@ def test_arm_that_compensates_gravity_itself():
 
 @pytest.mark.parametrize("rotors_in_torque", [True, False])
 def test_torque_measured_behind_the_rotors_does_not_hold_what_accelerates_them(rotors_in_torque):
-    observer = MomentumObserver(MomentumSettings(rotors_in_torque=rotors_in_torque), RobotModel())
-    model = RobotModel()
+    observer = MomentumObserver(MomentumSettings(rotors_in_torque=rotors_in_torque), RobotModel(ARM))
+    model = RobotModel(ARM)
     acceleration = 20.0
     for tick in range(200):
         time = 1e-3 * tick
-        v = np.full(7, acceleration * time)
+        v = np.full(ARM.n, acceleration * time)
         q = HOME + 0.5 * acceleration * time**2
         # What acted in the middle of the step before.
         middle = time - 5e-4
-        model.update(HOME + 0.5 * acceleration * middle**2, np.full(7, acceleration * middle))
-        torque = model.mass_matrix @ np.full(7, acceleration) + model.bias
+        model.update(HOME + 0.5 * acceleration * middle**2, np.full(ARM.n, acceleration * middle))
+        torque = model.mass_matrix @ np.full(ARM.n, acceleration) + model.bias
         if not rotors_in_torque:
-            torque = torque - iiwa14.ARMATURE * acceleration
+            torque = torque - ARM.joints[0].armature * acceleration
         residual = observer.update(q, v, torque, tick * TICK_NS)
         if tick == 60:
             break
@@ -197,8 +196,8 @@ def test_torque_measured_behind_the_rotors_does_not_hold_what_accelerates_them(r
 
 
 def test_time_since_the_hand_over():
-    observer = MomentumObserver(SETTINGS, RobotModel())
-    gravity = RobotModel().gravity_at(HOME)
+    observer = MomentumObserver(SETTINGS, RobotModel(ARM))
+    gravity = RobotModel(ARM).gravity_at(HOME)
     for tick, torque in enumerate([None] * 3 + [gravity] * 10):
         observer.update(HOME, REST, torque, tick * TICK_NS)
     assert observer.known_for == pytest.approx(10 * TICK)
@@ -212,7 +211,7 @@ def drifting_states(stamps_ms: list[float]) -> list[tuple[np.ndarray, np.ndarray
     """States of a smooth motion at the given times."""
     states = []
     for stamp in stamps_ms:
-        phase = 1e-3 * stamp * 6.0 + np.arange(7)
+        phase = 1e-3 * stamp * 6.0 + np.arange(ARM.n)
         states.append((HOME + 0.1 * np.sin(phase), 0.6 * np.cos(phase), round(stamp * 1e6)))
     return states
 
@@ -220,9 +219,9 @@ def drifting_states(stamps_ms: list[float]) -> list[tuple[np.ndarray, np.ndarray
 def driving_torque(stamp_ms: float) -> np.ndarray:
     """Torque that moves the model along `drifting_states`."""
     (q, v, _), *_ = drifting_states([stamp_ms])
-    model = RobotModel()
+    model = RobotModel(ARM)
     model.update(q, v)
-    acceleration = -3.6 * np.sin(1e-3 * stamp_ms * 6.0 + np.arange(7))
+    acceleration = -3.6 * np.sin(1e-3 * stamp_ms * 6.0 + np.arange(ARM.n))
     return model.mass_matrix @ acceleration + model.bias
 
 
@@ -230,7 +229,7 @@ def test_steps_of_varying_length_are_taken_as_they_come():
     external = np.array([4.0, -6.0, 2.0, 3.0, -1.0, 1.0, 0.5])
     random = np.random.default_rng(0)
     stamps = list(np.cumsum(random.uniform(0.3, 2.5, 150)))
-    observer = MomentumObserver(SETTINGS, RobotModel())
+    observer = MomentumObserver(SETTINGS, RobotModel(ARM))
     previous = 0.0
     for (q, v, stamp_ns), stamp in zip(drifting_states(stamps), stamps, strict=True):
         # What the observer is told leaves the external part out, so that it has to find it.
@@ -243,6 +242,28 @@ def test_steps_of_varying_length_are_taken_as_they_come():
     assert observer.gaps == 0
 
 
+def test_a_push_is_seen_at_200_hz_as_at_1_khz():
+    """Steps of five milliseconds are gaps at 1 kHz, but not for an arm that reports no more often."""
+    observer, gravity = MomentumObserver(SETTINGS, RobotModel(ARM), 0.005), RobotModel(ARM).gravity_at(HOME)
+    push = np.where(np.arange(ARM.n) == 1, 20.0, 0.0)
+    shares = []
+    for step in range(200):
+        residual = observer.update(HOME, REST, gravity - push, step * 5 * TICK_NS)
+        shares.append(residual[1] / push[1])
+    np.testing.assert_allclose(residual, push, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(shares, 1.0 - np.exp(-SETTINGS.gain * 0.005 * np.arange(200)), rtol=0, atol=1e-9)
+    assert observer.gaps == 0
+    assert observer.known_for == pytest.approx(199 * 0.005)
+
+
+@pytest.mark.parametrize(("step_ms", "gaps"), [(5, 0), (10, 0), (15, 0), (16, 1), (50, 1)])
+def test_steps_of_up_to_three_periods_are_no_gap(step_ms, gaps):
+    observer = MomentumObserver(SETTINGS, RobotModel(ARM), 0.005)
+    observer.update(HOME, REST, REST, 0)
+    observer.update(HOME, REST, REST, step_ms * TICK_NS)
+    assert observer.gaps == gaps
+
+
 class TestInterruptions:
     """A residual of some size, and then a state that cannot be used."""
 
@@ -250,7 +271,7 @@ class TestInterruptions:
     def observed(self) -> Observed:
         observed = Observed()
         for _ in range(30):
-            observed.step(np.full(7, 1.0))
+            observed.step(np.full(ARM.n, 1.0))
         assert np.abs(observed.observer.residual).min() > 0.5
         return observed
 
@@ -258,20 +279,20 @@ class TestInterruptions:
         observer = observed.observer
         before = observer.residual.copy()
         # After 20 ms without states the arm moves otherwise; the jump in momentum must not be seen.
-        residual = observer.update(HOME, np.full(7, 0.5), REST, (30 + 20) * TICK_NS)
+        residual = observer.update(HOME, np.full(ARM.n, 0.5), REST, (30 + 20) * TICK_NS)
         np.testing.assert_array_equal(residual, before)
         assert observer.gaps == 1
 
-    def test_steps_as_long_as_the_declared_gap_are_used(self, observed):
+    def test_steps_of_three_periods_are_used(self, observed):
         observer = observed.observer
         before = observer.residual.copy()
-        after = observer.update(HOME, REST, REST, 30 * TICK_NS + round(SETTINGS.max_gap * 1e9))
+        after = observer.update(HOME, REST, REST, (30 + GAP_PERIODS) * TICK_NS)
         assert observer.gaps == 0
         assert not np.array_equal(after, before)
 
     def test_observer_goes_on_after_a_gap(self, observed):
         observer, start_ns = observed.observer, 130 * TICK_NS
-        gravity = RobotModel().gravity_at(HOME)
+        gravity = RobotModel(ARM).gravity_at(HOME)
         observer.update(HOME, REST, gravity, start_ns)
         before = observer.residual.copy()
         residual = observer.update(HOME, REST, gravity, start_ns + TICK_NS)
@@ -296,7 +317,7 @@ class TestInterruptions:
     def test_state_that_is_not_finite_is_refused_and_forgotten(self, observed, field, value):
         observer = observed.observer
         before = observer.residual.copy()
-        gravity = RobotModel().gravity_at(HOME)
+        gravity = RobotModel(ARM).gravity_at(HOME)
         state = {"position": HOME.copy(), "velocity": REST.copy(), "torque": gravity.copy()}
         # Two that cancel in a sum are no better.
         state[field][[2, 5]] = value, -value
@@ -313,25 +334,25 @@ class TestInterruptions:
     def test_many_such_states_in_a_row_are_a_gap(self, observed):
         observer = observed.observer
         before = observer.residual.copy()
-        gravity = RobotModel().gravity_at(HOME)
+        gravity = RobotModel(ARM).gravity_at(HOME)
         for tick in range(31, 60):
-            observer.update(HOME, np.full(7, np.nan), gravity, tick * TICK_NS)
-        residual = observer.update(HOME, np.full(7, 0.3), gravity, 60 * TICK_NS)
+            observer.update(HOME, np.full(ARM.n, np.nan), gravity, tick * TICK_NS)
+        residual = observer.update(HOME, np.full(ARM.n, 0.3), gravity, 60 * TICK_NS)
         np.testing.assert_array_equal(residual, before)
         assert (observer.refused, observer.gaps) == (29, 1)
 
     def test_observer_can_begin_with_such_a_state(self):
-        observer = MomentumObserver(SETTINGS, RobotModel())
-        observer.update(HOME, np.full(7, np.nan), None, 0)
+        observer = MomentumObserver(SETTINGS, RobotModel(ARM))
+        observer.update(HOME, np.full(ARM.n, np.nan), None, 0)
         assert observer.refused == 1
-        gravity = RobotModel().gravity_at(HOME)
+        gravity = RobotModel(ARM).gravity_at(HOME)
         for tick in range(1, 5):
             residual = observer.update(HOME, REST, gravity, tick * TICK_NS)
         np.testing.assert_allclose(residual, 0, atol=1e-9)
 
     @pytest.mark.parametrize("gap_ms", [5, 10, 20])
     def test_gaps_in_motion_bring_no_peak(self, gap_ms):
-        observer = MomentumObserver(SETTINGS, RobotModel())
+        observer = MomentumObserver(SETTINGS, RobotModel(ARM))
         previous = largest = 0.0
         stamps = [float(ms) for ms in range(400) if (ms // 40) % 2 == 0 or ms % gap_ms == 0]
         for (q, v, stamp_ns), stamp in zip(drifting_states(stamps), stamps, strict=True):

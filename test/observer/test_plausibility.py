@@ -2,52 +2,59 @@
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST, SECOND_NS, TICK_NS
+from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS
 
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings
+from contact_reach_ros.observer.observer import Observer
+from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings, TorqueCheck
+from contact_reach_ros.observer.settings import COMMANDED, MEASURED, ObserverSettings
+from contact_reach_ros.stop_reasons import StopCode
 
 SETTINGS = PlausibilitySettings()
-THRESHOLDS = ContactBudget().contact_thresholds
+THRESHOLDS = ContactBudget().resolve(ARM).contact_thresholds
 TOUCHED = 1.1 * np.array(THRESHOLDS)
 
 
-class Arm:
+class MovingArm:
     """Joints on sine curves, as noisy sensors tell them."""
 
-    def __init__(self, speed: float, noise: float = 1.0) -> None:
-        self.check = PlausibilityCheck(SETTINGS, THRESHOLDS)
+    def __init__(self, speed: float, noise: float = 1.0, period_ms: int = 1) -> None:
+        self.check = PlausibilityCheck(ARM, SETTINGS, THRESHOLDS, 0.001 * period_ms)
+        self.period_ms = period_ms
         self.random = np.random.default_rng(0)
         self.speed, self.noise = speed, noise
         self.tick, self.stamp_ns = 0, 0
 
-    def read(self, ticks: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    def read(self, ticks: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        ticks = ticks or self.period_ms
         self.tick += ticks
         self.stamp_ns += ticks * TICK_NS
-        phase = 4.0 * self.tick * 1e-3 + np.arange(7)
-        noise = self.noise * self.random.standard_normal((2, 7))
+        phase = 4.0 * self.tick * 1e-3 + np.arange(ARM.n)
+        noise = self.noise * self.random.standard_normal((2, ARM.n))
         q = HOME + self.speed / 4.0 * np.sin(phase) + 1e-5 * noise[0]
         return q, self.speed * np.cos(phase) + 1e-3 * noise[1]
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.1, 2.0])
 def test_an_arm_with_noise_is_believed_even_in_contact(speed):
-    arm = Arm(speed)
+    arm = MovingArm(speed)
     for _ in range(3000):
         assert not arm.check.update(*arm.read(), TOUCHED, arm.stamp_ns)
 
 
 def test_gaps_jumps_of_the_clock_and_unknown_torques_are_no_reason():
-    arm = Arm(2.0)
+    arm = MovingArm(2.0)
     for number in range(600):
         q, v = arm.read(ticks=30 if number % 50 == 0 else 1 + number % 3)
         arm.stamp_ns += (number == 300) * SECOND_NS - (number == 400) * SECOND_NS
         assert not arm.check.update(q, v, None, arm.stamp_ns)
 
 
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", range(ARM.n))
 def test_a_stuck_position_of_a_moving_joint_whose_speed_is_told_is_named(joint):
-    arm = Arm(0.5)
+    arm = MovingArm(0.5)
     stuck = arm.read()[0][joint]
     for _ in range(500):
         q, v = arm.read()
@@ -62,17 +69,89 @@ def test_a_stuck_position_of_a_moving_joint_whose_speed_is_told_is_named(joint):
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_a_joint_that_stays_while_torque_acts_on_it_is_named(noise):
-    arm = Arm(0.5, noise)
-    for number in range(2 * SETTINGS.frozen_states):
+    arm = MovingArm(0.5, noise)
+    for number in range(2 * SETTINGS.frozen_time):
         q, v = arm.read()
         q[3], v[3] = HOME[3], 0.0
         wrong = arm.check.update(q, v, TOUCHED, arm.stamp_ns)
-        assert bool(wrong) == (number >= SETTINGS.frozen_states)
+        assert bool(wrong) == (number >= SETTINGS.frozen_time)
     assert wrong.startswith("the position of lbr_A4 has not changed for ")
 
 
 def test_a_resting_joint_that_its_encoder_tells_without_noise_is_believed_until_torque_acts_on_it():
-    arm = Arm(0.0, noise=0.0)
+    arm = MovingArm(0.0, noise=0.0)
     for _ in range(1000):
         assert not arm.check.update(*arm.read(), 0.9 * np.array(THRESHOLDS), arm.stamp_ns)
     assert "its encoder is stuck, or the joint blocked" in arm.check.update(*arm.read(), TOUCHED, arm.stamp_ns)
+
+
+class TestAt200Hz:
+    """The check neither goes blind between states of five milliseconds nor doubts what they say."""
+
+    @pytest.mark.parametrize("speed", [0.0, 0.1, 2.0])
+    def test_an_arm_with_noise_is_believed_even_in_contact(self, speed):
+        arm = MovingArm(speed, period_ms=5)
+        for _ in range(600):
+            assert not arm.check.update(*arm.read(), TOUCHED, arm.stamp_ns)
+
+    def test_a_stuck_position_of_a_moving_joint_is_named_as_soon(self):
+        arm = MovingArm(0.5, period_ms=5)
+        stuck = arm.read()[0][2]
+        wrong = ""
+        while not wrong and arm.tick < 500:
+            q, v = arm.read()
+            q[2], v[2] = stuck, 0.4
+            wrong = arm.check.update(q, v, REST, arm.stamp_ns)
+        assert wrong.startswith("position and velocity of lbr_A3 differ by -0.02")
+        assert arm.tick < 75
+
+    def test_a_joint_that_stays_while_torque_acts_on_it_is_named_after_as_long(self):
+        arm, named = MovingArm(0.5, period_ms=5), []
+        for _ in range(2 * SETTINGS.frozen_time // 5):
+            q, v = arm.read()
+            q[3], v[3] = HOME[3], 0.0
+            if arm.check.update(q, v, TOUCHED, arm.stamp_ns):
+                named.append(arm.tick)
+        # The first state that is the same comes one period after the first.
+        assert named[0] == SETTINGS.frozen_time + 5
+
+
+class TestStuckTorque:
+    """A measured torque that stays the same while its joint moves."""
+
+    MOVING = np.where(np.arange(ARM.n) == 2, 0.1, 0.0)
+
+    def states(self, torques, v, period=0.001):
+        check = TorqueCheck(ARM, PlausibilitySettings(), period)
+        return [check.update(v, torque) for torque in torques]
+
+    @pytest.mark.parametrize("period", [0.001, 0.005])
+    def test_it_is_noticed_after_its_time_and_the_joint_is_named(self, period):
+        states = round(0.2 / period)
+        found = self.states([np.full(ARM.n, 3.0)] * (states + 1), self.MOVING, period)
+        assert found[:-1] == [""] * states
+        assert f"the torque of {ARM.joint_names[2]} has been 3.00 Nm for {states} states" in found[-1]
+        assert found[-1].code is StopCode.TORQUE_SENSOR
+
+    def test_an_arm_at_rest_may_have_constant_torques(self):
+        assert not any(self.states([np.full(ARM.n, 3.0)] * 1000, np.full(ARM.n, 0.04)))
+
+    def test_the_least_change_begins_again(self):
+        torques = [np.full(ARM.n, 3.0 + 1e-12 * (tick // 150)) for tick in range(1000)]
+        assert not any(self.states(torques, self.MOVING))
+
+    def test_so_do_torques_that_were_unknown(self):
+        torques = [None if tick % 150 == 0 else np.full(ARM.n, 3.0) for tick in range(1000)]
+        assert not any(self.states(torques, self.MOVING))
+
+    def test_the_observer_stops_for_it_but_not_where_commands_are_the_source(self):
+        for source, stops in ((MEASURED, True), (COMMANDED, False)):
+            observer = Observer(ARM, ObserverSettings(torque_source=source), ContactBudget())
+            torque = RobotModel(ARM).gravity_at(HOME)
+            for tick in range(1, 260):
+                q = HOME + 0.001 * tick * self.MOVING
+                if source == COMMANDED:
+                    observer.command(torque)
+                report = observer.update(JointState(tick * 1_000_000, q, self.MOVING, torque))
+            assert ("look at its torque sensor" in report.reason) == stops, report.reason
+            assert not report.distrust

@@ -5,45 +5,45 @@ import math
 
 import numpy as np
 import pytest
-from arm_simulation import REST
+from arm_simulation import ARM, HOME, REST
 from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.safety import Level, SafetyMonitor, SafetySettings
+from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor, SafetySettings
 
 SETTINGS = SafetySettings()
 # Nothing is too sudden, so that the other thresholds can be told apart.
-BUDGET = ContactBudget(sudden_thresholds=(320.0,) * 7)
+BUDGET = ContactBudget(sudden_thresholds=(320.0,) * ARM.n).resolve(ARM)
 THRESHOLDS = np.array(BUDGET.torque_thresholds)
 
 
 @pytest.fixture
 def monitor() -> SafetyMonitor:
-    return SafetyMonitor(SETTINGS, BUDGET)
+    return SafetyMonitor(ARM, SETTINGS, BUDGET)
 
 
 def residual(joint: int, share: float) -> np.ndarray:
     """External torque on one joint as a share of its threshold."""
-    return share * THRESHOLDS * np.eye(7)[joint]
+    return share * THRESHOLDS * np.eye(ARM.n)[joint]
 
 
 def push(monitor: SafetyMonitor, torque: np.ndarray, count: int = SETTINGS.debounce, v: np.ndarray = REST) -> None:
     for _ in range(count):
-        monitor.update(torque, v)
+        monitor.update(torque, HOME, v)
 
 
-@given(st.lists(st.lists(st.floats(-1, 1), min_size=7, max_size=7), max_size=20))
+@given(st.lists(st.lists(st.floats(-1, 1), min_size=ARM.n, max_size=ARM.n), max_size=20))
 def test_contact_within_the_budget_does_not_stop_the_arm(shares):
-    monitor = SafetyMonitor(SETTINGS, BUDGET)
+    monitor = SafetyMonitor(ARM, SETTINGS, BUDGET)
     for share in shares:
-        monitor.update(np.array(share) * THRESHOLDS, REST)
+        monitor.update(np.array(share) * THRESHOLDS, HOME, REST)
     assert not monitor.stopped
 
 
 @pytest.mark.parametrize("side", [-1.01, 1.01])
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", range(ARM.n))
 def test_each_joint_has_its_threshold(monitor, joint, side):
     push(monitor, residual(joint, side))
     assert monitor.stopped
@@ -78,7 +78,7 @@ def test_stop_is_latched_and_the_first_reason_kept(monitor):
 
 
 def test_residual_that_is_not_a_number_stops_the_arm_and_stays(monitor):
-    push(monitor, np.full(7, math.nan))
+    push(monitor, np.full(ARM.n, math.nan))
     assert monitor.stopped
     with pytest.raises(InputError, match="external torque on lbr_A1 is nan"):
         monitor.reset()
@@ -112,42 +112,59 @@ def test_reset_of_a_pushed_arm_is_refused_and_the_joint_named(monitor):
     assert monitor.stop_reason == "test"
 
 
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", range(ARM.n))
+def test_an_arm_that_was_reset_is_not_stopped_again_by_the_same_torque(joint):
+    budget = ContactBudget().resolve(ARM)
+    for torque in np.linspace(0.0, 30.0, 61):
+        monitor = SafetyMonitor(ARM, SETTINGS, budget)
+        push(monitor, REST, 1)
+        monitor.stop("test")
+        push(monitor, torque * np.eye(ARM.n)[joint], 1)
+        try:
+            monitor.reset()
+        except InputError:
+            break
+        push(monitor, torque * np.eye(ARM.n)[joint], 50)
+        assert not monitor.stopped
+    assert 4.0 <= torque <= 15.5
+
+
+@pytest.mark.parametrize("joint", range(ARM.n))
 def test_threshold_of_a_stop_grows_with_the_joints_speed(joint):
-    speed = -0.8 * np.eye(7)[joint]
+    speed = -0.8 * np.eye(ARM.n)[joint]
     allowed = THRESHOLDS + BUDGET.torque_per_speed[joint] * 0.8
     for share, stopped in ((0.99, False), (1.01, True)):
-        monitor = SafetyMonitor(SETTINGS, BUDGET)
-        push(monitor, share * allowed * np.eye(7)[joint], v=speed)
+        monitor = SafetyMonitor(ARM, SETTINGS, BUDGET)
+        push(monitor, share * allowed * np.eye(ARM.n)[joint], v=speed)
         assert monitor.stopped is stopped
-    at_rest = SafetyMonitor(SETTINGS, BUDGET)
-    push(at_rest, 0.99 * allowed * np.eye(7)[joint])
+    at_rest = SafetyMonitor(ARM, SETTINGS, BUDGET)
+    push(at_rest, 0.99 * allowed * np.eye(ARM.n)[joint])
     assert at_rest.stopped
 
 
 class TestContact:
     """Told above the thresholds of a contact, with debounce and hysteresis, and latched by nothing."""
 
-    budget = ContactBudget()
+    budget = ContactBudget().resolve(ARM)
     thresholds = np.array(budget.contact_thresholds)
 
     @pytest.fixture
     def monitor(self) -> SafetyMonitor:
-        return SafetyMonitor(SETTINGS, self.budget)
+        return SafetyMonitor(ARM, SETTINGS, self.budget)
 
     @pytest.mark.parametrize("side", [-1.0, 1.0])
-    @pytest.mark.parametrize("joint", range(7))
+    @pytest.mark.parametrize("joint", range(ARM.n))
     def test_each_joint_has_its_threshold(self, monitor, joint, side):
-        push(monitor, 0.95 * side * self.thresholds * np.eye(7)[joint], 50)
-        assert monitor.level is Level.FREE
-        monitor = SafetyMonitor(SETTINGS, self.budget)
-        push(monitor, 1.1 * side * self.thresholds * np.eye(7)[joint], SETTINGS.contact_debounce)
-        assert monitor.level is Level.CONTACT
+        push(monitor, 0.95 * side * self.thresholds * np.eye(ARM.n)[joint], 50)
+        assert monitor.level is SafetyLevel.FREE
+        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
+        push(monitor, 1.1 * side * self.thresholds * np.eye(ARM.n)[joint], SETTINGS.contact_debounce)
+        assert monitor.level is SafetyLevel.CONTACT
         assert not monitor.stopped
         assert monitor.contacts == 1
 
     def test_threshold_grows_with_speed(self, monitor):
-        torque = 1.1 * self.thresholds * np.eye(7)[1]
+        torque = 1.1 * self.thresholds * np.eye(ARM.n)[1]
         push(monitor, torque, 10, v=np.array([0, 0.5, 0, 0, 0, 0, 0]))
         assert not monitor.in_contact
         push(monitor, torque, 10, v=np.array([0.5, 0, 0, 0, 0, 0, 0]))
@@ -166,7 +183,7 @@ class TestContact:
         push(monitor, REST, SETTINGS.release_debounce - 1)
         assert monitor.in_contact
         push(monitor, REST, 1)
-        assert monitor.level is Level.FREE
+        assert monitor.level is SafetyLevel.FREE
         assert monitor.contacts == 1
 
     def test_touching_for_a_moment_keeps_the_contact(self, monitor):
@@ -177,27 +194,33 @@ class TestContact:
         assert monitor.in_contact
 
     def test_error_of_the_model_that_changes_slowly_is_no_contact(self, monitor):
+        weight = np.array([0.0, 7.0, 3.0, 4.0, 1.0, 0.5, 0.0])
         for share in np.linspace(0.0, 1.0, 4000):
-            monitor.update(share * np.array([0.0, 12.0, 4.0, 6.0, 1.0, 0.5, 0.0]), REST)
+            monitor.update(share * weight, HOME + share, REST)
         assert monitor.contacts == 0
-        push(monitor, np.array([0.0, 16.0, 4.0, 6.0, 1.0, 0.5, 0.0]), 3)
+        push(monitor, weight + np.array([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 3)
+        assert monitor.in_contact
+
+    def test_torque_that_grows_slowly_at_rest_is_one(self, monitor):
+        for share in np.linspace(0.0, 1.0, 20000):
+            monitor.update(1.5 * share * self.thresholds, HOME, REST)
         assert monitor.in_contact
 
     def test_contact_is_remembered_for_longer_than_the_mean_takes(self, monitor):
-        push(monitor, 2.0 * self.thresholds, 2 * SETTINGS.mean_states)
+        push(monitor, 2.0 * self.thresholds, 2 * SETTINGS.mean_time)
         assert monitor.in_contact
 
     def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
-        torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(7)[1]
+        torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(ARM.n)[1]
         assert torque[1] < self.budget.torque_thresholds[1]
-        monitor = SafetyMonitor(SETTINGS, self.budget)
+        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
         push(monitor, torque)
-        assert monitor.level is Level.COLLISION
+        assert monitor.level is SafetyLevel.COLLISION
         assert monitor.stop_reason.startswith("sudden external torque on lbr_A2 is 13.")
         assert monitor.stop_reason.endswith("permitted 12 Nm")
-        slow = SafetyMonitor(dataclasses.replace(SETTINGS, contact_debounce=100), self.budget)
+        slow = SafetyMonitor(ARM, dataclasses.replace(SETTINGS, contact_debounce=100), self.budget)
         for share in np.linspace(0.0, 1.0, 3000):
-            slow.update(share * torque, REST)
+            slow.update(share * torque, HOME + share, REST)
         assert not slow.stopped
 
     @pytest.mark.parametrize("states", [100, 20000])
@@ -206,26 +229,26 @@ class TestContact:
         push(monitor, REST, 1)
         monitor.reset()
         push(monitor, REST, 100)
-        assert monitor.level is Level.FREE
+        assert monitor.level is SafetyLevel.FREE
         assert monitor.stops == 1
 
     def test_residual_that_is_not_a_number_leaves_no_trace(self, monitor):
-        push(monitor, np.full(7, math.nan), 2)
+        push(monitor, np.full(ARM.n, math.nan), 2)
         push(monitor, REST, SETTINGS.release_debounce)
-        assert monitor.level is Level.FREE
+        assert monitor.level is SafetyLevel.FREE
         assert np.isfinite(monitor.sudden).all()
 
 
 class TestHandOver:
     """While the arm is handed over, weight that the model does not know stops it, and nothing else is told."""
 
-    budget = ContactBudget()
-    weight = 1.1 * np.array(budget.handover_thresholds)[1] * np.eye(7)[1]
+    budget = ContactBudget().resolve(ARM)
+    weight = 1.1 * np.array(budget.handover_thresholds)[1] * np.eye(ARM.n)[1]
 
     def hand_over(self, torque: np.ndarray, seconds: float, begin: float = 0.0) -> SafetyMonitor:
-        monitor = SafetyMonitor(SETTINGS, self.budget)
+        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
         for tick in range(round(seconds * 1000)):
-            monitor.update(torque, REST, begin + 1e-3 * tick)
+            monitor.update(torque, HOME, REST, begin + 1e-3 * tick)
         return monitor
 
     def test_unknown_weight_stops_the_arm_and_is_named(self):
@@ -252,3 +275,72 @@ class TestHandOver:
     def test_collision_stops_at_once(self):
         monitor = self.hand_over(1.1 * THRESHOLDS, 1e-3 * SETTINGS.debounce)
         assert monitor.stop_reason.startswith("external torque on ")
+
+
+PERIODS = (0.001, 0.002, 0.005, 0.01)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+class TestOtherRates:
+    """Debounces last as long at every rate, and at least two states; means follow as fast."""
+
+    budget = ContactBudget().resolve(ARM)
+
+    def states(self, monitor: SafetyMonitor, torque: np.ndarray, ends: str, known_for: float = math.inf) -> int:
+        """Number of states with a torque until an attribute changes."""
+        before, count = getattr(monitor, ends), 0
+        while getattr(monitor, ends) == before and count < 10000:
+            monitor.update(torque, HOME, REST, known_for)
+            count += 1
+        return count
+
+    def check(self, states: int, milliseconds: int, period: float) -> None:
+        least = min(milliseconds, 2)
+        assert states >= least
+        assert states == least or abs(1000 * period * states - milliseconds) <= 1000 * period / 2
+
+    @pytest.mark.parametrize("debounce", [1, 3, 20, 100])
+    def test_of_a_stop(self, period, debounce):
+        monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
+        self.check(self.states(monitor, 1.1 * THRESHOLDS, "stopped"), debounce, period)
+
+    def test_of_a_contact_and_its_end(self, period):
+        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
+        touch = 1.5 * np.array(self.budget.contact_thresholds)
+        self.check(self.states(monitor, touch, "in_contact"), SETTINGS.contact_debounce, period)
+        self.check(self.states(monitor, REST, "in_contact"), SETTINGS.release_debounce, period)
+
+    def test_of_the_hand_over(self, period):
+        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
+        weight = 1.1 * np.array(self.budget.handover_thresholds)[1] * np.eye(ARM.n)[1]
+        self.check(self.states(monitor, weight, "stopped", known_for=0.0), SETTINGS.handover_debounce, period)
+
+    def test_the_slow_mean_follows_in_as_long(self, period):
+        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
+        torque = 0.9 * np.array(self.budget.contact_thresholds)
+        for state in range(round(1e-3 * SETTINGS.mean_time / period)):
+            monitor.update(torque, HOME + 0.05 * state, REST)
+        assert not monitor.in_contact
+        np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
+
+
+class TestModelError:
+    """The slow mean of the external torque is what the model lacks, unless something touches the arm."""
+
+    def test_it_follows_a_torque_that_stays_within_the_hand_overs_limits(self):
+        monitor = SafetyMonitor(ARM, SafetySettings(), BUDGET)
+        for tick in range(5000):
+            monitor.update(np.where(np.arange(ARM.n) == 1, 2.0, 0.0), HOME, REST, 1e-3 * tick)
+        np.testing.assert_allclose(monitor.model_error, [0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-3)
+        for tick in range(300):
+            monitor.update(np.full(ARM.n, 100.0), HOME, REST, 1e-3 * tick)
+        assert (np.array(monitor.model_error) <= BUDGET.handover_thresholds).all()
+
+    def test_a_contact_is_none_of_it_however_long_it_lasts(self):
+        monitor = SafetyMonitor(ARM, SafetySettings(), BUDGET)
+        for _ in range(1000):
+            monitor.update(REST, HOME, REST)
+        for _ in range(1000):
+            monitor.update(np.where(np.arange(ARM.n) == 1, 6.0, 0.0), HOME, REST)
+        assert monitor.in_contact
+        np.testing.assert_allclose(monitor.model_error, 0.0, atol=0.05)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from planning_helpers import make_objective, make_planner
 
-from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.cost import Objective
+from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 
 

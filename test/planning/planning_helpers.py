@@ -5,16 +5,18 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning import objectives
-from contact_reach_ros.planning.cost import Objective, Problem, Weights
+from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
-from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.terms import term_weights
 from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.world.spheres import Spheres
 
 PERMITTED_FORCE = 10.0
 SMALL = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64)
@@ -35,7 +37,7 @@ def ball(center: np.ndarray, stiffness: float = 100.0, damping: float = 30.0) ->
 
 def obstacles_of(spheres: Spheres, capacity: int | None = None) -> Obstacles:
     """Spheres as the transfer model takes them, all of them unless a capacity says otherwise."""
-    obstacles, _ = ObstacleReader(len(spheres) if capacity is None else capacity).read(HOME, spheres)
+    obstacles, _ = ObstacleReader(ARM, len(spheres) if capacity is None else capacity).read(HOME, spheres)
     return jax.tree.map(jnp.asarray, obstacles)
 
 
@@ -50,14 +52,16 @@ def make_problem(
         obstacles=obstacles,
         goal_position=jnp.asarray(goal)[:, None],
         goal_rotation=jnp.eye(3)[:, :, None],
-        weights=Weights.of(settings, PERMITTED_FORCE)._replace(**{"orientation": 0.0, **weights}),
+        weights={**term_weights(settings), "orientation": 0.0, **weights},
+        permitted_force=PERMITTED_FORCE,
+        joint_limit_margin=settings.joint_limit_margin,
     )
 
 
 def make_objective(measure: str = "largest") -> Objective:
-    return objectives.make_objective(dataclasses.replace(SMALL, contact_measure=measure), ImpedanceSettings())
+    return objectives.make_objective(ARM, dataclasses.replace(SMALL, contact_measure=measure), ImpedanceSettings())
 
 
 def make_planner(**changes: object) -> RecedingHorizonPlanner:
     settings = dataclasses.replace(SMALL, **changes)
-    return RecedingHorizonPlanner(settings, ImpedanceSettings(), PERMITTED_FORCE, capacity=1)
+    return RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), PERMITTED_FORCE, capacity=1)

@@ -6,20 +6,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
-from arm_simulation import HOME
+import pytest
+from arm_simulation import ARM, HOME
 from planning_helpers import SMALL, make_problem, obstacles_of
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.law import Reference as LawReference
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.objectives import make_objective
-from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.transfer import brax_pipelines
 from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
 from contact_reach_ros.planning.transfer.closed_loop import Reference
-from contact_reach_ros.planning.transfer.model import default_arm
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.planning.transfer.model import arm_model
+from contact_reach_ros.world.spheres import Spheres
 
 LANES = 8
 BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
@@ -27,7 +29,7 @@ SHORT = dataclasses.replace(SMALL, horizon=1, substeps=4)
 
 
 def objective(pipeline: str) -> Objective:
-    return make_objective(dataclasses.replace(SHORT, pipeline=pipeline), ImpedanceSettings())
+    return make_objective(ARM, dataclasses.replace(SHORT, pipeline=pipeline), ImpedanceSettings())
 
 
 def roll_out(objective: Objective, problem: Problem, actions: np.ndarray) -> tuple[Rollout, np.ndarray]:
@@ -46,6 +48,7 @@ def test_setting_chooses_the_pipeline():
         assert chosen.pipeline == name
 
 
+@pytest.mark.slow
 def test_spring_pipeline_moves_the_arm_as_the_closed_loop_does():
     random = np.random.default_rng(0)
     actions = random.uniform(-1.0, 1.0, (1, 13, LANES)) * BOUNDS[None, :, None]
@@ -66,15 +69,15 @@ def test_torque_is_that_of_the_controller():
     """With the arm in motion and away from its references."""
     random = np.random.default_rng(1)
     q, v = HOME + random.uniform(-0.3, 0.3, 7), random.uniform(-0.5, 0.5, 7)
-    gains, model = ImpedanceSettings(), RobotModel()
+    gains, model = ImpedanceSettings(), RobotModel(ARM)
     model.update(q, v)
     desired = LawReference(model.position + 0.01, pin.exp3(np.array([0.1, -0.05, 0.1])) @ model.rotation, q + 0.1)
     error = pose_error(model.position, model.rotation, desired)
-    expected = ImpedanceLaw(gains).torque(model, v, q - desired.posture, error)
+    expected = ImpedanceLaw(ARM, gains).torque(model, v, q - desired.posture, error)
     reference = Reference(
         *(jnp.asarray(part)[..., None] for part in (desired.position, desired.rotation, desired.posture))
     )
-    torque = jax.jit(lambda q, v: law_torque(default_arm(), gains, q, v, reference))(q[:, None], v[:, None])
+    torque = jax.jit(lambda q, v: law_torque(arm_model(ARM), gains, q, v, reference))(q[:, None], v[:, None])
     np.testing.assert_allclose(torque[:, 0], expected, rtol=1e-3, atol=1e-2)
 
 

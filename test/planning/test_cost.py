@@ -1,28 +1,32 @@
 """The cost (5): its parts, and its gradient."""
 
+import dataclasses
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 from planning_helpers import FAR_BALL, LANES, PERMITTED_FORCE, SMALL, ball, make_objective, make_problem
 
-from contact_reach_ros.planning.cost import ROUNDING, Problem
+from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.terms import ROUNDING, TERMS, term_weights
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames, rotation_about
+from contact_reach_ros.settings import setting
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
-FLANGE = link_frames(HOME)[1][-1]
+FLANGE = link_frames(ARM, HOME)[1][-1]
 STILL = np.zeros((3, 13, LANES))
 
 
 def at_forearm(depth: float) -> np.ndarray:
     """Centre of a ball that the forearm of the arm at home enters by `depth`, m."""
-    rotations, origins = link_frames(HOME)
+    rotations, origins = link_frames(ARM, HOME)
     return origins[4] + rotations[4] @ (0.0, 0.0, 0.11) + (0.075 + 0.1 - depth) * np.array([0.0, 1.0, 0.0])
 
 
@@ -58,7 +62,7 @@ def test_contact_is_the_largest_force_on_a_link_or_the_sum(measure, expected):
 
 
 def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):
-    rotation = link_frames(HOME)[0][-1]
+    rotation = link_frames(ARM, HOME)[0][-1]
     for angle in (0.1, 3.0):
         goal_rotation = rotation_about((0.0, 1.0, 0.0), angle) @ rotation
         problem = make_problem(HOME, FLANGE, ball(FAR_BALL), orientation=0.2)
@@ -72,8 +76,8 @@ def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):
 
 def test_joint_limit_term_begins_at_the_margin(roll_out):
     inside, outside = HOME.copy(), HOME.copy()
-    inside[6] = iiwa14.POSITION_LIMITS[6] - SMALL.joint_limit_margin - 0.01
-    outside[6] = iiwa14.POSITION_LIMITS[6] - SMALL.joint_limit_margin + 0.1
+    inside[6] = ARM.upper[6] - SMALL.joint_limit_margin - 0.01
+    outside[6] = ARM.upper[6] - SMALL.joint_limit_margin + 0.1
     _, terms = roll_out(make_problem(inside, FLANGE, ball(FAR_BALL)), STILL)
     assert terms["joint_limit"][0] < 1e-6
     _, terms = roll_out(make_problem(outside, FLANGE, ball(FAR_BALL)), STILL)
@@ -154,7 +158,7 @@ def test_state_starts_without_contact(objective):
 
 @pytest.mark.parametrize("share", [0.9, 6.0])
 def test_joint_speeds_cost_from_their_limits_on(roll_out, share):
-    limits = np.array(iiwa14.VELOCITY_LIMITS)
+    limits = np.array(ARM.velocity_limits)
     problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
     rollout, terms = roll_out(problem._replace(v=jnp.asarray(share * limits[:, None])), STILL)
     # The law brakes the arm within the first knot.
@@ -162,3 +166,47 @@ def test_joint_speeds_cost_from_their_limits_on(roll_out, share):
     excess = np.maximum(speeds - limits, 0.0)
     assert excess.any() == (share > 1.0)
     assert terms["joint_speed"][0] == pytest.approx(SMALL.joint_speed_weight * (excess**2).sum(), rel=1e-3, abs=1e-9)
+
+
+class TestTerms:
+    def test_each_has_a_weight_among_the_settings(self):
+        names = {entry.name for entry in PlanningSettings.declared()}
+        assert {f"{name}_weight" for name in TERMS} <= names
+        assert term_weights(SMALL)["goal"] == SMALL.goal_weight
+
+    def test_one_more_changes_nothing_for_settings_without_its_weight(self, monkeypatch):
+        before = term_weights(SMALL)
+        monkeypatch.setitem(TERMS, "height", lambda context: context.position[2, 1:])
+        assert term_weights(SMALL) == before
+
+    def test_a_weight_without_a_term_is_refused(self):
+        @dataclasses.dataclass(frozen=True)
+        class Mistyped(PlanningSettings):
+            heigth_weight: float = setting(1.0, "height", minimum=0.0, maximum=10.0)
+
+        with pytest.raises(SettingsError, match="heigth_weight: expected a cost term named heigth"):
+            term_weights(Mistyped())
+
+    def test_one_more_counts_with_its_weight(self, objective, monkeypatch):
+        problem = make_problem(HOME, FLANGE, None, height=2.0, heights=0.5)
+        # Over lanes alone, and over knots and lanes.
+        monkeypatch.setitem(TERMS, "height", lambda context: context.position[2, -1])
+        monkeypatch.setitem(TERMS, "heights", lambda context: context.position[2, 1:])
+
+        def run(actions):
+            rollout = objective.roll_out(problem, actions)
+            return rollout, objective.terms(problem, actions, rollout), objective.cost(problem, actions)
+
+        rollout, terms, cost = jax.jit(run)(STILL[:, :, :2])
+        heights = np.asarray(rollout.pose.position)[1:, 2]
+        np.testing.assert_allclose(terms["height"], 2.0 * heights[-1], rtol=1e-6)
+        np.testing.assert_allclose(terms["heights"], 0.5 * heights.sum(axis=0), rtol=1e-6)
+        np.testing.assert_allclose(cost, sum(terms.values()), rtol=1e-5)
+
+    def test_other_weights_take_no_other_program(self, objective, monkeypatch):
+        traced = []
+        monkeypatch.setitem(TERMS, "progress", lambda context: traced.append(1) or context.position[0])
+        program = jax.jit(objective.cost)
+        costs = [program(make_problem(HOME, FLANGE, None, progress=weight), STILL[:, :, :2]) for weight in (1.0, 2.0)]
+        assert len(traced) == 1
+        assert not np.array_equal(*costs)

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contact_reach_ros.planning.settings import SOLVER_METHODS, PlanningSettings
-from contact_reach_ros.planning.solver.cma_es import fresh
-from contact_reach_ros.planning.solver.hybrid import CostFunction, HybridSolver, Solution, gradient
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver import SOLVERS, make_solver
+from contact_reach_ros.planning.solver.hybrid import gradient
+from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver
 
 N = 6
 CENTER = np.zeros(N)
@@ -43,21 +44,22 @@ def undefined(target: jax.Array, points: jax.Array) -> jax.Array:
 
 
 @functools.cache
-def solver(cost: CostFunction, settings: PlanningSettings) -> HybridSolver:
+def solver(cost: CostFunction, settings: PlanningSettings) -> Solver:
     """Each compiles its programs once."""
-    return HybridSolver(cost, N, settings)
+    return make_solver(cost, N, settings)
 
 
 def solve(cost=quadratic, target=MINIMUM, start=CENTER, number=1, until=math.inf, **changes) -> Solution:
-    """From a wide distribution about `start`."""
+    """With a wide spread about `start`."""
     target = jnp.asarray(target, jnp.float32)
     start_cost = float(cost(target, jnp.asarray(start)[:, None])[0])
-    distribution = fresh(jnp.asarray(start, jnp.float32), jnp.full(N, 0.3))
     start_cost = start_cost if math.isfinite(start_cost) else math.inf
-    return solver(cost, dataclasses.replace(SETTINGS, **changes)).solve(target, distribution, start_cost, number, until)
+    searching = solver(cost, dataclasses.replace(SETTINGS, **changes))
+    state = searching.init(np.asarray(start), np.full(N, 0.3))
+    return searching.solve(target, state, start_cost, number, until)
 
 
-@pytest.mark.parametrize("method", SOLVER_METHODS)
+@pytest.mark.parametrize("method", SOLVERS)
 def test_every_method_finds_the_minimum_of_a_convex_function(method):
     solution = solve(solver=method)
     np.testing.assert_allclose(solution.best, MINIMUM, rtol=0, atol=0.03)
@@ -65,7 +67,7 @@ def test_every_method_finds_the_minimum_of_a_convex_function(method):
 
 
 def test_gradient_steps_save_solver_steps():
-    steps = {method: sum(cost > -4.9 for cost in solve(solver=method).costs) for method in SOLVER_METHODS}
+    steps = {method: sum(cost > -4.9 for cost in solve(solver=method).costs) for method in SOLVERS}
     assert steps["gradient"] < steps["hybrid"] < steps["cma"]
 
 
@@ -82,7 +84,7 @@ def test_same_input_gives_the_same_solution_bit_for_bit():
     second = solve()
     np.testing.assert_array_equal(first.best, second.best)
     assert first.costs == second.costs
-    for a, b in zip(first.distribution, second.distribution, strict=True):
+    for a, b in zip(first.state, second.state, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -105,7 +107,7 @@ def test_non_finite_candidates_are_counted_and_never_win():
     assert solution.best[0] <= 0.0
     assert math.isfinite(solution.cost)
     np.testing.assert_allclose(solution.best[1:], -0.3, rtol=0, atol=0.1)
-    assert all(np.isfinite(part).all() for part in solution.distribution)
+    assert all(np.isfinite(part).all() for part in solution.state)
 
 
 def test_objective_that_is_nowhere_finite_ends_at_the_start():
@@ -113,7 +115,7 @@ def test_objective_that_is_nowhere_finite_ends_at_the_start():
     np.testing.assert_array_equal(solution.best, 0.0)
     assert solution.cost == math.inf
     assert solution.stop_reason == "stagnated"
-    assert all(np.isfinite(part).all() for part in solution.distribution)
+    assert all(np.isfinite(part).all() for part in solution.state)
 
 
 def test_stagnation_and_step_limit_end_the_search():

@@ -10,9 +10,9 @@ from test_receding_horizon import FLANGE, MS, ball_at, plan_from
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
-from contact_reach_ros.planning.problem import Goal
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import steady_speed
+from contact_reach_ros.world.goal import Target
 
 SPEED = 0.02
 
@@ -20,7 +20,7 @@ SPEED = 0.02
 def share_after(distances, step=0.04, patience=0.5, least_speed=SPEED):
     approach = Approach.begin(distances[0])
     for distance in distances[1:]:
-        approach = approach.go_on(distance, step, patience, least_speed)
+        approach = approach.updated(distance, step, patience, least_speed)
     return approach.share
 
 
@@ -48,7 +48,7 @@ def test_the_share_comes_back_as_the_arm_catches_up_and_never_exceeds_one():
 
 def test_at_the_goal_nothing_holds_the_arm_up():
     before = Approach(0.02, 0.4)
-    assert before.go_on(0.003, 10.0, 0.5, SPEED).share == pytest.approx(0.4)
+    assert before.updated(0.003, 10.0, 0.5, SPEED).share == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(("patience", "least_speed"), [(0.0, SPEED), (0.5, 0.0), (0.5, math.inf)])
@@ -57,18 +57,18 @@ def test_without_patience_or_without_a_speed_to_expect_nothing_changes(patience,
 
 
 def test_whatever_happened_in_between_the_share_stays_a_number():
-    assert 0.0 < Approach(0.3, 1.0).go_on(9e9, 1e9, 0.01, 1e-6).share < 0.1
-    assert Approach(0.3, 0.02).go_on(0.1, 1e-9, 0.01, 1e-6).share == 1.0
+    assert 0.0 < Approach(0.3, 1.0).updated(9e9, 1e9, 0.01, 1e-6).share < 0.1
+    assert Approach(0.3, 0.02).updated(0.1, 1e-9, 0.01, 1e-6).share == 1.0
 
 
 def test_bags_keep_it_to_the_last_bit():
-    approach = Approach.begin(1 / 3).go_on(0.3, 0.1, 0.7, SPEED)
+    approach = Approach.begin(1 / 3).updated(0.3, 0.1, 0.7, SPEED)
     assert Approach(*np.asarray(approach, dtype=np.float32).tolist()) == approach
 
 
 def test_a_planner_gives_in_for_one_goal_only():
     planner, spheres = make_planner(contact_patience=0.1), ball_at(np.array([0.0, 0.0, -1.0]))
-    goal, other = (Goal(FLANGE + np.array(offset)) for offset in ((0.2, 0.0, 0.1), (0.0, 0.2, 0.1)))
+    goal, other = (Target(FLANGE + np.array(offset)) for offset in ((0.2, 0.0, 0.1), (0.0, 0.2, 0.1)))
     # The arm is told to be where it was, again and again.
     shares = []
     for time in range(0, 400, 40):
@@ -86,9 +86,9 @@ def test_a_planner_gives_in_for_one_goal_only():
 
 def test_the_share_comes_back_while_contact_is_firm():
     held_up = Approach(0.3, 0.1)
-    assert held_up.go_on(0.3, 0.5, 0.5, SPEED, is_firm=True).share == pytest.approx(0.1 * math.e)
+    assert held_up.updated(0.3, 0.5, 0.5, SPEED, is_firm=True).share == pytest.approx(0.1 * math.e)
     # No slower than without.
-    assert held_up.go_on(0.26, 0.5, 0.5, SPEED, is_firm=True) == held_up.go_on(0.26, 0.5, 0.5, SPEED)
+    assert held_up.updated(0.26, 0.5, 0.5, SPEED, is_firm=True) == held_up.updated(0.26, 0.5, 0.5, SPEED)
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
@@ -97,7 +97,7 @@ def test_the_weight_is_what_falls(share):
     rest = np.zeros(7)
     planner = make_planner(contact_patience=0.1, contact_patience_share=share)
     down = np.array([0.0, 0.0, -1.0])
-    goal, spheres = Goal(FLANGE + 0.3 * down), ball_at(FLANGE + 0.13 * down)
+    goal, spheres = Target(FLANGE + 0.3 * down), ball_at(FLANGE + 0.13 * down)
 
     def weight(time: int) -> float:
         plan = planner.plan(HOME, rest, time * MS, time * MS, goal, spheres)

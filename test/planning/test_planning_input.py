@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 
+from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
-from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.robot.kinematics import link_frames, rotation_about
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 
 def row_of_spheres(count: int) -> Spheres:
@@ -19,21 +20,21 @@ def row_of_spheres(count: int) -> Spheres:
 
 def test_goals_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match=r"goal position: expected shape \(3,\)"):
-        Goal(np.zeros(2))
+        Target(np.zeros(2))
     with pytest.raises(InputError, match="goal position: expected finite values"):
-        Goal(np.array([0.5, np.nan, 0.2]))
+        Target(np.array([0.5, np.nan, 0.2]))
     with pytest.raises(InputError, match="goal rotation: expected an orthonormal"):
-        Goal(np.zeros(3), 2.0 * np.eye(3))
+        Target(np.zeros(3), 2.0 * np.eye(3))
     with pytest.raises(InputError, match="goal rotation: expected an orthonormal"):
-        Goal(np.zeros(3), -np.eye(3))
+        Target(np.zeros(3), -np.eye(3))
 
 
 def test_goals_are_compared_with_their_orientation():
-    free, held = Goal(np.ones(3)), Goal(np.ones(3), np.eye(3))
-    assert free.same_as(Goal(np.ones(3)))
-    assert held.same_as(Goal(np.ones(3), np.eye(3)))
+    free, held = Target(np.ones(3)), Target(np.ones(3), np.eye(3))
+    assert free.same_as(Target(np.ones(3)))
+    assert held.same_as(Target(np.ones(3), np.eye(3)))
     assert not free.same_as(held)
-    assert not held.same_as(Goal(np.ones(3), rotation_about((0, 0, 1), 0.1)))
+    assert not held.same_as(Target(np.ones(3), rotation_about((0, 0, 1), 0.1)))
     assert not free.same_as(None)
 
 
@@ -61,17 +62,17 @@ def test_settings_that_contradict_each_other_are_refused():
 
 
 def test_clearance_is_the_gap_between_surfaces():
-    _, origins = link_frames(HOME)
+    _, origins = link_frames(ARM, HOME)
     center = origins[-1] + np.array([1.0, 0.0, 0.0])
     spheres = Spheres(center[None], center[None], np.array([0.1]), np.ones(1), np.ones(1))
     nearer = Spheres(center[None] - (0.1, 0, 0), center[None], np.array([0.1]), np.ones(1), np.ones(1))
-    assert clearances(HOME, spheres)[0] == pytest.approx(clearances(HOME, nearer)[0] + 0.1, abs=2e-3)
+    assert clearances(ARM, HOME, spheres)[0] == pytest.approx(clearances(ARM, HOME, nearer)[0] + 0.1, abs=2e-3)
     touching = Spheres(origins[4][None], origins[4][None], np.array([0.1]), np.ones(1), np.ones(1))
-    assert clearances(HOME, touching)[0] < -0.1
+    assert clearances(ARM, HOME, touching)[0] < -0.1
 
 
 def test_missing_spheres_are_filled_up_out_of_reach():
-    obstacles, left_out = ObstacleReader(3).read(HOME, row_of_spheres(1))
+    obstacles, left_out = ObstacleReader(ARM, 3).read(HOME, row_of_spheres(1))
     assert left_out == 0
     assert obstacles.center.shape == (3, 3, 1)
     np.testing.assert_allclose(obstacles.center[:, 0, 0], [0.9, 0.0, 0.5], rtol=0, atol=1e-6)
@@ -84,14 +85,14 @@ def test_nearest_spheres_are_kept_and_the_others_counted():
     shuffled = Spheres(
         *(getattr(spheres, name)[order] for name in ("center", "rest", "radius", "stiffness", "damping"))
     )
-    obstacles, left_out = ObstacleReader(2).read(HOME, shuffled)
+    obstacles, left_out = ObstacleReader(ARM, 2).read(HOME, shuffled)
     assert left_out == 3
     np.testing.assert_allclose(sorted(np.asarray(obstacles.center[0, :, 0])), [0.9, 1.2], rtol=0, atol=1e-6)
     np.testing.assert_allclose(obstacles.rest - obstacles.center, 0.01, rtol=0, atol=1e-6)
 
 
 def test_planner_without_capacity_leaves_all_spheres_out():
-    assert ObstacleReader(0).read(HOME, row_of_spheres(4)) == (None, 4)
+    assert ObstacleReader(ARM, 0).read(HOME, row_of_spheres(4)) == (None, 4)
 
 
 def test_joined_spheres_need_one_spring_among_them():

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST
+from arm_simulation import ARM, HOME, REST
 from planning_helpers import make_objective
 from plans import make_plan
 
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.prediction import HeldReference, Predictor, pieces_between, reference_at
-from contact_reach_ros.planning.problem import Plan
-from contact_reach_ros.robot.kinematics import link_frames
 
 MS = 1_000_000
-HOLD = HeldReference(link_frames(HOME)[1][-1], link_frames(HOME)[0][-1], HOME)
+HOLD = HeldReference(link_frames(ARM, HOME)[1][-1], link_frames(ARM, HOME)[0][-1], HOME)
 
 
 def plan_at(effect_ms: int, label: float, knots: int = 3) -> Plan:
@@ -73,6 +73,6 @@ def test_predicted_arm_moves_to_the_reference():
     plan = plan_at(0, 0.0, knots=10)
     plan.positions[:] = HOLD.position + np.array([0.01, 0.0, -0.01])
     q, v, _ = predictor.predict(HOME, REST, None, pieces_between([plan], HOLD, 0, 1000 * MS, 0.025))
-    flange = link_frames(np.asarray(q, dtype=float)[:, 0])[1][-1]
+    flange = link_frames(ARM, np.asarray(q, dtype=float)[:, 0])[1][-1]
     np.testing.assert_allclose(flange, plan.positions[0], rtol=0, atol=5e-4)
     assert np.abs(v).max() < 0.01

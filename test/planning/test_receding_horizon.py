@@ -4,23 +4,25 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST, ideal_plant
+from arm_simulation import ARM, HOME, REST, ideal_plant
 from planning_helpers import PERMITTED_FORCE, make_planner
 
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.plan_record import is_keyframe, solution_parts, state_in
 from contact_reach_ros.planning.prediction import reference_at
-from contact_reach_ros.planning.problem import Goal, Plan, Spheres
-from contact_reach_ros.plant.plant import Actuation
-from contact_reach_ros.recording.plan_record import distribution_of, solution_parts
-from contact_reach_ros.robot.kinematics import link_frames
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 MS = 1_000_000
-ROTATIONS, ORIGINS = link_frames(HOME)
+ROTATIONS, ORIGINS = link_frames(ARM, HOME)
 FLANGE = ORIGINS[-1]
-GOAL = Goal(FLANGE + np.array([0.1, 0.15, -0.1]))
+GOAL = Target(FLANGE + np.array([0.1, 0.15, -0.1]))
 
 
 def ball_at(center: np.ndarray) -> Spheres:
@@ -53,7 +55,7 @@ def test_cost_terms_add_up(planner):
 
 def test_arm_reaches_a_free_goal(planner):
     """Every 100 ms a plan, no latency, law (3) on the simulated arm."""
-    plant, model, law = ideal_plant(), RobotModel(), ImpedanceLaw(ImpedanceSettings())
+    plant, model, law = ideal_plant(), RobotModel(ARM), ImpedanceLaw(ARM, ImpedanceSettings())
     plant.set_actuation(Actuation.COMMANDED)
     plans: list[Plan] = []
     for tick in range(4000):
@@ -81,7 +83,7 @@ def test_law_6_pulls_to_one_posture_and_leaves_the_rest_to_the_task():
     distances = np.linalg.norm(plan.predicted_positions - GOAL.position, axis=1)
     assert (np.diff(distances) < 0.0).all()
     # What the planner expects is what law (2) with this q_d does to the arm.
-    plant, model, law = ideal_plant(), RobotModel(), ImpedanceLaw(ImpedanceSettings())
+    plant, model, law = ideal_plant(), RobotModel(ARM), ImpedanceLaw(ARM, ImpedanceSettings())
     plant.set_actuation(Actuation.COMMANDED)
     for _ in range(100):
         model.update(plant.data.qpos[:7].copy(), plant.data.qvel[:7].copy())
@@ -96,7 +98,7 @@ def test_law_6_pulls_to_one_posture_and_leaves_the_rest_to_the_task():
 def test_ball_in_the_way_is_pushed_with_less_than_the_permitted_force(planner):
     elbow = ORIGINS[4] + ROTATIONS[4] @ (0.0, 0.0, 0.11) + np.array([0.0, 0.185, 0.0])
     q, v, spheres = HOME, REST, ball_at(elbow)
-    goal = Goal(FLANGE + np.array([0.0, 0.25, 0.0]))
+    goal = Target(FLANGE + np.array([0.0, 0.25, 0.0]))
     for number in range(10):
         plan = plan_from(planner, q, v, 100 * number, 100 * number, goal, spheres)
         assert plan.predicted_contact_forces.max() <= PERMITTED_FORCE + 0.5
@@ -145,14 +147,14 @@ def test_plan_is_never_worse_than_the_last_one(planner):
 
 def test_new_goal_is_searched_for_afresh(planner):
     plan_from(planner)
-    away = Goal(FLANGE - np.array([0.1, 0.15, -0.1]))
+    away = Target(FLANGE - np.array([0.1, 0.15, -0.1]))
     plan = plan_from(planner, HOME, REST, 50, 50, away)
     distances = np.linalg.norm(plan.predicted_positions - away.position, axis=1)
     assert distances[-1] < distances[0] - 0.01
 
 
 def test_orientation_of_the_goal_is_held(planner):
-    plan = plan_from(planner, goal=Goal(GOAL.position, ROTATIONS[-1]))
+    plan = plan_from(planner, goal=Target(GOAL.position, ROTATIONS[-1]))
     turned = plan.rotations @ ROTATIONS[-1].T
     angles = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1))
     assert angles.max() < np.radians(6)
@@ -212,11 +214,12 @@ def test_a_plan_can_be_made_again_from_what_a_bag_keeps(planner):
     history = planner.history()
     memory = history.memory
     first = plan_from(planner, state=30, effect=70)
-    # Numbered so that it is kept with the distribution.
+    # Numbered so that it is kept with the solver's state.
     numbered = dataclasses.replace(memory.plan, number=1)
     parts = solution_parts(numbered, memory)
-    kept = memory._replace(best=parts["best"], distribution=distribution_of(parts))
-    plan_from(planner, goal=Goal(FLANGE), state=80, effect=120)
+    assert is_keyframe(parts) and not is_keyframe(solution_parts(dataclasses.replace(memory.plan, number=2), memory))
+    kept = memory._replace(best=parts["best"], state=state_in(parts, planner.fresh_state))
+    plan_from(planner, goal=Target(FLANGE), state=80, effect=120)
     planner.go_on_from(history._replace(memory=kept))
     again = plan_from(planner, state=30, effect=70)
     assert again.number == first.number

@@ -6,17 +6,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 from planning_helpers import FAR_BALL, LANES, ball, make_objective, make_problem, obstacles_of
 
-from contact_reach_ros.planning.obstacles import clearances
-from contact_reach_ros.planning.problem import Spheres
+from contact_reach_ros.arm.kinematics import link_frames as table_frames
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.kinematics import link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep
-from contact_reach_ros.planning.transfer.model import default_arm
-from contact_reach_ros.robot.kinematics import link_frames as table_frames
+from contact_reach_ros.planning.transfer.model import arm_model
+from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.spheres import Spheres
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -30,7 +30,7 @@ FOREARM = 3
 
 def beside_forearm(gap: float) -> np.ndarray:
     """Centre of a ball beside the forearm of the arm at home, `gap` m from its surface."""
-    rotations, origins = table_frames(HOME)
+    rotations, origins = table_frames(ARM, HOME)
     middle = origins[4] + rotations[4] @ (0.0, 0.0, 0.11)
     return middle + (0.075 + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
 
@@ -40,8 +40,8 @@ def touch():
     @jax.jit
     def run(q: jax.Array, obstacles: Obstacles) -> Contact:
         keep = make_keep(q)
-        frames = link_frames(default_arm(), q, keep)
-        return contact_step(default_arm(), frames, obstacles, STIFFNESS, AN_INSTANT, keep)
+        frames = link_frames(arm_model(ARM), q, keep)
+        return contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, AN_INSTANT, keep)
 
     return lambda q, obstacles: jax.tree.map(np.asarray, run(jnp.asarray(q)[:, None], obstacles))
 
@@ -63,7 +63,7 @@ def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):
     spheres = Spheres(center[None], center[None], np.array([0.1]), np.array([100.0]), np.array([30.0]))
 
     def energy(q: np.ndarray) -> float:
-        return 0.5 * STIFFNESS * min(clearances(q, spheres)[0], 0.0) ** 2
+        return 0.5 * STIFFNESS * min(clearances(ARM, q, spheres)[0], 0.0) ** 2
 
     step = 1e-5
     expected = [-(energy(HOME + step * axis) - energy(HOME - step * axis)) / (2 * step) for axis in np.eye(7)]
@@ -77,7 +77,7 @@ def settled(obstacles: Obstacles) -> pipeline.State:
     @jax.jit
     def settle(q: jax.Array) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(state.q, pipeline.flange_pose(system, state), jnp.zeros((13, 1)))
+        held = pipeline.latch(state.q, pipeline.tip_pose(system, state), jnp.zeros((system.action_size, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
     return settle(jnp.asarray(HOME)[:, None])
@@ -100,7 +100,7 @@ def chain(count: int) -> Spheres:
     """Small spheres in a row along the forearm, 4 mm deep in it, the ends anchored, neighbours joined."""
     along = np.linspace(0.06, 0.16, count)
     center = np.array([beside_forearm(-0.004)] * count)
-    rotation = table_frames(HOME)[0][4]
+    rotation = table_frames(ARM, HOME)[0][4]
     center += (along - 0.11)[:, None] * rotation[:, 2] - np.array([0.0, 0.07, 0.0])
     anchors = np.zeros(count)
     anchors[[0, -1]] = 300.0
@@ -142,7 +142,7 @@ def test_joined_spheres_rest_where_their_springs_hold_the_force(capacity):
     assert np.linalg.norm(forces, axis=1).sum() == pytest.approx(float(state.link_force.sum()), rel=0.02)
     assert np.linalg.norm(forces, axis=1).max() > 0.3
     # What the springs carry is what the penetration that is left makes, to the error of the shared yielding.
-    frames = table_frames(np.asarray(state.q)[:, 0].astype(float))
+    frames = table_frames(ARM, np.asarray(state.q)[:, 0].astype(float))
     depths = []
     for center in np.asarray(state.obstacles.center)[:, :, 0].T:
         local = frames[0][4].T @ (center - frames[1][4])

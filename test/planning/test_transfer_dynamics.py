@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import random_states
+from arm_simulation import ARM, random_states
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep
-from contact_reach_ros.planning.transfer.model import default_arm
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.planning.transfer.model import arm_model
 
 COUNT = 40
 
@@ -22,8 +22,8 @@ def computed() -> tuple[np.ndarray, ...]:
     @jax.jit
     def run(q: jax.Array, v: jax.Array) -> tuple[jax.Array, ...]:
         keep = make_keep(q)
-        frames = link_frames(default_arm(), q, keep)
-        dynamics = arm_dynamics(default_arm(), frames, keep)
+        frames = link_frames(arm_model(ARM), q, keep)
+        dynamics = arm_dynamics(arm_model(ARM), frames, keep)
         drift = flange_drift(frames, v, keep)
         return frames.flange, frames.flange_rotation, dynamics.jacobian, dynamics.mass_matrix, drift
 
@@ -33,7 +33,7 @@ def computed() -> tuple[np.ndarray, ...]:
 
 @pytest.fixture(scope="module")
 def expected() -> list[dict[str, np.ndarray]]:
-    model = RobotModel()
+    model = RobotModel(ARM)
     states = []
     for q, v in zip(*random_states(COUNT), strict=True):
         model.update(q, v)

@@ -4,14 +4,13 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_simulation import HOME
+from arm_simulation import ARM, HOME
 from planning_helpers import FAR_BALL, LANES, ball, make_problem
 
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.mjcf import build_mjcf
-from contact_reach_ros.robot.model import RobotModel
 
 TICKS_PER_KNOT = 100
 BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
@@ -19,10 +18,10 @@ BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
 
 def simulate(q: np.ndarray, actions: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Flange poses after each knot of the actions (H, 13), latched as the controller latches them."""
-    plant = mujoco.MjModel.from_xml_string(build_mjcf())
+    plant = mujoco.MjModel.from_xml_string(build_mjcf(ARM))
     data = mujoco.MjData(plant)
     data.qpos[:] = q
-    law, model = ImpedanceLaw(ImpedanceSettings()), RobotModel()
+    law, model = ImpedanceLaw(ARM, ImpedanceSettings()), RobotModel(ARM)
     poses = []
     for action in actions:
         model.update(data.qpos, data.qvel)
@@ -90,6 +89,6 @@ def test_motion_stays_bounded_at_a_singularity(roll_out, pose):
     assert moved.max() <= 1.0 + 1e-5
     assert all(np.isfinite(term).all() for term in terms.values())
     # What the arm could not do costs.
-    fastest = (moved / 0.1 / np.array(iiwa14.VELOCITY_LIMITS)[:, None]).max(axis=(0, 1))
+    fastest = (moved / 0.1 / np.array(ARM.velocity_limits)[:, None]).max(axis=(0, 1))
     assert ((fastest > 1.0) == (np.asarray(terms["joint_speed"]) > 0.0)).all()
     assert (fastest > 1.0).any()

@@ -2,26 +2,27 @@
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, TICK_NS
+from arm_simulation import ARM, HOME, TICK_NS
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.planning.obstacles import clearances
-from contact_reach_ros.planning.problem import Goal, Spheres
 from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
-from contact_reach_ros.robot.model import RobotModel
+from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 STIFFNESS = 1000.0
-GOAL = Goal(np.array([0.5, 0.1, 0.3]))
+GOAL = Target(np.array([0.5, 0.1, 0.3]))
 
 
 def touch(force: float = 10.0) -> Contact:
     """Near the end of the last link's axis, across it."""
-    flange, rotation = RobotModel().flange_pose(HOME)
+    flange, rotation = RobotModel(ARM).tip_pose(HOME)
     return Contact("lbr_link_7", flange - 0.02 * rotation[:, 2], force * rotation[:, 0], 0.0)
 
 
 def reaction(kind: str, sees_spheres: bool = True, **settings: float) -> ContactReaction:
-    made = ContactReaction(UnexpectedContactSettings(reaction=kind, **settings), STIFFNESS, sees_spheres)
+    made = ContactReaction(ARM, UnexpectedContactSettings(reaction=kind, **settings), STIFFNESS, sees_spheres)
     for step in range(100):
         made.moved(np.array([0.4 + 0.001 * step, 0.0, 0.4]))
     return made
@@ -31,7 +32,7 @@ def ball(gap: float) -> Spheres:
     """A known one, so far from the arm."""
     center = np.array([[0.0, 0.5, 0.6]])
     spheres = Spheres(center, center, np.array([0.01]), np.array([100.0]), np.array([30.0]))
-    radius = 0.01 + clearances(HOME, spheres) - gap
+    radius = 0.01 + clearances(ARM, HOME, spheres) - gap
     return Spheres(center, center, radius, spheres.stiffness, spheres.damping)
 
 
@@ -57,7 +58,7 @@ def test_a_sphere_stands_where_the_model_gives_it_the_measured_force():
     planned = it.spheres(ball(0.1))
     assert it.goal(GOAL) is GOAL
     assert len(planned) == 2, "one contact, one sphere"
-    assert clearances(HOME, planned)[1] * STIFFNESS == pytest.approx(-12.0, abs=0.5)
+    assert clearances(ARM, HOME, planned)[1] * STIFFNESS == pytest.approx(-12.0, abs=0.5)
 
 
 def test_what_is_known_weak_or_short_is_no_reason():

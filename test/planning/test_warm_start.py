@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contact_reach_ros.planning.solver.cma_es import Distribution, fresh
-from contact_reach_ros.planning.warm_start import SIGMA_RANGE, shift_distribution, shift_matrix, shift_solution
+from contact_reach_ros.planning.solver.cma_es import CARRIED_SIGMA_RANGE, Distribution, fresh, shift_distribution
+from contact_reach_ros.planning.warm_start import shift_matrix, shift_solution
 
 H, SIZE = 3, 2
 SPREAD = np.tile([0.3, 0.6], H)
@@ -71,6 +71,6 @@ def test_fresh_distribution_stays_fresh(elapsed):
 
 
 def test_collapsed_and_exploded_step_sizes_are_brought_back():
-    for sigma, expected in ((1e-3, SIGMA_RANGE[0]), (9.0, SIGMA_RANGE[1])):
+    for sigma, expected in ((1e-3, CARRIED_SIGMA_RANGE[0]), (9.0, CARRIED_SIGMA_RANGE[1])):
         old = distribution()._replace(sigma=np.float32(sigma))
         assert shift_distribution(old, old.mean, SPREAD, H, 0.4).sigma == pytest.approx(expected)

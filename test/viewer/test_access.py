@@ -1,94 +1,125 @@
 """Who gets in: page and websocket, with a real HTTP and websocket client."""
 
 import http.client
+import queue
+import socket
+from types import SimpleNamespace
 
+import msgspec
 import pytest
 import viser
+import websockets.asyncio.server
+from viser import _messages as viser_messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.cli import main
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.viewer.access import serve
-
-TOKEN = "a-token-of-20-letters"
+from contact_reach_ros.viewer.settings import ViewerSettings
 
 
 @pytest.fixture(scope="module")
-def guarded():
-    server = serve("0.0.0.0", 0, TOKEN, "test")
-    yield server.get_port()
+def server():
+    server = serve(0, "test")
+    yield server
     server.stop()
 
 
 @pytest.fixture(scope="module")
-def local():
-    server = serve("127.0.0.1", 0, "", "test")
-    yield server.get_port()
-    server.stop()
+def port(server):
+    return server.get_port()
 
 
 def get(port, path="/", **headers):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
-    return answer.status, answer.getheader("Set-Cookie"), answer.read()
+    return answer.status, answer.read()
 
 
-def speak(port, **headers):
-    """Open the websocket as the page does; returns the first message."""
+def websocket(port, host="", **headers):
+    """The websocket as a page opens it that has come from a host."""
+    uri = f"ws://{host or f'127.0.0.1:{port}'}"
     protocols = [f"viser-v{viser.__version__}"]
-    options = {"additional_headers": headers, "subprotocols": protocols, "max_size": None}
-    with connect(f"ws://127.0.0.1:{port}", **options) as socket:
-        return socket.recv(timeout=10)
+    way = socket.create_connection(("127.0.0.1", port))
+    return connect(uri, sock=way, additional_headers=headers, subprotocols=protocols, max_size=None)
 
 
-def test_with_the_token_page_and_websocket_open(guarded):
-    status, cookie, _ = get(guarded, f"/?token={TOKEN}")
-    assert status == 303 and "HttpOnly" in cookie
-    pair = cookie.partition(";")[0]
-    status, _, body = get(guarded, Cookie=pair)
+@pytest.mark.parametrize("host", ["127.0.0.1:{port}", "localhost:{port}", "[::1]:{port}", "localhost:9000"])
+def test_browsers_of_this_machine_get_page_and_websocket(port, host):
+    """By a port of another number, too, as SSH may forward it."""
+    host = host.format(port=port)
+    status, body = get(port, Host=host)
     assert status == 200 and b"<html" in body.lower()
-    assert speak(guarded, Cookie=pair)
+    with websocket(port, host, Origin=f"http://{host}") as page:
+        assert page.recv(timeout=10)
 
 
-@pytest.mark.parametrize("headers", [{}, {"Cookie": "x=y"}, {"Cookie": "contact_reach_viewer_{port}=wrong"}])
-def test_without_the_token_neither_opens(guarded, headers):
-    headers = {name: value.format(port=guarded) for name, value in headers.items()}
-    for path in ("/", "/?token=", "/?token=wrong", "/index.html"):
-        status, cookie, body = get(guarded, path, **headers)
-        assert status == 401 and cookie is None and b"<html" not in body.lower()
+@pytest.mark.parametrize("origin", ["http://elsewhere.example", "http://localhost:1", "http://127.0.0.1", "null"])
+def test_other_pages_in_the_same_browser_are_kept_out(port, origin):
+    status, body = get(port, Origin=origin)
+    assert status == 403 and b"<html" not in body.lower()
     with pytest.raises(InvalidStatus) as refusal:
-        speak(guarded, **headers)
-    assert refusal.value.response.status_code == 401
+        websocket(port, Origin=origin)
+    assert refusal.value.response.status_code == 403
 
 
-def test_a_token_in_the_address_of_the_websocket_is_not_enough(guarded):
-    with pytest.raises(InvalidStatus), connect(f"ws://127.0.0.1:{guarded}/?token={TOKEN}"):
-        pass
+@pytest.mark.parametrize("host", ["elsewhere.example", "127.0.0.1.elsewhere.example", "localhost@elsewhere.example"])
+def test_names_that_point_at_this_machine_are_kept_out(port, host):
+    assert get(port, Host=host)[0] == 403
+    with pytest.raises(InvalidStatus) as refusal:
+        websocket(port, host.partition("@")[2] or host, Origin=f"http://{host}")
+    assert refusal.value.response.status_code == 403
 
 
-def test_on_this_machine_no_token_is_needed(local):
-    assert get(local)[0] == 200
-    assert speak(local, Origin=f"http://127.0.0.1:{local}")
+def test_a_host_that_is_none_is_kept_out(port):
+    assert get(port, Host="[::1")[0] == 403
 
 
-@pytest.mark.parametrize("headers", [{"Origin": "http://elsewhere.example"}, {"Host": "elsewhere.example"}])
-def test_other_pages_in_the_same_browser_are_kept_out(local, headers):
-    assert get(local, **headers)[0] == 403
-    if "Origin" in headers:
-        with pytest.raises(InvalidStatus):
-            speak(local, **headers)
+def test_other_machines_do_not_reach_it(port):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as outwards:
+        # Sends nothing: the address that this machine would send from.
+        try:
+            outwards.connect(("192.0.2.1", 9))
+        except OSError:
+            pytest.skip("this machine has no address but its own")
+        address = outwards.getsockname()[0]
+    with pytest.raises(OSError):
+        socket.create_connection((address, port), timeout=5)
 
 
-@pytest.mark.parametrize(
-    ("address", "token", "what"),
-    [("0.0.0.0", "", "token"), ("127.0.0.1", "short", "16"), ("127.0.0.1", "sixteen letters;", "16")],
-)
-def test_what_would_let_everybody_in_is_refused(address, token, what):
-    with pytest.raises(SettingsError, match=what):
-        serve(address, 0, token, "test")
+def test_no_visitor_gets_a_public_address(server, port, monkeypatch):
+    def answer(*arguments):
+        answers.put(original(*arguments))
+
+    answers = queue.SimpleQueue()
+    original = type(server).request_share_url
+    monkeypatch.setattr(type(server), "request_share_url", answer)
+    monkeypatch.setattr("viser._viser.ViserTunnel", None)
+    with websocket(port) as page:
+        page.send(msgspec.msgpack.encode(viser_messages.ShareUrlRequest().as_serializable_dict()))
+        assert answers.get(timeout=10) is None
 
 
-def test_a_port_in_use_is_refused(local):
-    with pytest.raises(SettingsError, match=f"port = {local}"):
-        serve("127.0.0.1", local, "", "test")
+def test_a_port_in_use_is_refused(port):
+    with pytest.raises(SettingsError, match=f"port = {port}.*Choose another port"):
+        serve(port, "test")
+
+
+def test_a_server_that_cannot_be_guarded_is_not_served(monkeypatch):
+    """As with a viser that serves in another way."""
+    other = SimpleNamespace(server=SimpleNamespace(serve=websockets.asyncio.server.serve))
+    monkeypatch.setattr("viser.infra._infra.websockets", SimpleNamespace(asyncio=other))
+    with pytest.raises(ContactReachError, match="cannot be guarded"):
+        serve(0, "test")
+
+
+@pytest.mark.parametrize("name", ["address", "token"])
+def test_other_addresses_and_tokens_are_refused(name, capsys):
+    with pytest.raises(SettingsError, match=f"unknown key '{name}'"):
+        ViewerSettings.from_mapping({name: "0.0.0.0"}, "stack.yaml")
+    with pytest.raises(SystemExit) as end:
+        main(["view", f"--{name}", "0.0.0.0"])
+    assert end.value.code == 2
+    assert f"unrecognized arguments: --{name}" in capsys.readouterr().err

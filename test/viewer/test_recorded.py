@@ -3,25 +3,27 @@
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arms.iiwa14 import ARM
+from contact_reach_ros.bags.goals import goal_values
+from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.nodes.viewer import make_decoders
-from contact_reach_ros.recording.bag_writer import BagWriter
-from contact_reach_ros.recording.topics import Topic
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import link_frames
-from contact_reach_ros.viewer.frame import Level
-from contact_reach_ros.viewer.history import QUANTITIES
+from contact_reach_ros.nodes.viewer_messages import make_decoders
+from contact_reach_ros.viewer.frame import SafetyLevel
+from contact_reach_ros.viewer.history import quantities
 from contact_reach_ros.viewer.player import Player
 from contact_reach_ros.viewer.recorded import Recording
 
 TICKS, START = 2000, 1000
 GOAL = np.array([0.5, 0.1, 0.3])
+REFUSED = np.array([2.0, 0.0, 0.0])
 TYPES = {
     "/joint_states": JointState,
     "/external_torque": JointState,
@@ -29,11 +31,12 @@ TYPES = {
     "/goal_pose": PoseStamped,
     "/safety_state": DiagnosticStatus,
     "/reference/pose": MultiDOFJointTrajectory,
+    "/plan/statistics": DiagnosticArray,
 }
 
 
 def joint_angles(tick):
-    return np.array(iiwa14.HOME_POSITION) + 1e-4 * tick
+    return np.array(ARM.home) + 1e-4 * tick
 
 
 def messages():
@@ -41,11 +44,11 @@ def messages():
     for tick in range(TICKS):
         stamp = Time(sec=START + tick // 1000, nanosec=tick % 1000 * 1_000_000)
         # The arm's joints in another order, and one more.
-        names = [*reversed(iiwa14.JOINT_NAMES), "gripper"]
+        names = [*reversed(ARM.joint_names), "gripper"]
         state = JointState(name=names, position=[*joint_angles(tick)[::-1].tolist(), 9.0], velocity=[0.0] * 8)
         state.header.stamp = stamp
         yield tick, "/joint_states", state
-        torque = JointState(name=list(iiwa14.JOINT_NAMES), effort=[0.001 * tick] * 7)
+        torque = JointState(name=list(ARM.joint_names), effort=[0.001 * tick] * 7)
         torque.header.stamp = stamp
         yield tick, "/external_torque", torque
         if tick % 5 == 0:
@@ -53,9 +56,9 @@ def messages():
             contact = JointState(name=["lbr_link_5", "sum", "max"], effort=[force] * 3)
             contact.header.stamp = stamp
             yield tick, "/sim/contacts", contact
-        if tick == 300:
-            goal = PoseStamped()
-            goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = GOAL.tolist()
+        if tick in (300, 900):
+            goal, place = PoseStamped(), GOAL if tick == 300 else REFUSED
+            goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = place.tolist()
             yield tick, "/goal_pose", goal
         if tick in (0, 1800):
             level = DiagnosticStatus.ERROR if tick else DiagnosticStatus.OK
@@ -64,10 +67,20 @@ def messages():
             plan = MultiDOFJointTrajectory()
             plan.header.stamp = stamp
             yield tick, "/reference/pose", plan
+            if tick > 300:
+                values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in goal_values(GOAL).items()]
+                yield (
+                    tick,
+                    "/plan/statistics",
+                    DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)]),
+                )
 
 
 def write(folder):
-    topics = {name: Topic(name, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}") for name, kind in TYPES.items()}
+    topics = {
+        name: RecordedTopic(name, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}")
+        for name, kind in TYPES.items()
+    }
     writer = BagWriter(folder, topics.values())
     for number, (tick, name, message) in enumerate(messages()):
         # In lockstep the wall's clock runs another way than the robot's.
@@ -82,11 +95,11 @@ def recording(request, tmp_path_factory):
     writer = write(folder)
     if request.param == "not closed":
         writer.flush()
-        yield Recording(folder, make_decoders())
+        yield Recording(folder, ARM, make_decoders(ARM))
         writer.close()
     else:
         writer.close()
-        yield Recording(folder, make_decoders())
+        yield Recording(folder, ARM, make_decoders(ARM))
 
 
 def test_a_moment_is_shown_as_it_was(recording):
@@ -99,20 +112,21 @@ def test_a_moment_is_shown_as_it_was(recording):
     assert frame.safety["controller"].message == "said at 0" and not frame.stops()
     assert recording.frame(0.2).goal is None
     stopped = recording.frame(1.9)
-    assert stopped.safety["controller"].level is Level.STOP and stopped.stops() == {"controller": "said at 1800"}
+    assert stopped.safety["controller"].level is SafetyLevel.STOP and stopped.stops() == {"controller": "said at 1800"}
 
 
 def test_events_are_on_the_robots_clock(recording):
     found = [(event.kind, round(event.time, 2)) for event in recording.events]
-    assert found == [("goal", 0.3), ("contact", 0.6), ("contact", 1.5), ("stop", 1.8)]
+    assert found == [("goal", 0.3), ("contact", 0.6), ("refused", 0.9), ("contact", 1.5), ("stop", 1.8)]
+    assert recording.first_goal == pytest.approx(0.3, abs=0.01)
 
 
 def test_curves_have_the_values_of_their_time(recording):
     table = recording.table(recording.duration)
-    columns = dict(zip(("time", *QUANTITIES), table.T, strict=True))
+    columns = dict(zip(quantities(ARM.n), table.T, strict=True))
     row = int(np.argmin(np.abs(columns["time"] - 1.0)))
     tick = round(1000 * columns["time"][row])
-    flange = link_frames(joint_angles(tick))[1][-1]
+    flange = link_frames(ARM, joint_angles(tick))[1][-1]
     assert columns["distance"][row] == pytest.approx(1000.0 * np.linalg.norm(flange - GOAL), abs=0.01)
     assert columns["A3"][row] == pytest.approx(0.001 * tick)
     assert columns["plan age"][row] == pytest.approx(tick % 50)
@@ -143,8 +157,8 @@ def test_playing_stepping_and_jumping(recording):
 
 
 def test_a_bag_without_joint_states_is_refused(tmp_path):
-    writer = BagWriter(tmp_path / "bag", [Topic("/goal_pose", "geometry_msgs/msg/PoseStamped")])
+    writer = BagWriter(tmp_path / "bag", [RecordedTopic("/goal_pose", "geometry_msgs/msg/PoseStamped")])
     writer.write("/goal_pose", serialize_message(PoseStamped()), 1)
     writer.close()
     with pytest.raises(BagError, match="joint_states"):
-        Recording(tmp_path / "bag", make_decoders())
+        Recording(tmp_path / "bag", ARM, make_decoders(ARM))

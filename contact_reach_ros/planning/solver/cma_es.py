@@ -8,13 +8,19 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.warm_start import FloatArray, shift_matrix
 
 SIGMA_RANGE = (1e-3, 10.0)
-"""How far the step size may leave its initial value, 1."""
+"""Range of the step size, whose initial value is 1."""
 
+CARRIED_SIGMA_RANGE = (0.3, 3.0)
+"""Step size with which a shifted distribution may start, relative to the initial one: not collapsed, not exploded."""
 
 VARIANCE_FLOOR = 1e-12
-"""Least eigenvalue of C that the step is whitened with; rounding may have made it negative."""
+"""Least eigenvalue of C that the step is whitened with, since rounding may make one negative."""
 
 
 class Distribution(NamedTuple):
@@ -90,19 +96,19 @@ def update(
     Parameters
     ----------
     distribution
-        The one that the parents were drawn from.
+        Distribution that the parents were drawn from.
     parents
         (n, μ) the best y = (x − mean) / σ.
     valid
-        (μ,) which of them had a finite cost; the others leave no trace.
+        (μ,) which of them had a finite cost; the others have no effect.
     mean
-        (n,) the new mean, wherever it comes from.
+        (n,) the new mean, whatever its origin.
     """
     dimension = distribution.mean.shape[0]
     share = valid / jnp.maximum(valid.sum(), 1.0)
     step = parents @ share
-    # C^(-1/2) is the symmetric root, equation (43). The Cholesky factor would do for one generation, but it turns with
-    # C, and the path would add up steps that are turned differently.
+    # C^(-1/2) is the symmetric root, equation (43). The Cholesky factor would do for one generation, but it rotates
+    # with C, and the path would then add up steps that are rotated differently.
     variances, axes = jnp.linalg.eigh(distribution.covariance)
     whitened = axes @ ((axes.T @ step) / jnp.sqrt(jnp.maximum(variances, VARIANCE_FLOOR)))
     c_sigma, c_c = rates.c_sigma, rates.c_c
@@ -123,3 +129,28 @@ def update(
     growth = jnp.exp(jnp.clip((c_sigma / rates.d_sigma) * (length / rates.expected_length - 1), -1.0, 1.0))
     sigma = jnp.clip(distribution.sigma * growth, *SIGMA_RANGE)
     return Distribution(mean, sigma, covariance, sigma_path, covariance_path, generation)
+
+
+def shift_distribution(
+    distribution: Distribution, mean: FloatArray, spread: FloatArray, horizon: int, elapsed: float
+) -> Distribution:
+    """The distribution read `elapsed` knots later, about a new mean (n,).
+
+    A knot that is a mixture of two, or that lay beyond the old horizon, would have too small a variance: the initial
+    `spread` (n,) makes up for what the weights remove.
+    """
+    size = len(mean) // horizon
+    weights = shift_matrix(horizon, elapsed)
+    # Knots beyond the old horizon are new: nothing carries over to them.
+    weights[np.arange(horizon) + elapsed > horizon - 1 + 1e-9] = 0.0
+    kept = np.kron(weights, np.eye(size))
+    filled = np.repeat(1.0 - (weights**2).sum(axis=1), size) * spread**2
+    covariance = kept @ distribution.covariance @ kept.T + np.diag(filled)
+    return Distribution(
+        mean=single(mean),
+        sigma=single(np.clip(distribution.sigma, *CARRIED_SIGMA_RANGE)),
+        covariance=single(covariance),
+        sigma_path=single(kept @ distribution.sigma_path),
+        covariance_path=single(kept @ distribution.covariance_path),
+        generation=distribution.generation,
+    )

@@ -1,30 +1,26 @@
-"""The hybrid solver, Algorithm 1, for any objective that costs many candidates at once."""
+"""The hybrid solver, Algorithm 1: sampling by CMA-ES and one gradient step per iteration."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, sample, update
-
-ProblemT = TypeVar("ProblemT")
-CostFunction = Callable[[ProblemT, jax.Array], jax.Array]
-"""Costs (B,) of candidates (n, B) for a problem, any tree of arrays."""
+from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
+from contact_reach_ros.planning.solver.solver import CostFunction, ProblemT, Solution
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.warm_start import FloatArray
 
 Draw = tuple[int, ...]
-"""What selects the random numbers: seed, plan number, step and so on."""
+"""Numbers that select the random numbers: seed, plan number, step and so on."""
 
 GRADIENT_REACH = 2.0
-"""β = 1 moves the variable with the steepest slope by this, from one side of its bounds to the other."""
-
+"""β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
 
 _REPETITIONS = 5
 
@@ -33,7 +29,7 @@ _VECTOR = 8
 
 
 class Search(NamedTuple):
-    """Where the solver stands after a step."""
+    """State of the search after a step."""
 
     distribution: Distribution
     best: jax.Array
@@ -41,7 +37,7 @@ class Search(NamedTuple):
     best_cost: jax.Array
     """()."""
     rejected: jax.Array
-    """() points so far whose cost was not finite."""
+    """() number of points so far with a non-finite cost."""
 
 
 class Sample(NamedTuple):
@@ -65,44 +61,38 @@ class Elite(NamedTuple):
     mean: jax.Array
     """(n,) the new mean, inside the box."""
     rejected: jax.Array
-    """() candidates whose cost was not finite."""
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """What the solver found."""
-
-    best: np.ndarray
-    """(n,) within [-1, 1]."""
-    cost: float
-    distribution: Distribution
-    steps: int
-    stop_reason: str
-    """"stagnated", "max_steps" or "deadline"."""
-    rejected: int
-    costs: tuple[float, ...]
-    """Best cost at the start and after each step."""
+    """() number of candidates with a non-finite cost."""
 
 
 class HybridSolver(Generic[ProblemT]):
-    """Minimises a cost over the box [-1, 1]ⁿ.
+    """Algorithm 1 over the box [-1, 1]ⁿ; its state is the distribution of the candidates.
 
     Readings of Algorithm 1: line 9 takes a logarithm of the cost, which may be negative; α d_i, the logarithm's effect,
-    is used directly as |L(a_i)|. By default the squared distance to the box, scaled by how much the best candidates
-    differ in cost, takes its place, which needs one evaluation per candidate instead of two. Line 16 descends, along
-    the gradient in the metric of the bounds, scaled so that β = 1 spans the box; β is drawn denser towards zero, zero
+    is used directly as |L(a_i)|. By default it is replaced by the squared distance to the box, scaled by how much the
+    best candidates differ in cost, which needs one evaluation per candidate instead of two. Line 16 descends, along the
+    gradient in the metric of the bounds, scaled so that β = 1 spans the box; β is drawn more densely towards zero, zero
     included, and candidates of the line search are clipped too.
+
+    Parameters
+    ----------
+    cost
+        Cost to minimise.
+    n
+        Number of variables.
+    settings
+        Settings of the planner.
+    gradient_steps
+        Gradient steps per step of the algorithm; 0 leaves plain CMA-ES.
     """
 
-    def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
+    def __init__(self, cost: CostFunction[Any], n: int, settings: PlanningSettings, gradient_steps: int = 1) -> None:
         self._cost = cost
         self._settings = settings
         self._seed = settings.seed
         self.max_steps = settings.max_steps
-        """In one call of `solve`."""
         self._rates = Rates.of(n, settings.elite)
-        self._gradient_steps = {"hybrid": 1, "cma": 0, "gradient": settings.gradient_steps}[settings.solver]
-        # Separate programs, so that candidates and line search share the one that costs them: half the compilation
+        self._gradient_steps = gradient_steps
+        # Separate programs, so that candidates and line search share the one that evaluates them: half the compilation
         # for a fraction of a millisecond per step.
         self._costs = jax.jit(cost)
         self._sample = jax.jit(self._draw_sample)
@@ -111,46 +101,37 @@ class HybridSolver(Generic[ProblemT]):
         self._conclude = jax.jit(self._update_search)
 
     def reseed(self, seed: int) -> None:
-        """Draw other random numbers from now on; no program has to be compiled again."""
+        """Draw other random numbers from now on, without recompilation."""
         self._seed = seed
 
-    def solve(
-        self,
-        problem: ProblemT,
-        distribution: Distribution,
-        start_cost: float,
-        number: int,
-        until: float = math.inf,
-    ) -> Solution:
-        """Run Algorithm 1; the solution is never worse than the mean that it starts from.
+    def init(self, mean: FloatArray, spread: FloatArray) -> Distribution:
+        """Independent variables about `mean` (n,) with standard deviations `spread` (n,)."""
+        return fresh(single(mean), single(spread))
 
-        Parameters
-        ----------
-        problem
-            Passed on to the cost function.
-        distribution
-            Where to start.
-        start_cost
-            Cost of the distribution's mean; infinity if it is not finite.
-        number
-            Selects the random numbers, together with the seed.
-        until
-            Instant of `time.perf_counter` by which to return, looked at between steps; one is always taken.
-        """
+    def shift(
+        self, state: Distribution, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float
+    ) -> Distribution:
+        """The distribution `elapsed` knots later, about a new mean."""
+        return shift_distribution(state, mean, spread, knots, elapsed)
+
+    def solve(
+        self, problem: ProblemT, state: Distribution, start_cost: float, number: int, until: float = math.inf
+    ) -> Solution:
+        """Run Algorithm 1, as `Solver.solve`."""
         settings = self._settings
-        search = _search_from(distribution, start_cost)
+        search = _search_from(state, start_cost)
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
         while len(costs) <= self.max_steps:
-            # One step is always taken: on a machine too busy for the deadline, plans still have to get somewhere.
+            # One step is always taken: on a machine too busy for the deadline, plans must still make progress.
             if len(costs) > 1 and now + longest_step > until:
                 reason = "deadline"
                 break
             search = self._advance(problem, search, (self._seed, number, len(costs)))
             costs.append(float(search.best_cost))
             longest_step, now = max(longest_step, time.perf_counter() - now), time.perf_counter()
-            # From an infinite cost to an infinite cost the decrease is not a number, which counts as stagnant too.
+            # From one infinite cost to another the decrease is NaN, which counts as stagnant too.
             stagnant = 0 if costs[-2] - costs[-1] >= settings.stagnation_tolerance else stagnant + 1
             if stagnant == settings.stagnation_steps:
                 reason = "stagnated"
@@ -158,16 +139,16 @@ class HybridSolver(Generic[ProblemT]):
         return Solution(
             best=np.asarray(search.best),
             cost=costs[-1],
-            distribution=jax.tree.map(np.asarray, search.distribution),
+            state=jax.tree.map(np.asarray, search.distribution),
             steps=len(costs) - 1,
             stop_reason=reason,
             rejected=int(search.rejected),
             costs=tuple(costs),
         )
 
-    def warm_up(self, problem: ProblemT, distribution: Distribution) -> float:
-        """Compile what `solve` needs for problems of this shape; returns the time that one step then takes, s."""
-        search = _search_from(distribution, 0.0)
+    def warm_up(self, problem: ProblemT, state: Distribution) -> float:
+        """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
+        search = _search_from(state, 0.0)
         times = []
         for repetition in range(1 + _REPETITIONS):
             begin = time.perf_counter()
@@ -203,7 +184,7 @@ class HybridSolver(Generic[ProblemT]):
     ) -> Elite:
         """Lines 8 to 13 from the costs (k,) of the repaired candidates and, for line 9, of the unrepaired ones."""
         if outside is None:
-            # In proportion to the spread among the best, so that cost and penalty are similar in magnitude.
+            # In proportion to the spread among the best, so that cost and penalty have similar magnitudes.
             best, _ = jax.lax.top_k(-_ranked(costs)[0], self._settings.elite)
             spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
             distance = ((sample.points - sample.repaired) ** 2).sum(axis=0)
@@ -242,6 +223,16 @@ class HybridSolver(Generic[ProblemT]):
         )
 
 
+def plain_cma(cost: CostFunction, n: int, settings: PlanningSettings) -> HybridSolver:
+    """Algorithm 1 without its gradient step."""
+    return HybridSolver(cost, n, settings, gradient_steps=0)
+
+
+def many_gradient_steps(cost: CostFunction, n: int, settings: PlanningSettings) -> HybridSolver:
+    """Algorithm 1 with as many gradient steps as the settings say."""
+    return HybridSolver(cost, n, settings, settings.gradient_steps)
+
+
 @jax.jit
 def _search_from(distribution: Distribution, cost: jax.Array | float) -> Search:
     return Search(distribution, distribution.mean, jnp.asarray(cost, jnp.float32), jnp.zeros((), jnp.int32))
@@ -251,7 +242,7 @@ def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Arr
     """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes.
 
     Reverse mode at one lane is slower for n = 39, and takes twice as long to compile. The lanes are filled up to whole
-    vector registers, without which forward mode takes a third longer.
+    vector registers; otherwise forward mode would take a third longer.
     """
     n = point.shape[0]
     lanes = -(-n // _VECTOR) * _VECTOR
@@ -261,13 +252,13 @@ def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Arr
 
 
 def _ranked(costs: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Costs with infinity where they are not finite, so that those come last, and how many those are."""
+    """Costs with infinity where they are not finite, so that those rank last, and the number of those."""
     finite = jnp.isfinite(costs)
     return jnp.where(finite, costs, jnp.inf), (~finite).sum().astype(jnp.int32)
 
 
 def _key(draw: Draw, purpose: int) -> jax.Array:
-    """Random key of a draw, a different one for each purpose."""
+    """Random key of a draw, different for each purpose."""
     key = jax.random.PRNGKey(draw[0])
     for number in (*draw[1:], purpose):
         key = jax.random.fold_in(key, number)

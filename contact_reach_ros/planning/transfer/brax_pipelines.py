@@ -3,22 +3,21 @@
 The arm and the obstacle spheres are bodies of a Brax system. In every step of Brax the laws (1)-(3) are computed from
 its state, as the 1 kHz controller would do it, and act on it as joint torques. The laws' model of the arm is the one
 that the pipeline simulates, so that C + g cancel as they do in (1); gravity, which the laws cancel on the arm and the
-springs carry on the spheres, is left out. The laws are computed for all candidates at once in this package's own fast
-form: what is compared is the physics.
+springs carry on the spheres, is left out. The laws are computed for all candidates at once by this package's own fast
+code: the comparison is about the physics.
 
-What the pipelines have in common: a sphere moves on three sliders. Springs, dampers and edges act on these as actuator
-forces. As in this package's own pipeline spheres have no mass of their own; the body that Brax moves has the mass
+All pipelines have this in common: a sphere moves on three sliders. Springs, dampers and edges act on these as actuator
+forces. As in this package's own pipeline, spheres have no mass of their own; the body that Brax moves has the mass
 m = dt (damping + dt stiffness), with which Brax's explicit step becomes the implicit one of the sphere without mass.
-
-What differs:
+They differ in this:
 
 - generalized: joint coordinates, soft contact after MuJoCo's model, with the planner's stiffness.
 - spring and positional: maximal coordinates, which need very short steps here. They know no armature; it is added to
   the links' own inertia about the joint axis. Contact is hard, an impulse or a displacement, and has no stiffness to
   set: only the spheres' springs give way.
 
-None of them hands out contact forces. Here a sphere's contact force is what its spring, damper and edges need for the
-motion that it makes, as a mean over a step of this package's own pipeline; it belongs to the nearest link.
+None of them returns contact forces. Here a sphere's contact force is what its spring, damper and edges need for its
+motion, averaged over a step of this package's own pipeline; it is attributed to the nearest link.
 """
 
 from __future__ import annotations
@@ -43,26 +42,28 @@ from brax.generalized.base import State as GeneralizedState
 from brax.io import mjcf
 from scipy.spatial.transform import Rotation
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.cost import Objective, Problem, Rollout
+from contact_reach_ros.planning.cost import Objective
+from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
-from contact_reach_ros.planning.transfer.kinematics import Frames, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import combine, dot, make_keep, per_link
-from contact_reach_ros.planning.transfer.model import N_CAPSULES, N_LINKS, ArmModel
+from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments, flange_drift, link_frames
+from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep
+from contact_reach_ros.planning.transfer.model import ArmModel, arm_model
 from contact_reach_ros.planning.transfer.pipeline import Pose
-from contact_reach_ros.robot.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
 
 STEPS = {"generalized": 2, "positional": 500, "spring": 500}
-"""Steps of Brax for one of this package's own pipeline, 25 ms at the defaults: about the fewest that are stable.
+"""Steps of Brax per step of this package's own pipeline, 25 ms at the defaults: about the fewest that are stable.
 
 In maximal coordinates a joint torque first turns one link alone, and the joints' constraints pass it on in later steps.
 The laws' damping, made for the inertia of the whole arm, is then 18,000 1/s, which allows steps of 0.05 ms.
 """
 
 _JOINT_STIFFNESS, _JOINT_DAMPING = 2e4, 50.0
-"""Of the joints in the spring pipeline, N/m and N s/m; Brax's default is ten times as soft and has no damping."""
+"""Of the joints in the spring pipeline, N/m and N s/m; Brax's default is ten times softer and undamped."""
 
 _IMPEDANCE = 0.9
 _FRICTION = 0.2
@@ -85,11 +86,11 @@ class BraxObjective(Objective):
         return super().integration_steps * self.steps
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
-        """Run Brax under the actions (H, 13, B), knot by knot."""
+        """Run Brax under the actions (H, 6 + n, B), knot by knot."""
         lanes = actions.shape[-1]
         world = _World.of(self, problem.obstacles)
-        q = jnp.broadcast_to(problem.q, (N_LINKS, lanes))
-        v = jnp.broadcast_to(problem.v, (N_LINKS, lanes))
+        q = jnp.broadcast_to(problem.q, (world.arm.n, lanes))
+        v = jnp.broadcast_to(problem.v, (world.arm.n, lanes))
         state = world.init(q, v)
         pose = world.pose(q)
 
@@ -108,16 +109,17 @@ class BraxObjective(Objective):
             state, link_force = jax.lax.scan(window, state, None, self.substeps)
             contact = jax.vmap(self._measure)(link_force)
             q = world.joints(state)[0]
-            pose = world.pose(q)
-            return (state, q, pose), (q, pose, reference, link_force.max(axis=0), contact.max(axis=0))
+            pose, capsules = self.end_of_knot(problem, q)
+            return (state, q, pose), (q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
 
-        _, (later_q, poses, reference, link_force, contact) = jax.lax.scan(knot, (state, q, pose), actions)
+        _, (later_q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, (state, q, pose), actions)
         return Rollout(
             q=jnp.concatenate([q[None], later_q]),
             pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
             reference=reference,
             link_force=link_force,
             contact=contact,
+            capsules=capsules,
         )
 
 
@@ -127,7 +129,7 @@ class _World(NamedTuple):
     pipeline: Any
     system: brax.System
     arm: ArmModel
-    """What the laws know of the arm."""
+    """The arm that the laws use."""
     gains: ImpedanceSettings
     obstacles: Obstacles | None
     stiffness: jax.Array
@@ -138,7 +140,7 @@ class _World(NamedTuple):
     @classmethod
     def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
         count = 0 if obstacles is None else obstacles.radius.shape[0]
-        system, arm = _load(objective.pipeline, count, objective.system.arm)
+        system, arm = _load(objective.pipeline, count, objective.system.arm.table)
         timestep = objective.system.timestep / objective.steps
         system = system.tree_replace({"opt.timestep": timestep})
         stiffness, mass = jnp.zeros((0, 0)), jnp.zeros(0)
@@ -150,7 +152,7 @@ class _World(NamedTuple):
         return cls(pipeline, system, arm, objective.system.gains, obstacles, stiffness, mass)
 
     def init(self, q: jax.Array, v: jax.Array) -> Any:
-        """Brax's state at joint angles and speeds (7, B)."""
+        """Brax's state at joint angles and speeds (n, B)."""
         lanes = q.shape[1]
         displacement = jnp.zeros((lanes, 0), q.dtype)
         if self.obstacles is not None:
@@ -161,23 +163,23 @@ class _World(NamedTuple):
         return jax.vmap(self.pipeline.init, in_axes=(None, 0, 0))(self.system, positions, velocities)
 
     def joints(self, state: Any) -> tuple[jax.Array, jax.Array]:
-        """Joint angles and speeds (7, B)."""
-        return state.q[:, -N_LINKS:].T, state.qd[:, -N_LINKS:].T
+        """Joint angles and speeds (n, B)."""
+        return state.q[:, -self.arm.n :].T, state.qd[:, -self.arm.n :].T
 
     def spheres(self, state: Any) -> tuple[jax.Array, jax.Array]:
         """Displacements from rest and velocities (B, K, 3)."""
         shape = (state.q.shape[0], len(self.mass), 3)
-        return state.q[:, :-N_LINKS].reshape(shape), state.qd[:, :-N_LINKS].reshape(shape)
+        return state.q[:, : -self.arm.n].reshape(shape), state.qd[:, : -self.arm.n].reshape(shape)
 
     def pose(self, q: jax.Array) -> Pose:
-        """Flange poses at joint angles (7, B)."""
+        """Flange poses at joint angles (n, B)."""
         frames = link_frames(self.arm, q, make_keep(q))
         return Pose(frames.flange, frames.flange_rotation)
 
     def step(self, state: Any, reference: Reference) -> tuple[Any, jax.Array]:
-        """One step of Brax under the laws, and the contact force (B, K, 3) on each sphere in it."""
+        """Advance Brax by one step under the laws; also returns the contact force (B, K, 3) on each sphere in it."""
         timestep = self.system.opt.timestep
-        bias = jax.vmap(lambda state: _bias(self.system, state))(state)[:, -N_LINKS:]
+        bias = jax.vmap(lambda state: _bias(self.system, state))(state)[:, -self.arm.n :]
         torque = law_torque(self.arm, self.gains, *self.joints(state), reference).T + bias
         displacement, velocity = self.spheres(state)
         held = -jnp.einsum("ij,bjk->bik", self.stiffness, displacement)
@@ -192,31 +194,31 @@ class _World(NamedTuple):
         return jnp.zeros((lanes, len(self.mass), 3), self.mass.dtype)
 
     def link_force(self, state: Any, force: jax.Array) -> jax.Array:
-        """Force (6, B) on each capsule from the forces (B, K, 3) on the spheres."""
-        lanes = len(force)
+        """Force (L, B) on each of the arm's `contact_links` from the forces (B, K, 3) on the spheres."""
+        lanes, links = len(force), len(self.arm.table.contact_links)
         if self.obstacles is None:
-            return jnp.zeros((N_CAPSULES, lanes), force.dtype)
+            return jnp.zeros((links, lanes), force.dtype)
         q, _ = self.joints(state)
         frames = link_frames(self.arm, q, make_keep(q))
         displacement, _ = self.spheres(state)
         gaps = _gaps(self.arm, frames, self.obstacles._replace(center=self.obstacles.rest + displacement.T))
-        nearest = jax.nn.one_hot(gaps.argmin(axis=0), N_CAPSULES, axis=0, dtype=force.dtype)
+        nearest = jax.nn.one_hot(gaps.argmin(axis=0), len(gaps), axis=0, dtype=force.dtype)
         size = jnp.sqrt((force**2).sum(axis=2) + 1e-12).T
-        return (nearest * size).sum(axis=1)
+        return collect((nearest * size).sum(axis=1)[None], self.arm.capsule_place, links)[0]
 
 
 def law_torque(arm: ArmModel, gains: ImpedanceSettings, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
-    """τ of law (3) without its C + g, (7, B), N m, at joint angles and speeds (7, B)."""
+    """τ of law (3) without its C + g, (n, B), N m, at joint angles and speeds (n, B)."""
     keep = make_keep(q)
     frames = link_frames(arm, q, keep)
     dynamics = arm_dynamics(arm, frames, keep)
     drift = flange_drift(frames, v, keep)
-    # Without contact the law makes the arm move as M q̈ = τ − C − g. A time step of zero asks for no implicit gains.
+    # Without contact the law makes the arm move as M q̈ = τ − C − g. A time step of zero makes the gains explicit.
     acceleration = joint_acceleration(gains, frames, dynamics, drift, q, v, reference, None, 0.0)
     mass_matrix = dynamics.mass_matrix
     rows = [
-        sum(mass_matrix[min(row, column), max(row, column)] * acceleration[column] for column in range(N_LINKS))
-        for row in range(N_LINKS)
+        sum(mass_matrix[min(row, column), max(row, column)] * acceleration[column] for column in range(arm.n))
+        for row in range(arm.n)
     ]
     return jnp.stack(rows)
 
@@ -230,11 +232,8 @@ def _bias(system: brax.System, state: Any) -> jax.Array:
 
 
 def _gaps(arm: ArmModel, frames: Frames, obstacles: Obstacles) -> jax.Array:
-    """Distance (6, K, B) of the spheres' surfaces from the capsules', m."""
-    links = slice(N_LINKS - N_CAPSULES, None)
-    axes = (frames.x[:, links], frames.y[:, links], frames.z[:, links])
-    start = (frames.origin[:, links] + combine(axes, per_link(arm.capsule_start)))[:, :, None]
-    segment = combine(axes, per_link(arm.capsule_axis))[:, :, None]
+    """Distance (C, K, B) of the spheres' surfaces from the capsules', m."""
+    start, segment = (points[:, :, None] for points in capsule_segments(arm, frames))
     to_sphere = obstacles.center[:, None] - start
     share = jnp.clip(dot(to_sphere, segment) / dot(segment, segment), 0.0, 1.0)
     gap = share[None] * segment - to_sphere
@@ -248,33 +247,33 @@ def _network(obstacles: Obstacles) -> tuple[jax.Array, jax.Array]:
 
 
 @functools.cache
-def _load(pipeline: str, count: int, arm: ArmModel) -> tuple[brax.System, ArmModel]:
-    """The system of a pipeline with some number of spheres, and the arm as the laws know it."""
+def _load(pipeline: str, count: int, arm: Arm) -> tuple[brax.System, ArmModel]:
+    """The system of a pipeline with `count` spheres, and the arm that the laws use."""
     bodies = [_sphere(index) for index in range(count)]
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         with jax.ensure_compile_time_eval():
-            system = mjcf.loads(build_mjcf(obstacles=bodies))
+            system = mjcf.loads(build_mjcf(arm, obstacles=bodies))
             every = np.arange(system.qd_size())
             unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
             ones, zeros = np.ones(len(every)), np.zeros(len(every))
             actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
             system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
             if pipeline == "generalized":
-                return system, arm
-            return _in_maximal_coordinates(system, arm)
+                return system, arm_model(arm)
+            return _in_maximal_coordinates(system, arm_model(arm))
 
 
 def _in_maximal_coordinates(system: brax.System, arm: ArmModel) -> tuple[brax.System, ArmModel]:
-    """What the spring and positional pipelines need: armature as link inertia about the joint axes, stiff joints."""
+    """Prepare a system for maximal coordinates: armature as link inertia about the joint axes, stiff joints."""
     tensors = arm.inertia + arm.armature[:, None, None] * np.diag([0.0, 0.0, 1.0])
     moments, axes = np.linalg.eigh(tensors)
     axes = axes * np.linalg.det(axes)[:, None, None]
     inertia = system.link.inertia
     principal = np.array(inertia.i)
-    principal[-N_LINKS:] = moments[:, :, None] * np.eye(3)
+    principal[-arm.n :] = moments[:, :, None] * np.eye(3)
     turns = np.array(inertia.transform.rot)
-    turns[-N_LINKS:] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    turns[-arm.n :] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     ones = jnp.ones(len(principal))
     system = system.tree_replace(
         {
@@ -284,11 +283,11 @@ def _in_maximal_coordinates(system: brax.System, arm: ArmModel) -> tuple[brax.Sy
             "link.constraint_vel_damping": _JOINT_DAMPING * ones,
         }
     )
-    return system, dataclasses.replace(arm, inertia=tensors, armature=np.zeros(N_LINKS))
+    return system, dataclasses.replace(arm, inertia=tensors, armature=np.zeros(arm.n))
 
 
 def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, contact_stiffness: float) -> brax.System:
-    """The spheres of a problem put into a system: places, sizes, masses and the stiffness of contact with them."""
+    """Put the spheres of a problem into a system: positions, sizes, masses and the stiffness of contact with them."""
     count = len(mass)
     link = system.link
     # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid has four
@@ -303,7 +302,7 @@ def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, co
             "link.inertia.mass": jnp.asarray(link.inertia.mass).at[:count].set(mass),
             "link.invweight": jnp.zeros_like(link.invweight).at[:count].set(1.0 / mass),
             "geom_size": jnp.asarray(system.geom_size).at[spheres, 0].set(obstacles.radius[:, 0]),
-            # Of two geometries the smaller reference counts, the larger friction and the mean impedance.
+            # Of two geometries, MuJoCo takes the smaller reference, the larger friction and the mean impedance.
             "geom_solref": jnp.asarray(system.geom_solref).at[spheres].set(solref),
             "geom_friction": jnp.asarray(system.geom_friction).at[:, 0].set(_FRICTION),
             "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
@@ -312,7 +311,7 @@ def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, co
 
 
 def _sphere(index: int) -> Element:
-    """A sphere on three sliders; `_with_spheres` gives it its place, size and mass."""
+    """A sphere on three sliders; `_with_spheres` sets its position, size and mass."""
     body = Element("body", name=f"sphere_{index}")
     for axis in ("1 0 0", "0 1 0", "0 0 1"):
         SubElement(body, "joint", type="slide", axis=axis)

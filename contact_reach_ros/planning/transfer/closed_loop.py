@@ -8,8 +8,8 @@ With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the 
 where a is the task acceleration that law (1) asks for; C + g cancel, because the controller knows them. M, J and the
 torques go through one Cholesky factorisation each of M and of J M⁻¹ Jᵀ.
 
-Next to singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ, which would need an eigenvalue decomposition
-of every candidate. Here the pivots of its factorisation are lifted, by the same rule. A pivot is never below the
+Near singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ, which here would need an eigenvalue decomposition
+of every candidate. Instead, the pivots of its factorisation are lifted by the same rule. A pivot is never below the
 smallest eigenvalue, so that both leave the matrix alone in the same places, and Λ is bounded in both.
 """
 
@@ -26,7 +26,6 @@ from contact_reach_ros.planning.transfer.contact import Contact
 from contact_reach_ros.planning.transfer.dynamics import Dynamics
 from contact_reach_ros.planning.transfer.kinematics import Frames
 from contact_reach_ros.planning.transfer.lanes import cross, dot, ratio, root
-from contact_reach_ros.planning.transfer.model import N_LINKS
 
 N_TASK = 6
 
@@ -39,7 +38,7 @@ class Reference(NamedTuple):
     rotation: jax.Array
     """(3, 3, B) rotation of x_d, indexed [row, column]."""
     posture: jax.Array
-    """(7, B) q_d, rad."""
+    """(n, B) q_d, rad."""
 
 
 def joint_acceleration(
@@ -53,7 +52,7 @@ def joint_acceleration(
     contact: Contact | None,
     timestep: float | jax.Array,
 ) -> jax.Array:
-    """Mean joint acceleration (7, B) over a step of `timestep` seconds from midpoint positions and initial speeds.
+    """Mean joint acceleration (n, B) over a step of `timestep` seconds, from midpoint positions and initial speeds.
 
     Parameters
     ----------
@@ -62,7 +61,7 @@ def joint_acceleration(
     frames, dynamics, drift
         The arm at the midpoint, J̇q̇ included.
     q, v
-        (7, B) joint angles at the midpoint and speeds at the start of the step.
+        (n, B) joint angles at the midpoint and speeds at the start of the step.
     reference
         References in force.
     contact
@@ -70,13 +69,14 @@ def joint_acceleration(
     """
     jacobian = dynamics.jacobian
     # The implicit midpoint rule for the gains: (1 + dt Kd / 2 + dt² Kp / 4) a = −Kp Δx − Kd ẋ + (contact) in task
-    # space, and the same with Kqd and Kqp in joint space. It is what lets 25 ms steps carry Kd = 100 and the wrist's
-    # small inertia. The contact has its share in `a`: without it contact would be twice too soft.
+    # space, and the same with Kqd and Kqp in joint space. It lets 25 ms steps cope with Kd = 100 and the wrist's small
+    # inertia. The contact has its share in `a`: otherwise contact would be twice too soft.
     implicit = 1.0 + 0.5 * timestep * gains.task_damping + 0.25 * timestep**2 * gains.task_stiffness
     stiffening = 0.5 * timestep * gains.null_damping + 0.25 * timestep**2 * gains.null_stiffness
-    mass_matrix = dynamics.mass_matrix + stiffening * np.eye(N_LINKS)[:, :, None]
+    n = len(q)
+    mass_matrix = dynamics.mass_matrix + stiffening * np.eye(n)[:, :, None]
     twist = jacobian[:, 0] * v[0]
-    for joint in range(1, N_LINKS):
+    for joint in range(1, n):
         twist = twist + jacobian[:, joint] * v[joint]
     error = pose_error(frames, reference)
     desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift) / implicit
@@ -86,27 +86,28 @@ def joint_acceleration(
     factor, solved, pivots = _factorise_mass(mass_matrix, jnp.concatenate([jacobian, jnp.stack(torques)]))
     wrench = _task_wrench(solved, desired, implicit, gains.singularity_floor)
     # q̈ = L⁻ᵀ (L⁻¹ Jᵀ f + L⁻¹ τ₀ + L⁻¹ τ_contact), from the last joint to the first.
-    acceleration: list[jax.Array] = [wrench[0]] * N_LINKS
-    for joint in reversed(range(N_LINKS)):
+    acceleration: list[jax.Array] = [wrench[0]] * n
+    for joint in reversed(range(n)):
         row = solved[joint]
         total = row[N_TASK]
         for extra in range(N_TASK + 1, N_TASK + len(torques)):
             total = total + row[extra]
         for axis in range(N_TASK):
             total = total + row[axis] * wrench[axis]
-        for later in range(joint + 1, N_LINKS):
+        for later in range(joint + 1, n):
             total = total - factor[joint][later - joint] * acceleration[later]
         acceleration[joint] = ratio(total, pivots[joint])
     return jnp.stack(acceleration)
 
 
 def driven_acceleration(dynamics: Dynamics, torque: jax.Array) -> jax.Array:
-    """Joint acceleration M⁻¹ τ (7, B) under joint torques beyond C + g (7, B), without any control law."""
+    """Joint acceleration M⁻¹ τ (n, B) under joint torques beyond C + g (n, B), without any control law."""
     factor, solved, pivots = _factorise_mass(dynamics.mass_matrix, torque[None])
-    acceleration: list[jax.Array] = [torque[0]] * N_LINKS
-    for joint in reversed(range(N_LINKS)):
+    n = len(torque)
+    acceleration: list[jax.Array] = [torque[0]] * n
+    for joint in reversed(range(n)):
         total = solved[joint][0]
-        for later in range(joint + 1, N_LINKS):
+        for later in range(joint + 1, n):
             total = total - factor[joint][later - joint] * acceleration[later]
         acceleration[joint] = ratio(total, pivots[joint])
     return jnp.stack(acceleration)
@@ -131,14 +132,15 @@ def pose_error(frames: Frames, reference: Reference) -> jax.Array:
 def _factorise_mass(
     mass_matrix: jax.Array, rows: jax.Array
 ) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
-    """Left-looking Cholesky factorisation of M with further rows (R, 7, B) appended.
+    """Left-looking Cholesky factorisation of M with further rows (R, n, B) appended.
 
-    Returns for each joint j the column of the factor L from the diagonal down (7 - j, B), the appended entries (R, B),
+    Returns for each joint j the column of the factor L from the diagonal down (n - j, B), the appended entries (R, B),
     which are the j-th components of L⁻¹ applied to the rows, and the pivot (B,).
     """
+    n = len(mass_matrix)
     columns: list[jax.Array] = []
     pivots = []
-    for joint in range(N_LINKS):
+    for joint in range(n):
         column = jnp.concatenate([mass_matrix[joint, joint:], rows[:, joint]])
         for earlier in range(joint):
             passed = columns[earlier][joint - earlier :]
@@ -146,8 +148,8 @@ def _factorise_mass(
         pivot = root(column[0])
         pivots.append(pivot)
         columns.append(ratio(column, pivot[None]))
-    below = [column[: N_LINKS - joint] for joint, column in enumerate(columns)]
-    appended = [column[N_LINKS - joint :] for joint, column in enumerate(columns)]
+    below = [column[: n - joint] for joint, column in enumerate(columns)]
+    appended = [column[n - joint :] for joint, column in enumerate(columns)]
     return below, appended, pivots
 
 
@@ -163,7 +165,7 @@ def _task_wrench(
     pivots = []
     for axis in range(N_TASK):
         column = solved[0][axis:] * solved[0][axis][None]
-        for joint in range(1, N_LINKS):
+        for joint in range(1, len(solved)):
             column = column + solved[joint][axis:] * solved[joint][axis][None]
         matrix_part, torque_part = column[: N_TASK - axis], column[N_TASK - axis :]
         right = desired[axis] - torque_part[0]

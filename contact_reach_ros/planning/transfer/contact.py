@@ -3,7 +3,7 @@
 A capsule and a sphere push each other apart along the line through the sphere's centre and the nearest point of the
 capsule's segment, with a force of contact stiffness times penetration. The spheres, alone or joined to deformable
 bodies, are a linear network of springs and dampers without mass: D u̇ = f − L u with u their displacements from rest, f
-the contact forces and L the stiffness of the network, the same along each axis. What they weigh does not matter at the
+the contact forces and L the stiffness of the network, the same along each axis. Their mass does not matter at the
 speeds of this arm.
 """
 
@@ -14,22 +14,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from contact_reach_ros.planning.transfer.kinematics import Frames
-from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, dot, per_link, suffix_sum, sum_over
-from contact_reach_ros.planning.transfer.model import N_CAPSULES, N_LINKS, ArmModel
-
-_FIRST_LINK = N_LINKS - N_CAPSULES
-"""The capsules belong to the last links, one each and in order."""
+from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments
+from contact_reach_ros.planning.transfer.lanes import Keep, collect, cross, dot, suffix_sum, sum_over
+from contact_reach_ros.planning.transfer.model import ArmModel
 
 _CONTACT_INSTANT = 0.7
-"""Instant of a step at which contact is evaluated, as a share of the step.
+"""Instant at which contact is evaluated, as a share of the step.
 
-At half, spheres with much damping would ring; at the end, where they have gone on yielding while the arm is taken at
-the midpoint, forces are 5 % too small. In between they have no bias.
+At the middle, spheres with much damping would ring. At the end, forces would be 5 % too small, because the spheres have
+kept yielding while the arm is taken at the midpoint. In between, forces have no bias.
 """
 
 _TOUCH = 1e-9
-"""A depth that makes no difference, m."""
+"""A negligible depth, m."""
 
 
 class Obstacles(NamedTuple):
@@ -46,11 +43,11 @@ class Obstacles(NamedTuple):
     amplitudes: jax.Array
     """(K, K) W⁻¹."""
     rates: jax.Array
-    """(K,) with which they decay, 1/s."""
+    """(K,) rates at which they decay, 1/s."""
 
 
 class Response(NamedTuple):
-    """What a network does in one step: u⁺ = relaxation u + compliance f for a force f that stays the same."""
+    """Motion of a network in one step: u⁺ = relaxation u + compliance f for a constant force f."""
 
     relaxation: jax.Array
     """(K, K)."""
@@ -62,15 +59,15 @@ class Contact(NamedTuple):
     """Forces between arm and spheres."""
 
     joint_torque: jax.Array
-    """(7, B) on the arm, N m."""
+    """(n, B) on the arm, N m."""
     link_force: jax.Array
-    """(6, B) sum over the spheres of the (positive) normal forces on each capsule, N."""
+    """(L, B) sum over the spheres of the (positive) normal forces on each of the arm's `contact_links`, N."""
     center: jax.Array
     """(3, K, B) sphere centres at the end of the step, m."""
 
 
 def response(obstacles: Obstacles, timestep: float | jax.Array) -> Response:
-    """Exact over any time, so that stiff networks with little damping need no shorter steps than others."""
+    """Response that is exact over any time, so that stiff networks with little damping need no shorter steps."""
     decay = jnp.exp(-timestep * obstacles.rates)
     grown = -jnp.expm1(-timestep * obstacles.rates) / obstacles.rates
     return Response(
@@ -89,14 +86,12 @@ def contact_step(
 ) -> Contact:
     """Contact over a step of `timestep` seconds with the links at the given frames; `contact_stiffness` in N/m.
 
-    The forces belong to a later instant of the step, when the spheres have given way to them: those at its beginning
-    would throw light spheres off. A sphere gives way to its own force and to those on the touched spheres that it is
-    joined to, whose shares are estimated from how deep they are entered. That is exact where one sphere is touched, and
-    never too much altogether.
+    The forces are those at a later instant of the step, when the spheres have given way to them: those at its beginning
+    would throw light spheres off. A sphere gives way to its own force and to the forces on the touched spheres that it
+    is joined to, whose shares are estimated from their depths. That is exact where one sphere is touched, and never too
+    much in total.
     """
-    axes = (frames.x[:, _FIRST_LINK:], frames.y[:, _FIRST_LINK:], frames.z[:, _FIRST_LINK:])
-    start = keep(frames.origin[:, _FIRST_LINK:] + combine(axes, per_link(arm.capsule_start)))
-    segment = keep(combine(axes, per_link(arm.capsule_axis)))
+    start, segment = (keep(points) for points in capsule_segments(arm, frames))
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
     touched, whole = response(obstacles, _CONTACT_INSTANT * timestep), response(obstacles, timestep)
     displacement = obstacles.center - obstacles.rest
@@ -109,7 +104,7 @@ def contact_step(
     inverse_distance = jax.lax.rsqrt(square)
     reach = arm.capsule_radius[:, None, None] + obstacles.radius[None]
     depth = keep(jnp.maximum(reach - square * inverse_distance, 0.0))
-    # How far a sphere yields per force on it, from shares of the force that are corrected once.
+    # How far a sphere yields per force on it, from estimated shares of the force that are corrected once.
     entered = sum_over(depth, 0)[None]
     yielding = _joined(touched.compliance, entered) / (entered + _TOUCH)
     shares = keep(entered / (1.0 + contact_stiffness * yielding))
@@ -121,8 +116,8 @@ def contact_step(
     weighted = keep(sum_over(on_capsule * share[None], 2))
     moment = cross(start, total) + cross(segment, weighted)
     return Contact(
-        joint_torque=_joint_torque(frames, total, moment, keep),
-        link_force=sum_over(force, 1),
+        joint_torque=_joint_torque(arm, frames, total, moment, keep),
+        link_force=collect(sum_over(force, 1)[None], arm.capsule_place, len(arm.table.contact_links))[0],
         center=obstacles.rest
         + _joined(whole.relaxation, displacement)
         - _joined(whole.compliance, sum_over(on_capsule, 1)),
@@ -137,9 +132,8 @@ def _joined(matrix: jax.Array, values: jax.Array) -> jax.Array:
     return total
 
 
-def _joint_torque(frames: Frames, force: jax.Array, moment: jax.Array, keep: Keep) -> jax.Array:
-    """Torques (7, B) of forces (3, 6, B) on the capsules and their moments about the base, (3, 6, B)."""
+def _joint_torque(arm: ArmModel, frames: Frames, force: jax.Array, moment: jax.Array, keep: Keep) -> jax.Array:
+    """Torques (n, B) of forces (3, C, B) on the capsules and their moments about the base, (3, C, B)."""
     wrench = jnp.concatenate([force, moment])
-    nothing = jnp.zeros_like(wrench[:, :_FIRST_LINK])
-    beyond = keep(suffix_sum(keep(jnp.concatenate([nothing, wrench], axis=1))))
+    beyond = keep(suffix_sum(keep(collect(wrench, arm.capsule_link, arm.n))))
     return dot(frames.z, beyond[3:] - cross(frames.origin, beyond[:3]))

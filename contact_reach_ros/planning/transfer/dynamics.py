@@ -1,6 +1,6 @@
 """Mass matrix and Jacobian of all lanes, with every spatial quantity taken about the flange.
 
-With the flange as the one reference point the joints' motion vectors are the columns of the Jacobian, and composite
+With the flange as the one reference point, the joints' motion vectors are the columns of the Jacobian, and composite
 inertias are plain sums.
 """
 
@@ -21,12 +21,12 @@ _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
 class Dynamics(NamedTuple):
-    """What law (3) and the equation of motion need of the arm."""
+    """What law (3) and the equation of motion need from the arm."""
 
     jacobian: jax.Array
-    """(6, 7, B): linear then angular velocity of the flange, base axes."""
+    """(6, n, B): linear then angular velocity of the flange, base axes."""
     mass_matrix: jax.Array
-    """(7, 7, B), kg m², armature included; only entries [i, j] with i ≤ j are valid."""
+    """(n, n, B), kg m², armature included; only entries [i, j] with i ≤ j are valid."""
 
 
 def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
@@ -59,7 +59,7 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
 
 
 def _composite_inertias(arm: ArmModel, frames: Frames, keep: Keep) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, 7, B)."""
+    """First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, n, B)."""
     axes = (frames.x, frames.y, frames.z)
     center = keep(frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None])
     first = keep(center * arm.mass[:, None])

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 Keep = Callable[[jax.Array], jax.Array]
-"""Returns its argument unchanged, and makes XLA store it instead of computing it again for every reader."""
+"""Returns its argument unchanged, but makes XLA store it instead of computing it again for every reader."""
 
 
 def single(values: ArrayLike) -> jax.Array:
     """Values in single precision, as an argument of compiled programs.
 
-    They stay in numpy, which those take directly: making a JAX array of each costs more than many a program.
+    They stay in numpy, which the programs take directly: turning each into a JAX array costs more than many programs.
     """
     return cast(jax.Array, np.asarray(values, dtype=np.float32))
 
@@ -25,8 +25,8 @@ def single(values: ArrayLike) -> jax.Array:
 def make_keep(value: jax.Array) -> Keep:
     """A `Keep` for programs that have `value`, any array of finite numbers, among their inputs.
 
-    XLA on CPU fuses cheap producers into each of their consumers and ignores optimisation barriers, so that long
-    chains are computed again and again. It does not repeat a division: one by a number that happens to be 1, but that
+    XLA on CPU fuses cheap producers into each of their consumers and ignores optimisation barriers, so that long chains
+    are computed again and again. But it does not repeat a division: dividing by a number that happens to be 1, which
     the compiler cannot know, is the barrier.
     """
     one = jnp.where(value.ravel()[0] > 1e30, 2.0, 1.0).astype(value.dtype)
@@ -35,7 +35,7 @@ def make_keep(value: jax.Array) -> Keep:
 
 @jax.custom_jvp
 def ratio(a: jax.Array, b: jax.Array) -> jax.Array:
-    """The quotient a / b whose derivative, too, ends in a division and so is computed once."""
+    """The quotient a / b, whose derivative also ends in a division and is therefore computed only once."""
     return a / b
 
 
@@ -48,7 +48,7 @@ def _ratio_derivative(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.A
 
 @jax.custom_jvp
 def root(a: jax.Array) -> jax.Array:
-    """The square root whose derivative ends in a division and so is computed once."""
+    """The square root, whose derivative ends in a division and is therefore computed only once."""
     return jnp.sqrt(a)
 
 
@@ -63,7 +63,7 @@ def cross(a: Sequence[jax.Array] | jax.Array, b: Sequence[jax.Array] | jax.Array
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def dot(a: jax.Array, b: jax.Array) -> jax.Array:
+def dot(a: Sequence[jax.Array] | jax.Array, b: Sequence[jax.Array] | jax.Array) -> jax.Array:
     """Scalar product of (3, ...) arrays along the first axis."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -80,6 +80,31 @@ def combine(vectors: Sequence[jax.Array], weights: Sequence[np.ndarray] | np.nda
 def per_link(values: np.ndarray) -> list[np.ndarray]:
     """Constants (L, 3) as three weights (L, 1) for `combine` with vectors (3, L, B)."""
     return [values[:, axis, None] for axis in range(3)]
+
+
+def pick(array: jax.Array, rows: np.ndarray) -> jax.Array:
+    """Rows (C, R, B) of an array (C, L, B), by their constant indices (R,)."""
+    if _are_neighbours(rows):
+        return array[:, rows[0] : rows[-1] + 1]
+    return jnp.concatenate([array[:, row : row + 1] for row in rows], axis=1)
+
+
+def collect(array: jax.Array, rows: np.ndarray, count: int) -> jax.Array:
+    """Sums (C, `count`, B) of an array (C, R, B) over its rows, grouped by the constant indices `rows` (R,)."""
+    nothing = jnp.zeros_like(array[:, :1])
+    if _are_neighbours(rows):
+        before, behind = [nothing] * int(rows[0]), [nothing] * (count - 1 - int(rows[-1]))
+        return jnp.concatenate([*before, array, *behind], axis=1) if before or behind else array
+    sums = []
+    for row in range(count):
+        parts = [array[:, index : index + 1] for index in np.flatnonzero(rows == row)]
+        sums.append(sum(parts[1:], start=parts[0]) if parts else nothing)
+    return jnp.concatenate(sums, axis=1)
+
+
+def _are_neighbours(rows: np.ndarray) -> bool:
+    """Whether the rows follow one another, so that one slice holds them."""
+    return bool((np.diff(rows) == 1).all())
 
 
 def sum_over(array: jax.Array, axis: int) -> jax.Array:

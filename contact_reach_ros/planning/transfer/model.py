@@ -1,4 +1,4 @@
-"""The arm's constants, drawn from the Brax system that is loaded from the package's MJCF."""
+"""The arm's constants, taken from the Brax system that is loaded from its MJCF."""
 
 from __future__ import annotations
 
@@ -12,53 +12,60 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.runtime import configure_jax
-from contact_reach_ros.robot import iiwa14
-from contact_reach_ros.robot.kinematics import rotation_from_quaternion
-from contact_reach_ros.robot.mjcf import build_mjcf
 
 if TYPE_CHECKING:
     import brax
 
-Array = NDArray[np.float64]
-
-N_LINKS = iiwa14.N_JOINTS
-N_CAPSULES = len(iiwa14.CAPSULES)
-
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """Constants of the arm; link frames rotate with their joint, whose axis is the local z."""
+    """Constants of the arm, with C capsules; link frames rotate with their joint, whose axis is the local z."""
 
+    table: Arm
+    """Arm that the constants come from."""
     joint_offset: Array
-    """(7, 3) origin of each link frame in the one before, m."""
+    """(n, 3) origin of each link frame in the one before, m."""
     joint_rotation: Array
-    """(7, 3, 3) rotation of each link frame in the one before at angle zero."""
+    """(n, 3, 3) rotation of each link frame in the one before at angle zero."""
     flange_offset: Array
     """(3,) flange in the last link frame, m."""
     mass: Array
-    """(7,), kg."""
+    """(n,), kg."""
     center_of_mass: Array
-    """(7, 3) in the link frames, m."""
+    """(n, 3) in the link frames, m."""
     inertia: Array
-    """(7, 3, 3) about the centres of mass in the link frames, kg m²."""
+    """(n, 3, 3) about the centres of mass in the link frames, kg m²."""
     armature: Array
-    """(7,), kg m²."""
-    position_limit: Array
-    """(7,) symmetric, rad."""
+    """(n,), kg m²."""
+    lower: Array
+    """(n,) position limits, rad."""
+    upper: Array
+    """(n,), rad."""
     velocity_limit: Array
-    """(7,), rad/s."""
+    """(n,), rad/s."""
     capsule_link: NDArray[np.intp]
-    """(6,) link of each capsule, counted from 0."""
+    """(C,) link of each capsule, counted from 0."""
+    capsule_place: NDArray[np.intp]
+    """(C,) index of that link among the arm's `contact_links`."""
     capsule_start: Array
-    """(6, 3) in the link frames, m."""
+    """(C, 3) in the link frames, m."""
     capsule_axis: Array
-    """(6, 3) from start to end in the link frames, m."""
+    """(C, 3) from start to end in the link frames, m."""
     capsule_radius: Array
-    """(6,), m."""
+    """(C,), m."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.table.n
 
 
-def load_system() -> brax.System:
+def load_system(arm: Arm) -> brax.System:
     """Load the arm into Brax."""
     configure_jax()
     import jax
@@ -69,39 +76,39 @@ def load_system() -> brax.System:
         warnings.simplefilter("ignore")
         from brax.io import mjcf
 
-        # Constants, even when they are first asked for while a program is being traced.
+        # Constants, even when they are first requested while a program is being traced.
         with jax.ensure_compile_time_eval():
-            return mjcf.loads(build_mjcf())
+            return mjcf.loads(build_mjcf(arm))
 
 
-def arm_model(system: brax.System) -> ArmModel:
-    """The constants of a Brax system that is this arm, with or without obstacles."""
+@functools.cache
+def arm_model(arm: Arm) -> ArmModel:
+    """The constants of an arm; each call returns the same object."""
+    system = load_system(arm)
     link, inertia = system.link, system.link.inertia
     joint_rotation = [_tidy(rotation_from_quaternion(quaternion)) for quaternion in _double(link.transform.rot)]
     to_link = [rotation_from_quaternion(quaternion) for quaternion in _double(inertia.transform.rot)]
     tensors = [rotation @ tensor @ rotation.T for rotation, tensor in zip(to_link, _double(inertia.i), strict=True)]
-    capsules = iiwa14.CAPSULES
+    capsules = arm.capsules
+    links = [arm.link_names[capsule.link - 1] for capsule in capsules]
     return ArmModel(
+        table=arm,
         joint_offset=_double(link.transform.pos),
         joint_rotation=np.array(joint_rotation),
-        flange_offset=np.array(iiwa14.FLANGE_OFFSET),
+        flange_offset=np.array(arm.tip_offset),
         mass=_double(inertia.mass),
         center_of_mass=_double(inertia.transform.pos),
         inertia=np.array([_tidy(tensor) for tensor in tensors]),
         armature=_double(system.dof.armature),
-        position_limit=_double(system.dof.limit[1]),
-        velocity_limit=np.array(iiwa14.VELOCITY_LIMITS),
+        lower=_double(system.dof.limit[0]),
+        upper=_double(system.dof.limit[1]),
+        velocity_limit=arm.velocity_limits,
         capsule_link=np.array([capsule.link - 1 for capsule in capsules]),
+        capsule_place=np.array([arm.contact_links.index(link) for link in links]),
         capsule_start=np.array([capsule.start for capsule in capsules], dtype=float),
         capsule_axis=np.array([np.subtract(capsule.end, capsule.start) for capsule in capsules]),
         capsule_radius=np.array([capsule.radius for capsule in capsules]),
     )
-
-
-@functools.cache
-def default_arm() -> ArmModel:
-    """The arm of this package."""
-    return arm_model(load_system())
 
 
 def _double(values: object) -> Array:
@@ -109,6 +116,6 @@ def _double(values: object) -> Array:
 
 
 def _tidy(matrix: Array) -> Array:
-    """Without the rounding errors of single precision next to 0 and ±1, which would cost multiplications by them."""
+    """Remove rounding errors of single precision next to 0 and ±1, which would cost multiplications."""
     rounded = np.round(matrix)
     return np.where(np.abs(matrix - rounded) < 1e-6, rounded, matrix)

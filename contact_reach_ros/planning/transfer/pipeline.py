@@ -1,6 +1,6 @@
 """A Brax pipeline: the arm in closed loop under law (3), with soft contact.
 
-It stands beside Brax's own pipelines (generalized, positional, spring): `init` makes a state of a system, `step`
+It is an alternative to Brax's own pipelines (generalized, positional, spring): `init` makes a state of a system, `step`
 advances it under an action. Here the action is the reference of the control law instead of joint torques, and one call
 advances all candidates. Brax's generalized pipeline computes the same motion 40 to 160 times slower on a CPU.
 """
@@ -14,21 +14,18 @@ import jax
 import jax.numpy as jnp
 
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
+from contact_reach_ros.planning.transfer.closed_loop import N_TASK, Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep, rotate
-from contact_reach_ros.planning.transfer.model import N_CAPSULES, ArmModel
-
-N_ACTION = 13
-"""Size of one knot's action: Δx (translation, rotation) and Δq."""
+from contact_reach_ros.planning.transfer.model import ArmModel
 
 MAX_JOINT_SPEED = 10.0
-"""Joint speeds are cut off here, rad/s, four times what the fastest joint may do.
+"""Joint speeds are cut off here, rad/s, four times the limit of the fastest joint.
 
-At a singularity the laws ask for joint speeds that 25 ms steps cannot follow; cut off, such rollouts stay finite, and
-the cost of joint speeds keeps plans away from them.
+At a singularity the laws ask for joint speeds that 25 ms steps cannot follow. With the cut-off such rollouts stay
+finite, and the cost of joint speeds keeps plans away from them.
 """
 
 
@@ -43,23 +40,28 @@ class System:
     timestep: float | jax.Array
     """s."""
 
+    @property
+    def action_size(self) -> int:
+        """Size of one knot's action: Δx (translation, rotation) and Δq."""
+        return N_TASK + self.arm.n
+
 
 class State(NamedTuple):
-    """Where everything is, and the contact of the last step."""
+    """Positions and velocities, and the contact of the last step."""
 
     q: jax.Array
-    """(7, B), rad."""
+    """(n, B), rad."""
     qd: jax.Array
-    """(7, B), rad/s."""
+    """(n, B), rad/s."""
     obstacles: Obstacles | None
     """None in free space, where no contact is computed."""
     link_force: jax.Array
-    """(6, B) contact force on each capsule of the arm in the last step, N."""
+    """(L, B) contact force on each of the arm's `contact_links` in the last step, N."""
 
 
 def init(sys: System, q: jax.Array, qd: jax.Array, obstacles: Obstacles | None = None) -> State:
-    """State of the arm at joint angles `q` (7, B), rad, and speeds `qd` (7, B), rad/s."""
-    return State(q, qd, obstacles, jnp.zeros((N_CAPSULES, q.shape[1]), q.dtype))
+    """State of the arm at joint angles `q` (n, B), rad, and speeds `qd` (n, B), rad/s."""
+    return State(q, qd, obstacles, jnp.zeros((len(sys.arm.table.contact_links), q.shape[1]), q.dtype))
 
 
 class Pose(NamedTuple):
@@ -71,21 +73,21 @@ class Pose(NamedTuple):
     """(3, 3, B), indexed [row, column]."""
 
 
-def flange_pose(sys: System, state: State) -> Pose:
-    """Where the flange is in this state."""
+def tip_pose(sys: System, state: State) -> Pose:
+    """Flange pose in this state."""
     frames = link_frames(sys.arm, state.q, make_keep(state.q))
     return Pose(frames.flange, frames.flange_rotation)
 
 
 def latch(q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
-    """The reference that an action {Δx, Δq} (13, B) stands for when it takes effect at `q` (7, B): x_d = x ⊕ Δx.
+    """The reference that an action {Δx, Δq} (6 + n, B) stands for when it takes effect at `q` (n, B): x_d = x ⊕ Δx.
 
     `pose` is the flange's at `q`. Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad.
     """
     return Reference(
         position=pose.position + action[:3],
-        rotation=rotate(action[3:6], pose.rotation),
-        posture=q + action[6:],
+        rotation=rotate(action[3:N_TASK], pose.rotation),
+        posture=q + action[N_TASK:],
     )
 
 

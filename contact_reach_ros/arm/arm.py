@@ -1,0 +1,194 @@
+"""An arm as a value: kinematics, limits, inertial parameters, collision capsules and default thresholds.
+
+Every model in this package (MJCF for MuJoCo, Brax and Pinocchio, URDF for `robot_description`) is built from one `Arm`.
+Units are SI: m, kg, rad, N m, s.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import SettingsError
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One revolute joint about the z axis of the link that it moves, with that link's frame in the previous link."""
+
+    name: str
+    offset: Vector3
+    """Origin of the link frame, m."""
+    rotation: Quaternion
+    """Rotation (w, x, y, z) of the link frame at angle zero, not necessarily normalised."""
+    lower: float
+    """Lower position limit, rad."""
+    upper: float
+    """Upper position limit, rad."""
+    velocity_limit: float
+    """rad/s."""
+    torque_limit: float
+    """N m."""
+    armature: float
+    """Reflected inertia of motor and gears, kg m²."""
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Inertial parameters of one link in its frame; `tensor` is (xx, yy, zz, xy, xz, yz) about the centre of mass."""
+
+    mass: float
+    center: Vector3
+    tensor: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """Collision shape on one link, in its frame: a segment from `start` to `end` thickened by `radius`, m."""
+
+    link: int
+    """Number of the link, counted from 1 as the joints are; 0 is the base."""
+    start: Vector3
+    end: Vector3
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A serial arm with revolute joints. Arms of equal digest are equal, and an arm can be a key.
+
+    Attributes
+    ----------
+    name
+        Name that `load_arm` takes, and that bags record.
+    joints
+        From base to tip.
+    link_names
+        Names of the links that the joints move, in the same order.
+    base_frame, tip_frame
+        Frame that goals are given in, and frame that is to reach them.
+    tip_offset
+        Position of the tip in the frame of the last link, m; not rotated.
+    capsules
+        Collision shapes of the moving links, from base to tip.
+    base_capsule
+        Collision shape that does not move.
+    inertia_sets
+        Inertial parameters of the links by name of the set; controller and observer use 'nominal'.
+    shoulder, reach
+        Point in the base frame, and the greatest distance of the tip from it at which goals are accepted, m.
+    home
+        Joint angles at which episodes start unless a scene specifies others, rad.
+    defaults
+        Per-joint values of the settings that depend on the arm, by the name of the setting; others are zero.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    link_names: tuple[str, ...]
+    base_frame: str
+    tip_frame: str
+    tip_offset: Vector3
+    capsules: tuple[Capsule, ...]
+    base_capsule: Capsule
+    inertia_sets: Mapping[str, tuple[Inertia, ...]]
+    shoulder: Vector3
+    reach: float
+    home: tuple[float, ...]
+    defaults: Mapping[str, tuple[float, ...]]
+
+    @cached_property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower position limits (n,), rad."""
+        return _constant([joint.lower for joint in self.joints])
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper position limits (n,), rad."""
+        return _constant([joint.upper for joint in self.joints])
+
+    @cached_property
+    def velocity_limits(self) -> Array:
+        """Speed limits (n,), rad/s."""
+        return _constant([joint.velocity_limit for joint in self.joints])
+
+    @cached_property
+    def torque_limits(self) -> Array:
+        """Torque limits (n,), N m."""
+        return _constant([joint.torque_limit for joint in self.joints])
+
+    @cached_property
+    def contact_links(self) -> tuple[str, ...]:
+        """Names of the links that have capsules, in the order in which contact forces are reported."""
+        return tuple(dict.fromkeys(self.link_names[capsule.link - 1] for capsule in self.capsules))
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint of everything that models are built from, the same on every machine."""
+        values = dataclasses.asdict(self)
+        del values["defaults"]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+    def inertias(self, inertia_set: str = "nominal") -> tuple[Inertia, ...]:
+        """Inertial parameters of the links.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such set; the message lists the available ones.
+        """
+        try:
+            return self.inertia_sets[inertia_set]
+        except KeyError:
+            known = ", ".join(self.inertia_sets)
+            raise SettingsError(f"inertia set '{inertia_set}' is unknown; expected one of {known}") from None
+
+    def joint_index(self, name: str) -> int:
+        """Index of a joint, counted from zero.
+
+        Raises
+        ------
+        SettingsError
+            If there is no such joint; the message lists the names that exist.
+        """
+        try:
+            return self.joint_names.index(name)
+        except ValueError:
+            known = ", ".join(self.joint_names)
+            raise SettingsError(f"joint '{name}' is unknown; the arm's joints are {known}") from None
+
+    def default(self, setting: str) -> tuple[float, ...]:
+        """Default of a setting with one value per joint."""
+        return self.defaults.get(setting, (0.0,) * self.n)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Arm) and (self is other or self.digest == other.digest)
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+def _constant(values: list[float]) -> Array:
+    array = np.array(values)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,85 @@
+"""Postures that hold the flange at a goal, for many seeds at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames_of_many
+from contact_reach_ros.arrays import Array
+
+_STEPS = 60
+_DAMPING = 0.05
+"""Damping of the least squares, m: below this singular value motions are held back."""
+_LONGEST_STEP = 0.5
+"""Longest step of a joint in one iteration, rad."""
+_POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-4, 1e-3
+
+
+_SEEDS = 64
+"""Random postures from which `is_attainable` searches: it found all of 2000 poses of random postures, and of an arm
+with six joints all but one."""
+
+
+def is_attainable(arm: Arm, position: Array, rotation: Array | None, q: Array) -> bool:
+    """Whether some posture within the joint limits has the flange at a pose, as for `solve_ik`.
+
+    `q`: the present posture (n,), rad. It takes about 10 ms, and 0.1 s where there is none.
+    """
+    # The same seeds each time: so is the answer.
+    drawn = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_SEEDS, arm.n))
+    seeds = np.concatenate([[q, arm.home], drawn])
+    return len(solve_ik(arm, position, rotation, seeds, 0.0, first=True)) > 0
+
+
+def solve_ik(
+    arm: Arm, position: Array, rotation: Array | None, seeds: Array, margin: float, first: bool = False
+) -> Array:
+    """Find postures (N', n), rad, with the flange at a pose, to 0.1 mm and 1 mrad, by damped least squares.
+
+    Each seed leads to one posture or to none.
+
+    Parameters
+    ----------
+    position, rotation
+        Flange pose, (3,) m and (3, 3), base frame; None leaves the orientation free.
+    seeds
+        (N, n) starting points of the iterations, rad.
+    margin
+        Distance that the joints keep from their limits, rad.
+    first
+        Return as soon as there is one.
+    """
+    lower, upper = arm.lower + margin, arm.upper - margin
+    q = np.clip(seeds, lower, upper)
+    for _ in range(_STEPS):
+        error, jacobian = _errors(arm, position, rotation, q)
+        if first and _is_there(error).any():
+            break
+        gram = jacobian @ jacobian.transpose(0, 2, 1)
+        # Damped in proportion to the error, so that the last steps are Newton's.
+        size = np.minimum(np.linalg.norm(error, axis=1), 1.0)
+        gram += (_DAMPING**2 * size)[:, None, None] * np.eye(error.shape[1]) + 1e-9 * np.eye(error.shape[1])
+        step = np.einsum("nij,ni->nj", jacobian, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
+        q = np.clip(q - np.clip(step, -_LONGEST_STEP, _LONGEST_STEP), lower, upper)
+    error, _ = _errors(arm, position, rotation, q)
+    return q[_is_there(error)]
+
+
+def _is_there(error: Array) -> Array:
+    """Which of the pose errors (N, 6), or (N, 3), are small enough, (N,)."""
+    found: Array = np.linalg.norm(error[:, :3], axis=1) < _POSITION_TOLERANCE
+    return found & (np.linalg.norm(error[:, 3:], axis=1) < _ROTATION_TOLERANCE)
+
+
+def _errors(arm: Arm, position: Array, rotation: Array | None, q: Array) -> tuple[Array, Array]:
+    """Pose errors (N, 6) and Jacobians (N, 6, n), or the first three rows where the orientation is free."""
+    frames, origins = link_frames_of_many(arm, q)
+    axes = frames[:-1, 2]
+    linear = np.cross(axes, origins[-1] - origins[:-1], axis=1).transpose(2, 1, 0)
+    offset = origins[-1].T - position
+    if rotation is None:
+        return offset, linear
+    turn = Rotation.from_matrix(frames[-1].transpose(2, 1, 0) @ rotation.T).as_rotvec()
+    return np.concatenate([offset, turn], axis=1), np.concatenate([linear, axes.transpose(2, 1, 0)], axis=1)

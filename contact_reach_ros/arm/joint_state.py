@@ -1,0 +1,38 @@
+"""Measured states of a robot's joints."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+
+
+class JointState(NamedTuple):
+    """One state of the arm; joints in the arm's order."""
+
+    stamp_ns: int
+    """Time of the measurement on the robot's clock, ns."""
+    q: Array
+    """Positions (n,), rad."""
+    v: Array
+    """Velocities (n,), rad/s."""
+    torque: Array | None
+    """Torques (n,) that have acted since the last state, N m, NaN while unknown; None if the robot reports none."""
+
+
+def checked_torque(torque: Array, n: int, topic: str = "effort_controller/commands") -> Array:
+    """Return the torques (n,), N m, after checking them; `topic` is named if they are refused.
+
+    Raises
+    ------
+    InputError
+        If there are not n of them or one is not finite.
+    """
+    if torque.shape != (n,):
+        raise InputError(f"{topic}: data has {torque.size} values; expected {n}")
+    # A sum is finite exactly when no summand is NaN or infinite (opposite infinities make NaN).
+    if not math.isfinite(sum(torque.tolist())):
+        raise InputError(f"{topic}: data = {torque.tolist()}; expected finite torques")
+    return torque

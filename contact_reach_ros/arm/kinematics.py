@@ -1,0 +1,89 @@
+"""Forward kinematics straight from an arm's table (numpy, no model library)."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+
+
+def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
+    """Rotation matrix (3, 3) of a quaternion (w, x, y, z), which need not be normalised."""
+    w, x, y, z = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> Array:
+    """Rotation matrix (3, 3) about a unit axis by an angle in rad."""
+    x, y, z = axis = np.asarray(axis, dtype=float)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.cos(angle) * np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * np.outer(axis, axis)
+
+
+@functools.cache
+def _frames_at_zero(arm: Arm) -> tuple[Array, Array]:
+    """Offsets (n, 3) and rotations (n, 3, 3) of the link frames at angle zero, each relative to the one before."""
+    offsets = np.array([joint.offset for joint in arm.joints])
+    return offsets, np.array([rotation_from_quaternion(joint.rotation) for joint in arm.joints])
+
+
+def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
+    """Rotations (3, 3) and origins (3,) of the n link frames, then the tip, in the base frame, at `q` (n,), rad."""
+    offsets, at_zero = _frames_at_zero(arm)
+    angles = np.asarray(q, dtype=float)
+    turns = np.zeros((arm.n, 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
+    turns[:, 1, 0] = np.sin(angles)
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    turns[:, 2, 2] = 1.0
+    rotation, origin = np.eye(3), np.zeros(3)
+    rotations, origins = [], []
+    for offset, step in zip(offsets, at_zero @ turns, strict=True):
+        origin = origin + rotation @ offset
+        rotation = rotation @ step
+        rotations.append(rotation)
+        origins.append(origin)
+    return [*rotations, rotation], [*origins, origin + rotation @ arm.tip_offset]
+
+
+def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """Link frames as `link_frames` gives them for postures `q` (N, n), with the posture last.
+
+    Returns the axes (n + 1, 3, 3, N) of the frames, indexed [frame, axis, coordinate], and the origins (n + 1, 3, N).
+    """
+    offsets, at_zero = _frames_at_zero(arm)
+    cosine, sine = np.cos(q.T), np.sin(q.T)
+    axes, origins = np.empty((arm.n + 1, 3, 3, len(q))), np.empty((arm.n + 1, 3, len(q)))
+    frame, origin = np.repeat(np.eye(3)[:, :, None], len(q), axis=2), np.zeros((3, len(q)))
+    for joint, (offset, step) in enumerate(zip(offsets, at_zero, strict=True)):
+        flat = frame.reshape(3, -1)
+        origin = origins[joint] = origin + (offset @ flat).reshape(3, -1)
+        x, y, z = (step.T @ flat).reshape(3, 3, -1)
+        frame = axes[joint]
+        frame[0] = cosine[joint] * x + sine[joint] * y
+        frame[1] = cosine[joint] * y - sine[joint] * x
+        frame[2] = z
+    axes[-1] = frame
+    origins[-1] = origin + (np.array(arm.tip_offset) @ frame.reshape(3, -1)).reshape(3, -1)
+    return axes, origins
+
+
+def tip_positions(arm: Arm, q: Array) -> Array:
+    """Positions (N, 3) of the tip, m, base frame, for postures `q` (N, n), rad."""
+    return link_frames_of_many(arm, q)[1][-1].T
+
+
+def tensor_matrix(tensor: tuple[float, ...]) -> Array:
+    """Symmetric matrix (3, 3) of an inertia given as (xx, yy, zz, xy, xz, yz)."""
+    xx, yy, zz, xy, xz, yz = tensor
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -1,0 +1,120 @@
+"""The arm as MJCF, the one format that MuJoCo, Brax and Pinocchio all read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from contact_reach_ros.arm.arm import Arm, Capsule
+
+ROBOT_CONTACT_TYPE = 1
+OBSTACLE_CONTACT_TYPE = 2
+"""Contact type with which robot and obstacles touch each other, and neither itself, except for listed pairs."""
+
+PAYLOAD_CENTER = (0.0, 0.0, 0.05)
+"""Position of the payload in the flange's frame, m."""
+PAYLOAD_INERTIA = 1e-3
+"""Inertia of the payload about its centre, per kg of its mass, m²."""
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Values as an XML attribute, in full precision."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def capsule_names(arm: Arm) -> tuple[str, ...]:
+    """Names of the geometries of base and links, in the order of `capsules.shapes`."""
+    links = [capsule.link for capsule in arm.capsules]
+    on_links = [_capsule_name(link, links[:index].count(link)) for index, link in enumerate(links)]
+    return (_capsule_name(arm.base_capsule.link, 0), *on_links)
+
+
+def _capsule_name(link: int, number: int) -> str:
+    """Of the capsules of a link, counted from 0."""
+    return f"capsule_{link}" + (f"_{number}" if number else "")
+
+
+def build_mjcf(
+    arm: Arm,
+    inertia_set: str = "nominal",
+    obstacles: Sequence[Element] = (),
+    payload: float = 0.0,
+    contacts: Sequence[Element] = (),
+) -> str:
+    """Build the MJCF text of an arm.
+
+    Parameters
+    ----------
+    arm
+        Arm to build.
+    inertia_set
+        One of the arm's inertia sets.
+    obstacles
+        Bodies and geometries to add to the world.
+    payload
+        Mass at the flange, kg; zero adds nothing.
+    contacts
+        Pairs of geometries that touch although their types would not.
+
+    Raises
+    ------
+    SettingsError
+        If the inertia set is unknown.
+    """
+    root = Element("mujoco", model=arm.name)
+    SubElement(root, "compiler", angle="radian", autolimits="true")
+    # Brax reads only models with the Euler integrator; the plant sets step and integrator itself.
+    SubElement(root, "option", timestep="0.001", integrator="Euler")
+    world = SubElement(root, "worldbody")
+    body = SubElement(world, "body", name=arm.base_frame)
+    body.append(_capsule(arm.base_capsule, _capsule_name(arm.base_capsule.link, 0)))
+    inertias = arm.inertias(inertia_set)
+    for number, (joint, link, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
+        body = SubElement(body, "body", name=link, pos=numbers(joint.offset), quat=numbers(joint.rotation))
+        SubElement(
+            body,
+            "inertial",
+            mass=repr(inertia.mass),
+            pos=numbers(inertia.center),
+            fullinertia=numbers(inertia.tensor),
+        )
+        SubElement(
+            body,
+            "joint",
+            name=joint.name,
+            axis="0 0 1",
+            range=numbers((joint.lower, joint.upper)),
+            armature=repr(joint.armature),
+        )
+        on_link = [capsule for capsule in arm.capsules if capsule.link == number]
+        for index, capsule in enumerate(on_link):
+            body.append(_capsule(capsule, _capsule_name(number, index)))
+    flange = SubElement(body, "body", name=arm.tip_frame, pos=numbers(arm.tip_offset))
+    SubElement(flange, "site", name="flange")
+    if payload > 0.0:
+        diagonal = numbers([PAYLOAD_INERTIA * payload] * 3)
+        SubElement(flange, "inertial", mass=repr(payload), pos=numbers(PAYLOAD_CENTER), diaginertia=diagonal)
+    world.extend(obstacles)
+    if contacts:
+        SubElement(root, "contact").extend(contacts)
+    actuators = SubElement(root, "actuator")
+    for joint in arm.joints:
+        limit = numbers((-joint.torque_limit, joint.torque_limit))
+        SubElement(actuators, "motor", name=joint.name, joint=joint.name, ctrlrange=limit)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _capsule(capsule: Capsule, name: str) -> Element:
+    """Collision geometry of one link; the link's inertial element holds the mass."""
+    return Element(
+        "geom",
+        name=name,
+        type="capsule",
+        fromto=numbers((*capsule.start, *capsule.end)),
+        size=repr(capsule.radius),
+        mass="0",
+        contype=str(ROBOT_CONTACT_TYPE),
+        conaffinity=str(OBSTACLE_CONTACT_TYPE),
+    )

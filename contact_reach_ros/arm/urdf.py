@@ -1,0 +1,86 @@
+"""The arm as URDF, published as `robot_description` for RViz, tf and other ROS tools."""
+
+from __future__ import annotations
+
+import math
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm, Capsule
+from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arm.mjcf import numbers
+from contact_reach_ros.arrays import Array
+
+
+def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
+    """Fixed-axis angles of a rotation matrix (3, 3), as URDF writes them, rad."""
+    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[2, 1], rotation[2, 2]))
+    if math.hypot(rotation[2, 1], rotation[2, 2]) < 1e-9:
+        return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
+    return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+
+
+def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
+    """Build the URDF text of an arm, with the same link frames as the MJCF.
+
+    Raises
+    ------
+    SettingsError
+        If the inertia set is unknown.
+    """
+    robot = Element("robot", name=arm.name)
+    base = SubElement(robot, "link", name=arm.base_frame)
+    _add_capsule(base, arm.base_capsule)
+    parent = arm.base_frame
+    inertias = arm.inertias(inertia_set)
+    for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
+        link = SubElement(robot, "link", name=name)
+        inertial = SubElement(link, "inertial")
+        SubElement(inertial, "origin", xyz=numbers(inertia.center), rpy="0 0 0")
+        SubElement(inertial, "mass", value=repr(inertia.mass))
+        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        SubElement(inertial, "inertia", {key: repr(value) for key, value in zip(keys, inertia.tensor, strict=True)})
+        for capsule in arm.capsules:
+            if capsule.link == number:
+                _add_capsule(link, capsule)
+        element = SubElement(robot, "joint", name=joint.name, type="revolute")
+        rotation = rotation_from_quaternion(joint.rotation)
+        SubElement(element, "origin", xyz=numbers(joint.offset), rpy=numbers(roll_pitch_yaw(rotation)))
+        SubElement(element, "parent", link=parent)
+        SubElement(element, "child", link=name)
+        SubElement(element, "axis", xyz="0 0 1")
+        limits = {
+            "lower": repr(joint.lower),
+            "upper": repr(joint.upper),
+            "velocity": repr(joint.velocity_limit),
+            "effort": repr(float(joint.torque_limit)),
+        }
+        SubElement(element, "limit", limits)
+        parent = name
+    SubElement(robot, "link", name=arm.tip_frame)
+    flange = SubElement(robot, "joint", name=f"{arm.tip_frame}_joint", type="fixed")
+    SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy="0 0 0")
+    SubElement(flange, "parent", link=parent)
+    SubElement(flange, "child", link=arm.tip_frame)
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _add_capsule(link: Element, capsule: Capsule) -> None:
+    """Add a capsule as a cylinder and two spheres, which URDF supports, for both display and collision checking."""
+    start, end = np.asarray(capsule.start, dtype=float), np.asarray(capsule.end, dtype=float)
+    length = float(np.linalg.norm(end - start))
+    direction = (end - start) / length
+    yaw, pitch = math.atan2(direction[1], direction[0]), math.acos(float(np.clip(direction[2], -1, 1)))
+    for kind in ("visual", "collision"):
+        for center, shape in ((start, "sphere"), (end, "sphere"), ((start + end) / 2, "cylinder")):
+            element = SubElement(link, kind)
+            angles = (0.0, pitch, yaw) if shape == "cylinder" else (0.0, 0.0, 0.0)
+            SubElement(element, "origin", xyz=numbers(center), rpy=numbers(angles))
+            geometry = SubElement(element, "geometry")
+            size = {"radius": repr(capsule.radius)}
+            if shape == "cylinder":
+                size["length"] = repr(length)
+            SubElement(geometry, shape, size)

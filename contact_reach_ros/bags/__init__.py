@@ -1,0 +1,1 @@
+"""Bags: writing and reading mcap recordings without a ROS installation."""

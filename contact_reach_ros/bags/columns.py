@@ -1,0 +1,278 @@
+"""The numbers of the messages of a topic as columns of arrays.
+
+Ten minutes of a 1 kHz arm are two million messages. Decoding them one by one takes minutes; here batches of equal
+layout are decoded together, and one whose messages differ is halved until they do not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.messages.cdr import (
+    ARRAY_COUNT,
+    ARRAY_START,
+    COUNT,
+    HEADER,
+    JOINT_STATE_FIELDS,
+    NO_LAYOUT,
+    PLAIN_CDR,
+    STAMP_END,
+    joint_state_counts,
+    joint_state_names,
+    joint_state_starts,
+)
+from contact_reach_ros.units import NANOSECONDS
+
+Times = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Values = NDArray[np.float64]
+
+_BATCH = 4096
+_TIME = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
+_NO_VALUES = (struct.error, ValueError, UnicodeDecodeError, MemoryError, OverflowError)
+"""What decoding raises for bytes that are no message of the expected type."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """The n messages of one topic by time of reception, with k values each.
+
+    Attributes
+    ----------
+    log_ns, publish_ns :
+        (n,) times of reception and of sending, ns since the epoch.
+    sequence :
+        (n,) the publisher's numbers of the messages, 0 where unknown.
+    stamp_ns :
+        (n,) header.stamp, ns; 0 for messages without one.
+    names :
+        (k,) names of the values.
+    values :
+        (n, k); NaN where a message lacks the value.
+    refused :
+        Number of messages that could not be decoded and are left out.
+    """
+
+    log_ns: Times
+    publish_ns: Times
+    sequence: Times
+    stamp_ns: Times
+    names: tuple[str, ...]
+    values: Values
+    refused: int = 0
+
+    def __len__(self) -> int:
+        return len(self.log_ns)
+
+
+class Collector(ABC):
+    """Collects the messages of one topic into a column; subclasses decode them."""
+
+    stamped = True
+    """Whether the messages begin with a header."""
+
+    def __init__(self) -> None:
+        self._waiting: list[RawMessage] = []
+        self._times: list[Times] = []
+        self._values: list[Values] = []
+        self._refused = 0
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Names of the values of a message."""
+
+    @abstractmethod
+    def decode(self, rows: Bytes) -> Values | None:
+        """Decode messages of one size, (n, size), into values (n, k).
+
+        None if they differ in more than numbers, or if a single one is not of the expected type. May raise what
+        decoding raises for bytes that are no message.
+        """
+
+    def add(self, message: RawMessage) -> None:
+        """Add a message."""
+        self._waiting.append(message)
+        if len(self._waiting) == _BATCH:
+            self._read_waiting()
+
+    def column(self) -> Column:
+        """Return the messages so far as a column; the collector is empty afterwards."""
+        self._read_waiting()
+        width, count = len(self.names), sum(part.shape[1] for part in self._times)
+        times, values = np.empty((4, count), np.int64), np.full((count, width), np.nan)
+        at = 0
+        # Each part is freed once it is copied: together they may be most of the memory.
+        self._times.reverse()
+        self._values.reverse()
+        while self._times:
+            part, numbers = self._times.pop(), self._values.pop()
+            end = at + part.shape[1]
+            times[:, at:end] = part
+            values[at:end, : numbers.shape[1]] = numbers
+            at = end
+        if (np.diff(times[0]) < 0).any():
+            order = np.argsort(times[0], kind="stable")
+            times, values = times[:, order], values[order]
+        log_ns, publish_ns, sequence, stamp_ns = times
+        return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused)
+
+    def _read_waiting(self) -> None:
+        messages, self._waiting = self._waiting, []
+        if messages:
+            # Room for the stamps in the last row.
+            times = np.array([(m.log_time_ns, m.publish_time_ns, m.sequence, 0) for m in messages], np.int64).T
+            self._read([message.data for message in messages], times)
+
+    def _read(self, data: list[bytes], times: Times) -> None:
+        """Decode messages together if they have one layout, else each half by itself; refuse single ones."""
+        values = self._decode_together(data, times)
+        if values is not None:
+            self._times.append(times)
+            self._values.append(values)
+        elif len(data) == 1:
+            self._refused += 1
+        else:
+            half = len(data) // 2
+            self._read(data[:half], times[:, :half])
+            self._read(data[half:], times[:, half:])
+
+    def _decode_together(self, data: list[bytes], times: Times) -> Values | None:
+        size = len(data[0])
+        if size < (STAMP_END if self.stamped else HEADER) or any(len(content) != size for content in data):
+            return None
+        rows = np.frombuffer(b"".join(data), np.uint8).reshape(-1, size)
+        if not (rows[:, :HEADER] == np.frombuffer(PLAIN_CDR, np.uint8)).all():
+            return None
+        try:
+            values = self.decode(rows)
+        except _NO_VALUES:
+            return None
+        if self.stamped and values is not None:
+            stamps = np.ascontiguousarray(rows[:, HEADER:STAMP_END]).view(_TIME)[:, 0]
+            times[3] = stamps["sec"].astype(np.int64) * NANOSECONDS + stamps["nanosec"]
+        return values
+
+
+class JointStates(Collector):
+    """Decodes fields of JointState messages, with joints matched by name.
+
+    Parameters
+    ----------
+    fields :
+        Which of position, velocity and effort; the values of a field stand side by side in a row.
+    joints :
+        Names in the order of the columns; when None, all joints in the order of their appearance.
+    """
+
+    def __init__(self, fields: Sequence[str], joints: Sequence[str] | None = None) -> None:
+        super().__init__()
+        self._fields = [JOINT_STATE_FIELDS.index(field) for field in fields]
+        self._open = joints is None
+        self._joints = list(joints or ())
+        if self._open and len(fields) > 1:
+            raise ValueError("several fields need the names of the joints, since columns cannot be inserted later")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints, repeated for each field."""
+        return tuple(self._joints * len(self._fields))
+
+    def decode(self, rows: Bytes) -> Values | None:
+        """See `Collector.decode`."""
+        first = rows[0].tobytes()
+        counts = joint_state_counts(first)
+        if counts[-1] > len(first):
+            return None
+        fixed = [slice(STAMP_END, counts[0]), *(slice(at, at + 4) for at in counts[:-1])]
+        if not all((rows[:, part] == rows[0, part]).all() for part in fixed):
+            return None
+        return self._values_of(rows, first)
+
+    def _values_of(self, rows: Bytes, first: bytes) -> Values:
+        names = joint_state_names(first)
+        if self._open:
+            self._joints += [name for name in dict.fromkeys(names) if name not in self._joints]
+        shared = [name for name in self._joints if name in names]
+        sources, into = [names.index(name) for name in shared], [self._joints.index(name) for name in shared]
+        values = np.full((len(rows), len(self.names)), np.nan)
+        places = list(zip(joint_state_starts(first), joint_state_counts(first), strict=False))
+        for index, field in enumerate(self._fields):
+            start, at = places[field]
+            if COUNT.unpack_from(first, at)[0] == len(names):
+                numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
+                values[:, [index * len(self._joints) + column for column in into]] = numbers[:, sources]
+        return values
+
+
+class Arrays(Collector):
+    """Decodes Float64MultiArray messages without layouts; those that do not have `width` values become rows of NaN."""
+
+    stamped = False
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self._width = width
+        self._head = np.frombuffer(PLAIN_CDR + NO_LAYOUT + COUNT.pack(width), np.uint8)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Indices of the values, as text."""
+        return tuple(map(str, range(self._width)))
+
+    def decode(self, rows: Bytes) -> Values | None:
+        """See `Collector.decode`."""
+        end = ARRAY_START + 8 * self._width
+        if rows.shape[1] < end or not (rows[:, : len(self._head)] == self._head).all():
+            return np.full((1, self._width), np.nan) if len(rows) == 1 else None
+        return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
+
+
+class Stamps(Collector):
+    """Decodes only the stamp of messages that begin with a header."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Empty: the values of the messages are not decoded."""
+        return ()
+
+    def decode(self, rows: Bytes) -> Values | None:
+        """See `Collector.decode`."""
+        return np.zeros((len(rows), 0))
+
+
+def array_numbers(data: bytes, dtype: str) -> NDArray[Any]:
+    """Return the numbers, 8 bytes each, of one MultiArray message without a layout; empty if it is none."""
+    if not data.startswith(PLAIN_CDR + NO_LAYOUT) or len(data) < ARRAY_START:
+        return np.zeros(0, dtype)
+    (count,) = COUNT.unpack_from(data, ARRAY_COUNT)
+    if len(data) < ARRAY_START + 8 * count:
+        return np.zeros(0, dtype)
+    return np.frombuffer(data, dtype, count, ARRAY_START)
+
+
+def read_raw(bag: BagReader, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]) -> None:
+    """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks."""
+    calls = {
+        topic: handler.add if isinstance(handler, Collector) else handler
+        for topic, handler in handlers.items()
+        if topic in bag.topics()
+    }
+    collects = gc.isenabled()
+    # Millions of messages come and go, none of them in a cycle: looking for cycles took as long as all the rest.
+    gc.disable()
+    try:
+        for message in bag.raw_messages(calls):
+            calls[message.topic](message)
+    finally:
+        if collects:
+            gc.enable()

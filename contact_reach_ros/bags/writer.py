@@ -1,0 +1,320 @@
+"""Writing rosbag2 directories with mcap storage, readable by `ros2 bag`, without a ROS installation."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from mcap.writer import CompressionType, Writer
+
+from contact_reach_ros.bags import metadata as bag_metadata
+from contact_reach_ros.bags.message_types import MessageTypes
+from contact_reach_ros.bags.topics import ROS2MSG, RecordedTopic, TypeDefinition
+from contact_reach_ros.errors import BagError
+
+COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
+CHUNK_BYTES = 2 * 1024 * 1024
+"""More than a second of the stack, so that only `flush` ends a chunk. mcap keeps an index entry of about 1.5 kB for
+each chunk in memory until the file is closed: with two chunks a second, 2 MB in ten minutes."""
+
+
+@dataclasses.dataclass
+class _Channel:
+    topic: RecordedTopic
+    definition: TypeDefinition
+    number: int = 0
+    message_count: int = 0
+
+
+class BagWriter:
+    """A bag that is being written: a directory with metadata.yaml and one or more mcap files.
+
+    Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
+    can still be read.
+
+    Parameters
+    ----------
+    directory :
+        The bag to create; its parents are made as needed. It must not exist.
+    topics :
+        Topics known from the start; more can be added at any time.
+    compression :
+        "zstd" or "none", applied to each chunk of the file.
+    custom_data :
+        Text to store in the bag, such as scene and seed.
+    split_bytes, split_ns :
+        Size of a file, and its age in ns at the next message, at which another file is begun; 0: never.
+        Each file has all schemas and channels and can be read by itself.
+
+    Raises
+    ------
+    BagError
+        If the directory exists or cannot be written, a type is unknown, or a parameter is not accepted.
+    """
+
+    def __init__(
+        self,
+        directory: Path | str,
+        topics: Iterable[RecordedTopic] = (),
+        *,
+        compression: str = "zstd",
+        custom_data: Mapping[str, str] | None = None,
+        split_bytes: int = 0,
+        split_ns: int = 0,
+    ) -> None:
+        if compression not in COMPRESSIONS:
+            raise BagError(f"bag compression '{compression}': expected one of {', '.join(COMPRESSIONS)}")
+        if split_bytes < 0 or split_ns < 0:
+            raise BagError(f"bag split at {split_bytes} bytes or {split_ns} ns: expected 0 or more for both")
+        self._directory = Path(directory)
+        self._compression = COMPRESSIONS[compression]
+        self._split_bytes, self._split_ns = split_bytes, split_ns
+        self._custom_data: dict[str, str] = {}
+        self._custom_data_written = True
+        for key, value in (custom_data or {}).items():
+            self.set_custom_data(key, value)
+        self._types = MessageTypes()
+        self._channels: dict[str, _Channel] = {}
+        self._schema_ids: dict[str, int] = {}
+        self._files: list[bag_metadata.FileSpan] = []
+        self._closed = False
+        # One thread, since a disk may keep a caller waiting for long.
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._syncing: Future[None] | None = None
+        self._stream: BinaryIO
+        self._writer: Writer
+        try:
+            self._directory.mkdir(parents=True)
+            self._open_file()
+        except FileExistsError as error:
+            raise BagError(
+                f"bag '{self._directory}' exists and is not overwritten; choose another name or remove it"
+            ) from error
+        except OSError as error:
+            raise BagError(f"bag '{self._directory}' cannot be created: {error.strerror}") from error
+        for topic in topics:
+            self.add_topic(topic)
+        self.flush()
+
+    @property
+    def directory(self) -> Path:
+        """The bag."""
+        return self._directory
+
+    @property
+    def file(self) -> Path:
+        """The newest mcap file, which is being written."""
+        return self._directory / self._files[-1].name
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages written so far."""
+        return sum(channel.message_count for channel in self._channels.values())
+
+    def set_custom_data(self, key: str, value: str) -> None:
+        """Store text in the bag, replacing an earlier one of the same key; the next `flush` writes it.
+
+        Raises
+        ------
+        BagError
+            If key or value is not a string.
+        """
+        if not isinstance(key, str) or not isinstance(value, str):
+            raise BagError(f"bag custom data {key!r} = {value!r}: expected text for both")
+        if self._custom_data.get(key) != value:
+            self._custom_data[key] = value
+            self._custom_data_written = False
+
+    def add_topic(self, topic: RecordedTopic, definition: TypeDefinition | None = None) -> None:
+        """Add a topic, whose messages can be written from now on.
+
+        Parameters
+        ----------
+        topic :
+            Name, type, quality of service and encoding.
+        definition :
+            Definition of its type; looked up among the standard types and the sourced workspaces when None.
+
+        Raises
+        ------
+        BagError
+            If the topic is already in the bag, its type is unknown, or the bag is closed.
+        """
+        if self._closed:
+            raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
+        if topic.name in self._channels:
+            raise BagError(f"bag '{self._directory}': topic '{topic.name}' is added twice")
+        if definition is None:
+            text = self._types.definition(topic.type).encode()
+            definition = TypeDefinition(ROS2MSG, text, self._types.type_hash(topic.type))
+        channel = _Channel(topic, definition)
+        self._register(channel)
+        self._channels[topic.name] = channel
+
+    def write(
+        self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0
+    ) -> None:
+        """Append a message.
+
+        Parameters
+        ----------
+        topic :
+            Name of a topic that was added.
+        data :
+            The message, serialised as CDR with its 4-byte header.
+        log_time_ns, publish_time_ns :
+            Times of reception and of sending, ns since the epoch; sending defaults to reception.
+        sequence :
+            The publisher's number of the message, 0 if unknown.
+
+        Raises
+        ------
+        BagError
+            If the topic was not added, the bag is closed, or it cannot be written.
+        """
+        channel = self._channels.get(topic)
+        sequence &= 0xFFFFFFFF
+        if channel is None or self._closed:
+            reason = "it is closed" if self._closed else "add the topic first"
+            raise BagError(f"bag '{self._directory}' cannot take a message of '{topic}': {reason}")
+        if publish_time_ns is None:
+            publish_time_ns = log_time_ns
+        try:
+            if self._is_full(log_time_ns):
+                self._finish_file()
+                self._open_file()
+            self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence)
+        except OSError as error:
+            raise self._refused(error) from error
+        channel.message_count += 1
+        self._files[-1].add(log_time_ns)
+
+    def flush(self, durable: bool = False) -> None:
+        """Pass everything written so far to the operating system, so that it survives if the process is killed.
+
+        Parameters
+        ----------
+        durable :
+            Also start writing it to the disk, so that it survives a power cut; this finishes after the call returns.
+
+        Raises
+        ------
+        BagError
+            If this, or the disk's writing that an earlier call started, fails.
+        """
+        if self._closed:
+            return
+        try:
+            if not self._custom_data_written:
+                self._add_information()
+            self._writer.flush()
+            if durable and (self._syncing is None or self._syncing.done()):
+                self._wait_for_disk()
+                self._syncing = self._disk.submit(os.fdatasync, self._stream.fileno())
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def close(self) -> None:
+        """Complete the bag with index, summary and metadata.yaml; does nothing if it is already closed.
+
+        Raises
+        ------
+        BagError
+            If the bag cannot be written.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._finish_file()
+            bag_metadata.write(self._directory, self._information())
+        except OSError as error:
+            raise self._refused(error) from error
+        finally:
+            self._disk.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open_file(self) -> None:
+        name = f"{self._directory.resolve().name}_{len(self._files)}.mcap"
+        self._stream = (self._directory / name).open("xb")
+        bag_metadata.sync_directory(self._directory)
+        self._files.append(bag_metadata.FileSpan(name))
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=self._compression)
+        self._writer.start(profile="ros2", library="contact_reach_ros")
+        # A first copy, so that scene and seed are there even if the recording is cut.
+        self._add_information()
+        self._schema_ids.clear()
+        for channel in self._channels.values():
+            self._register(channel)
+
+    def _finish_file(self) -> None:
+        with self._stream:
+            self._wait_for_disk()
+            self._add_information()
+            self._writer.finish()
+            self._stream.flush()
+            os.fdatasync(self._stream.fileno())
+
+    def _is_full(self, time_ns: int) -> bool:
+        file = self._files[-1]
+        if file.start_ns is None:
+            return False
+        aged = self._split_ns and time_ns - file.start_ns >= self._split_ns
+        return bool(aged or (self._split_bytes and self._stream.tell() >= self._split_bytes))
+
+    def _register(self, channel: _Channel) -> None:
+        topic, definition = channel.topic, channel.definition
+        schema_id = self._schema_ids.get(topic.type)
+        if schema_id is None:
+            schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
+            self._schema_ids[topic.type] = schema_id
+        offered_qos = bag_metadata.dump_yaml([qos.as_mapping() for qos in topic.offered_qos])
+        channel.number = self._writer.register_channel(
+            topic.name,
+            topic.encoding,
+            schema_id,
+            {"offered_qos_profiles": offered_qos, "topic_type_hash": definition.type_hash},
+        )
+
+    def _wait_for_disk(self) -> None:
+        """Wait for the last `flush` to reach the disk; raises its error."""
+        syncing, self._syncing = self._syncing, None
+        if syncing is not None:
+            syncing.result()
+
+    def _refused(self, error: OSError) -> BagError:
+        return BagError(f"bag '{self._directory}' cannot be written: {error.strerror or error}")
+
+    def _add_information(self) -> None:
+        text = bag_metadata.dump_yaml(self._information())
+        self._writer.add_metadata(bag_metadata.MCAP_NAME, {bag_metadata.MCAP_KEY: text})
+        self._custom_data_written = True
+
+    def _information(self) -> dict[str, Any]:
+        topics = [
+            bag_metadata.TopicCount(channel.topic, channel.definition.type_hash, channel.message_count)
+            for channel in self._channels.values()
+        ]
+        return bag_metadata.information(self._files, topics, self._custom_data)
+
+
+def new_bag_directory(base: Path | str) -> Path:
+    """Return `base`, or the first of `base`_2, `base`_3, ... that does not exist."""
+    base = Path(base)
+    candidate, number = base, 2
+    while os.path.exists(candidate):
+        candidate = base.with_name(f"{base.name}_{number}")
+        number += 1
+    return candidate

@@ -1,0 +1,333 @@
+"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `stop` and `reset`.
+
+Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError` stands for 2, no stack or bad input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.conversions import to_goal_pose
+from contact_reach_ros.messages.joint_order import JointOrder
+from contact_reach_ros.messages.safety_state import is_stopped
+from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
+from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.stopping import Outcome, release, stop_arm
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.task import Goal
+
+Diagnostics = Mapping[str, Mapping[str, str]]
+"""Newest values by name, of each node."""
+
+_PLANNER, _CONTROLLER = "planner", "controller"
+_FOLLOWED = "plans accepted"
+_REFUSED = (f"refused {topics.REFERENCE_POSE.contents}", "refused plans")
+
+_LOOK_S = 0.05
+_FOUND_S = 4.0
+"""Longer than participants take to announce themselves again, where the first answer was lost."""
+_ANSWER_S = 3.0
+_SETTLED_S = 1.0
+"""Time without a new safety state after which all nodes have been heard."""
+_JUDGED_S = 8.0
+"""Longest time until diagnostics, which come once a second, show what became of a goal."""
+_SILENCE_S = 5.0
+_REST_S = 5.0
+"""Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
+
+
+def up(**options: Any) -> int:
+    """Start the stack and supervise it until Ctrl-C, as the executable does; options as in `BringupOptions`."""
+    # What it imports would delay a stop by seconds.
+    from contact_reach_ros.bringup.bringup import NAME, run_bringup
+
+    arguments = [NAME, "--ros-args"]
+    for name, value in options.items():
+        # JSON is YAML: a quoted text stays a text.
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    return run_bringup(arguments)
+
+
+def goto(position: Sequence[float], wait: bool = False, timeout: float = 30.0, discovery: str = "host") -> int:
+    """Send a goal, and wait until it is taken or refused.
+
+    Parameters
+    ----------
+    position
+        (3,) m of the flange, base frame; its orientation stays as it is, unless the planner's settings differ.
+    wait
+        Also wait until the flange is there.
+    timeout
+        For that, s of the robot's clock.
+    discovery
+        How far to look for the stack.
+    """
+    with _operator(discovery) as operator:
+        operator.find_stack()
+        outcome = operator.command(np.array(position, float))
+        if outcome.done and wait:
+            print(outcome.text, flush=True)
+            outcome = operator.watch(np.array(position, float), timeout)
+    return _tell(outcome)
+
+
+def stop(discovery: str = "host") -> int:
+    """Stop the arm."""
+    with _operator(discovery) as operator:
+        operator.find_service("stop")
+        outcome = stop_arm(operator.call)
+    return _tell(outcome)
+
+
+def reset(discovery: str = "host") -> int:
+    """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
+    with _operator(discovery) as operator:
+        operator.find_service("reset")
+        operator.hear_everybody()
+        give_up = time.monotonic() + _REST_S
+        outcome = release(operator.stops, operator.call)
+        while not outcome.done and time.monotonic() < give_up:
+            operator.hear_everybody()
+            outcome = release(operator.stops, operator.call)
+    return _tell(outcome)
+
+
+def _tell(outcome: Outcome) -> int:
+    print(outcome.text)
+    return 0 if outcome.done else 1
+
+
+def judge_goal(before: Diagnostics, now: Diagnostics) -> Outcome | None:
+    """What became of a goal, by the diagnostics from before it was sent and after; None while that is open."""
+
+    def more(node: str, *keys: str) -> bool:
+        return any(int(now[node].get(key, 0)) > int(before[node].get(key, 0)) for key in keys)
+
+    goals = topics.GOAL_POSE.contents
+    if more(_PLANNER, f"refused {goals}"):
+        return Outcome(False, f"the planner refused the goal: {now[_PLANNER].get(f'last refusal of {goals}', '')}")
+    if not more(_PLANNER, goals):
+        return None
+    if more(_CONTROLLER, _FOLLOWED):
+        return Outcome(True, "the goal is taken: the controller follows the plans for it")
+    if more(_CONTROLLER, *_REFUSED):
+        reasons = [
+            text for key, text in now[_CONTROLLER].items() if key.replace("last refusal of", "refused") in _REFUSED
+        ]
+        return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
+    return None
+
+
+@contextmanager
+def _operator(discovery: str) -> Iterator[_Operator]:
+    with bare_node(OPERATOR, discovery) as node:
+        operator = _Operator(node)
+        try:
+            yield operator
+        finally:
+            operator.close()
+
+
+class _Operator:
+    """A user's node: hears what the stack reports, sends goals, and calls services.
+
+    Attributes
+    ----------
+    diagnostics
+        Newest values by name, of each node.
+    stops
+        What stopped the arm, by node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._arm = load_arm()
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._goals = node.create_publisher(
+            topics.GOAL_POSE.type, topics.GOAL_POSE.name, qos_profile(topics.GOAL_POSE.qos)
+        )
+        self.diagnostics: dict[str, dict[str, str]] = {}
+        self.stops: dict[str, str] = {}
+        self._heard: set[str] = set()
+        self._state: JointState | None = None
+        # What is malformed is the sender's affair, whose boundary names it.
+        self._inbox = Inbox(node, lambda what, error: None)
+        self._inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
+        self._inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
+
+    def close(self) -> None:
+        """Leave the executor."""
+        self._executor.shutdown()
+
+    def find_service(self, service: str) -> None:
+        """Wait until any node offers a service.
+
+        Raises
+        ------
+        ContactReachError
+            If none does within some seconds.
+        """
+        clients = [self._node.create_client(Trigger, f"{name}/{service}") for name in STOPPABLE]
+        found = self._until(lambda: any(client.service_is_ready() for client in clients), _FOUND_S)
+        for client in clients:
+            self._node.destroy_client(client)
+        if not found:
+            raise ContactReachError(_no_stack())
+
+    def find_stack(self) -> None:
+        """Wait until planner and controller have reported what they do, and the planner hears goals.
+
+        Raises
+        ------
+        ContactReachError
+            If they do not within some seconds.
+        """
+        wanted = (_PLANNER, _CONTROLLER)
+
+        def is_there() -> bool:
+            return all(name in self.diagnostics for name in wanted) and bool(self._goals.get_subscription_count())
+
+        if not self._until(lambda: bool(self._heard or self.diagnostics), _FOUND_S):
+            raise ContactReachError(_no_stack())
+        if not self._until(is_there, _FOUND_S):
+            missing = [name for name in wanted if name not in self.diagnostics]
+            raise ContactReachError(f"no answer from {missing[0] if missing else _PLANNER}: contact-reach doctor")
+
+    def hear_everybody(self) -> None:
+        """Wait until the controller's safety state is known, and no other node's has come for a while.
+
+        Raises
+        ------
+        ContactReachError
+            If the controller does not report it.
+        """
+        known, since = -1, time.monotonic()
+        deadline = since + _FOUND_S
+        while time.monotonic() < deadline:
+            self._spin()
+            if len(self._heard) != known or _CONTROLLER not in self._heard:
+                known, since = len(self._heard), time.monotonic()
+            elif time.monotonic() > since + _SETTLED_S:
+                return
+        if _CONTROLLER not in self._heard:
+            raise ContactReachError("no safety state from the controller: contact-reach doctor")
+
+    def command(self, position: Array) -> Outcome:
+        """Send a goal (3,), m, unless the arm is stopped; returns what became of it."""
+        self.hear_everybody()
+        if self.stops:
+            return Outcome(False, f"not sent, the arm is stopped: {self._why_stopped()}; first: contact-reach reset")
+        before = dict(self.diagnostics)
+        stamp = self._node.get_clock().now().to_msg()
+        self._goals.publish(to_goal_pose(position.tolist(), self._arm.base_frame, stamp))
+        judged: list[Outcome] = []
+
+        def is_judged() -> bool:
+            outcome = judge_goal(before, self.diagnostics)
+            judged.extend([outcome] if outcome else [])
+            return outcome is not None or bool(self.stops)
+
+        self._until(is_judged, _JUDGED_S)
+        if self.stops:
+            return Outcome(False, f"stopped: {self._why_stopped()}")
+        return judged[-1] if judged else Outcome(False, "nothing followed the goal: contact-reach doctor")
+
+    def watch(self, position: Array, timeout: float) -> Outcome:
+        """Wait until the flange is at a position (3,), m, for at most some time of the robot's clock, s."""
+        from contact_reach_ros.arm.model import RobotModel
+
+        model, order = RobotModel(self._arm), JointOrder(self._arm.joint_names)
+        self._inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
+        began_ns: int | None = None
+        while True:
+            self._state = None
+            if not self._until(lambda: self._state is not None or bool(self.stops), _SILENCE_S):
+                return Outcome(False, f"no joint states for {_SILENCE_S:g} s")
+            if self.stops:
+                return Outcome(False, f"stopped: {self._why_stopped()}")
+            state: Any = self._state
+            now_ns = nanoseconds(state.header.stamp)
+            began_ns = now_ns if began_ns is None else began_ns
+            tip, _ = model.tip_pose(order.pick(state, "position", topics.JOINT_STATES.name))
+            distance, took = float(np.linalg.norm(tip - position)), (now_ns - began_ns) / NANOSECONDS
+            where = f"{1000 * distance:.1f} mm from the goal after {took:.2f} s"
+            if distance <= Goal(position).tolerance:
+                return Outcome(True, f"reached: {where}")
+            if took > timeout:
+                return Outcome(False, f"not reached: {where}")
+
+    def call(self, service: str) -> Any:
+        """Call a Trigger service and return its answer.
+
+        Raises
+        ------
+        ContactReachError
+            If nobody offers it, or there is no answer.
+        """
+        client = self._node.create_client(Trigger, service)
+        try:
+            if not client.wait_for_service(timeout_sec=_SETTLED_S):
+                raise ContactReachError(f"{service}: there is no such service")
+            future = client.call_async(Trigger.Request())
+            self._executor.spin_until_future_complete(future, timeout_sec=_ANSWER_S)
+            if not future.done():
+                raise ContactReachError(f"{service}: no answer within {_ANSWER_S:g} s")
+            return future.result()
+        finally:
+            self._node.destroy_client(client)
+
+    def _until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._spin()
+        return True
+
+    def _spin(self) -> None:
+        self._executor.spin_once(timeout_sec=_LOOK_S)
+        self._inbox.poll()
+
+    def _why_stopped(self) -> str:
+        return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
+
+    def _on_state(self, message: JointState) -> None:
+        self._state = message
+
+    def _on_safety(self, message: DiagnosticStatus) -> None:
+        self._heard.add(message.name)
+        self.stops.pop(message.name, None)
+        if is_stopped(message):
+            self.stops[message.name] = message.message
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.diagnostics[status.name] = {entry.key: entry.value for entry in status.values}
+
+
+def _no_stack() -> str:
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    return (
+        f"no stack answers in ROS domain {domain}: start one with 'contact-reach up', or set ROS_DOMAIN_ID to its "
+        "domain and --discovery to what it was started with"
+    )

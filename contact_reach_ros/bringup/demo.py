@@ -1,0 +1,270 @@
+"""The demo: bring the stack up, send a goal as a user's node would, watch, record, and judge what happened."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import time
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes
+from contact_reach_ros.bringup.stack_processes import StackProcesses
+from contact_reach_ros.bringup.watcher import DISCOVERY_S, Watcher
+from contact_reach_ros.errors import BagError, ContactReachError
+from contact_reach_ros.messages import topics
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.parameter_files import RATE, parameters_in
+from contact_reach_ros.report.plot import SUCCESS_DISTANCE
+from contact_reach_ros.report.signals import read_signals
+from contact_reach_ros.report.summary import Episode, EpisodeSummary
+from contact_reach_ros.ros.interfaces import DEMO, RECORDER
+from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.running import refuse_beside_another
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+
+INTERRUPTED = 130
+
+_LOOK_S = 0.1
+_LINE_S = 1.0
+_DYING_S = 0.5
+_AFTERWARDS_NS = 300_000_000
+_LAG_S = 5.0
+_MISSED_SHARE = 0.02
+_RECORDED = (
+    topics.JOINT_STATES,
+    topics.COMMANDS,
+    topics.EXTERNAL_TORQUE,
+    topics.SIM_CONTACTS,
+    topics.SAFETY_STATE,
+    topics.DIAGNOSTICS,
+    topics.REFERENCE_POSE,
+    topics.GOAL_POSE,
+)
+"""Topics from which a demo is judged."""
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What the command line asks for."""
+
+    scene: str = "ball"
+    seed: int = 2
+    """With which the arm touches the ball."""
+    goal: tuple[float, float, float] | None = None
+    lockstep: bool = False
+    timeout: float = 30.0
+    """Time of the robot's clock in which the goal must be reached, s."""
+    settle: float = 1.2
+    """Time of the robot's clock that is recorded after the goal was reached, s."""
+    parameters: str = ""
+    """Parameter file for the nodes; the package's own when empty."""
+    view: bool = False
+    """Whether to serve the viewer's page, and to stay up after the episode until Ctrl-C."""
+    output: Path = Path("bags")
+    json: Path | None = None
+
+
+def run_demo(options: DemoOptions) -> int:
+    """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
+
+    A run that failed because the machine fell behind real time is repeated in lockstep, unless the page is served.
+
+    Raises
+    ------
+    ContactReachError
+        If the scene, the goal or the settings are refused.
+    """
+    code, summary = _run(options)
+    if options.lockstep or options.view or code == INTERRUPTED or summary is None or not fell_behind(summary):
+        return code
+    print(
+        f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {summary.missed_ticks} ticks of "
+        f"{summary.ticks + summary.missed_ticks} were missed. The same demo again in simulated time (--lockstep):\n",
+        flush=True,
+    )
+    code, _ = _run(dataclasses.replace(options, lockstep=True))
+    return code
+
+
+def fell_behind(summary: EpisodeSummary) -> bool:
+    """Whether a run failed on a machine that missed more ticks than a robot's ever does."""
+    return not summary.success and summary.missed_ticks > _MISSED_SHARE * (summary.ticks + summary.missed_ticks)
+
+
+def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
+    """Exit code, and the summary of a run in which no process failed, if its bag can be judged."""
+    name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
+    bag = options.output.resolve() / name
+    bringup = BringupOptions(
+        scene=options.scene,
+        seed=options.seed,
+        target="" if options.goal is None else " ".join(map(str, options.goal)),
+        lockstep=options.lockstep,
+        bag=str(bag),
+        parameters=options.parameters,
+        view=options.view,
+        overrides=(f"driver:waits_for={DEMO}",) if options.lockstep else (),
+    )
+    table = processes(bringup)
+    interruption = Interruption()
+    interrupted, failure = False, ""
+    end_ns: int | None = None
+    with bare_node(DEMO) as node:
+        began = time.monotonic()
+        goal = None if options.goal is None else np.array(options.goal)
+        scene = make_scene(read_scene(options.scene), load_arm(), options.seed, goal)
+        model = RobotModel(load_arm("iiwa14"))
+        refuse_beside_another(node, [process.name for process in table], began)
+        options.output.mkdir(parents=True, exist_ok=True)
+        stack = StackProcesses(node, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))
+        try:
+            tick_ns = _state_period_ns(bringup.parameter_file) if options.lockstep else 0
+            end_ns = _drive_to_goal(stack, Watcher(node, stack, model, scene.target, tick_ns), options)
+            if options.view:
+                _stay_up(stack)
+        except KeyboardInterrupt:
+            # With the page, Ctrl-C ends a stack whose episode is over.
+            interrupted = end_ns is None or not options.view
+        except ContactReachError as error:
+            failure = str(error)
+        finally:
+            interruption.ignore()
+            _say("ending the stack", done=True)
+            stack.shutdown()
+    if failure:
+        print(f"demo: {failure}", file=sys.stderr)
+    summary = _judge(bag, model, end_ns, options)
+    if interrupted:
+        return INTERRUPTED, summary
+    if failure:
+        return 1, None
+    return 0 if summary is not None and summary.success else 1, summary
+
+
+def _state_period_ns(parameter_file: Path) -> int:
+    """Time between joint states of the driver, ns."""
+    rate: Any = parameters_in(parameter_file, "driver").get(RATE.name, RATE.default)
+    return round(NANOSECONDS / rate)
+
+
+def _drive_to_goal(stack: StackProcesses, watcher: Watcher, options: DemoOptions) -> int:
+    """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
+    began = time.monotonic()
+    if options.view:
+        _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
+    stack.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+    stack.wait_heard(RECORDER, _RECORDED, DISCOVERY_S)
+    # Planner and recorder have to hear goals before there is one.
+    watcher.wait_ready(listeners=2)
+    _say(
+        f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(watcher.target, 3).tolist()} m", done=True
+    )
+    watcher.send_goal()
+    sent_ns = watcher.stamp_ns
+    reached_ns: int | None = None
+    said_at = 0.0
+    while True:
+        stack.spin(_LOOK_S)
+        stack.check()
+        now = time.monotonic()
+        if sys.stdout.isatty() or now - said_at >= _LINE_S:
+            _say(watcher.line(sent_ns), done=not sys.stdout.isatty())
+            said_at = now
+        if reached_ns is None and watcher.distance <= SUCCESS_DISTANCE:
+            reached_ns = watcher.stamp_ns
+        settled = reached_ns is not None and watcher.stamp_ns - reached_ns > options.settle * NANOSECONDS
+        if watcher.stopped:
+            # When a dying process is the reason, it is named rather than the stop.
+            stack.spin(_DYING_S)
+            stack.check()
+        if settled or watcher.stopped or watcher.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
+            _say(watcher.line(sent_ns), done=True)
+            end_ns = watcher.stamp_ns
+            # The bag's times may lag behind in simulated time: calls that end the stack must come after the end.
+            give_up = now + _LAG_S
+            while watcher.stamp_ns < end_ns + _AFTERWARDS_NS and not watcher.stopped and time.monotonic() < give_up:
+                stack.spin(_LOOK_S)
+            return end_ns
+
+
+def _stay_up(stack: StackProcesses) -> None:
+    """Leave the stack to the users of the page until Ctrl-C."""
+    _say("the episode is over; the stack stays up for the page until Ctrl-C", done=True)
+    while True:
+        stack.check()
+        stack.spin(_LOOK_S)
+
+
+def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
+    """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
+    try:
+        signals = read_signals(BagReader(bag), model.arm.joint_names)
+        end = None if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
+        episode = Episode(signals, model.arm, end, options.timeout, options.settle)
+    except BagError as error:
+        print(f"no summary of {bag}: {error}", file=sys.stderr)
+        return None
+    summary = episode.summary()
+    verdict = "reached" if summary.reached else "not reached"
+    if summary.safety_events:
+        verdict += ", stopped"
+    title = f"scene {options.scene}, seed {options.seed}: {verdict}"
+    plot = bag.with_suffix(".png")
+    episode.plot(plot, title, load_budget())
+    report = {**summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
+    if options.json is not None:
+        options.json.write_text(json.dumps(report, indent=2) + "\n")
+    _print_summary(verdict, summary, bag, plot)
+    return summary
+
+
+def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path, plot: Path) -> None:
+    trip, plan = summary.round_trip_us, summary.plan_ms
+    took = f"{summary.duration_s:.2f} s for {summary.distance_m:.3f} m"
+    took += f", {summary.time_ratio:.2f} x the limit" if summary.limit_s > 0.0 else ", where the arm was already"
+    if not summary.reached:
+        stops = [stop["time_s"] for stop in summary.safety_events]
+        took = f"stopped after {stops[0]:.2f} s" if stops else f"not reached within {summary.watched_s:.2f} s"
+    rows = [
+        ("goal", f"{verdict}, final error {1000 * summary.final_error_m:.1f} mm"),
+        ("time", took),
+        ("limit", f"{summary.limit_s:.2f} s, the least time that the bound on the reference's speed permits"),
+        ("contact force", f"{summary.max_contact_force_N:.1f} N at most on one body"),
+        ("external torque", f"{summary.max_external_torque_Nm:.1f} Nm at most on one joint"),
+        ("ticks", f"{summary.ticks}, missed {summary.missed_ticks}"),
+        ("round trip", _known(f"p50 {trip['p50']:.0f}, p99 {trip['p99']:.0f}, p99.9 {trip['p999']:.0f} us")),
+        ("plans", _known(f"p50 {plan['p50']:.1f}, p95 {plan['p95']:.1f}, max {plan['max']:.1f} ms")),
+        ("plan age", _known(f"{summary.plan_age_ms_max:.0f} ms at most", "no plan took effect")),
+        *(("stop", f"{stop['source']}: {stop['reason']}") for stop in summary.safety_events),
+        ("bag", str(bag)),
+        ("plot", str(plot)),
+    ]
+    print()
+    for label, text in rows:
+        print(f"  {label:16}{text}")
+
+
+def _known(text: str, otherwise: str = "none recorded: the run was too short") -> str:
+    """The text, or what stands in for one with numbers that are not known."""
+    return otherwise if "nan" in text else text
+
+
+def _say(line: str, done: bool = False) -> None:
+    """Show progress on one line of a terminal; elsewhere print finished steps only."""
+    if sys.stdout.isatty():
+        print(f"\r\033[K{line}", end="\n" if done else "", flush=True)
+    elif done:
+        print(line, flush=True)

@@ -1,0 +1,206 @@
+"""The bring-up table: which processes make up the stack, and with which arguments. The launch file uses it too."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bringup.settings import BringupOptions
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.node_settings import SECTIONS
+from contact_reach_ros.observer.budget import budget_file
+from contact_reach_ros.parameter_check import check_parameters
+from contact_reach_ros.parameter_files import check_name, known_parameters, parameters_in
+from contact_reach_ros.resources import PACKAGE
+from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
+from contact_reach_ros.viewer.settings import ViewerSettings
+from contact_reach_ros.world.files import read_scene, scene_file
+from contact_reach_ros.world.scene import SceneFile
+from contact_reach_ros.world.spheres import anywhere, sphere_capacity
+
+ParameterValue = bool | int | float | str | list[str]
+
+ENCLAVES = "/contact_reach"
+
+
+class Wave(IntEnum):
+    """When a process is started."""
+
+    EARLY = 0
+    """Before the loops: it needs the whole machine to get ready, or must miss nothing."""
+    LOOPS = 1
+    LAST = 2
+    """After discovery: time begins with it."""
+
+
+@dataclass(frozen=True)
+class Process:
+    """One process of the stack.
+
+    Attributes
+    ----------
+    name
+        Of node and executable.
+    parameters
+        Given on its command line, after the parameter file.
+    wave
+        It is started when those of earlier waves are up.
+    essential
+        Whether its end is the end of the stack.
+    """
+
+    name: str
+    parameters: Mapping[str, ParameterValue]
+    wave: Wave = Wave.LOOPS
+    essential: bool = True
+
+    @property
+    def module(self) -> str:
+        """Python module to run."""
+        return f"{PACKAGE}.nodes.{self.name}"
+
+    @property
+    def enclave(self) -> str:
+        """Enclave whose keys and permissions the process uses where DDS security is on."""
+        return f"{ENCLAVES}/{self.name}"
+
+
+class Override(NamedTuple):
+    """A parameter of one node."""
+
+    node: str
+    name: str
+    value: ParameterValue
+
+    @classmethod
+    def parse(cls, text: str) -> Override:
+        """Read node:parameter=value, the value as YAML.
+
+        Raises
+        ------
+        SettingsError
+            If the text has another form, the node is not one of `TUNABLE`, has no such parameter, or does not accept
+            the value.
+        """
+        node, colon, rest = text.partition(":")
+        name, equals, written = rest.partition("=")
+        if not (colon and equals and name and node in TUNABLE):
+            raise SettingsError(
+                f"override '{text}': expected node:parameter=value with one of {', '.join(TUNABLE)} as the node"
+            )
+        try:
+            value = yaml.safe_load(written)
+        except yaml.YAMLError as error:
+            raise SettingsError(f"override '{text}': its value is no YAML: {error}") from error
+        if not isinstance(value, (bool, int, float, str)):
+            raise SettingsError(f"override '{text}': expected a number, true, false or a text")
+        known = known_parameters(SECTIONS[node], load_arm())
+        check_name(known, name, f"override '{text}'")
+        if name in known:
+            known[name].check(value, f"override '{text}': {name}")
+        return cls(node, name, value)
+
+
+def processes(options: BringupOptions) -> list[Process]:
+    """Make the table of processes; they are ended in the reverse order.
+
+    Raises
+    ------
+    SceneError, SettingsError
+        If the scene is unknown, its file, the parameter file or an override is wrong, or nodes would not go together.
+    """
+    scene = read_scene(options.scene)
+    rate: dict[str, ParameterValue] = {"state_rate": options.state_rate} if options.state_rate else {}
+    time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate}
+    simulation: dict[str, ParameterValue] = {
+        "scene": options.scene,
+        "seed": options.seed,
+        "target": options.target,
+        "lockstep": options.lockstep,
+        **rate,
+    }
+    table = []
+    if options.bag:
+        table.append(Process(RECORDER, {"bag": options.bag, **_origin(options)}, wave=Wave.EARLY))
+    if options.driver:
+        table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
+    adapted = options.adapter != "none"
+    if adapted:
+        # The simulated driver has no controllers of ros2_control that could be asked.
+        table.append(Process(ADAPTER, {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}))
+    table.append(Process(OBSERVER, time))
+    changed = [Override.parse(text) for text in options.overrides]
+    # The controller watches itself with the observer's.
+    watch = {f"{OBSERVER}:{entry.name}": entry.value for entry in changed if entry.node == OBSERVER}
+    # The planner plans for the controller's gains.
+    gains = {f"controller:{entry.name}": entry.value for entry in changed if entry.node == "controller"}
+    behind = {"supervision.adapter": True} if adapted else {}
+    table.append(Process("controller", {**time, **watch, **behind}))
+    # Of what stands around a real robot the simulated scene knows nothing.
+    obstacles = _obstacles(scene, options.parameter_file) if options.driver else {}
+    table.append(Process("planner", {**time, **obstacles, **gains}, wave=Wave.EARLY))
+    if options.view:
+        table.insert(0, Process(VIEWER, time, wave=Wave.EARLY, essential=False))
+    for entry in changed:
+        if entry.node not in [process.name for process in table]:
+            raise SettingsError(f"override '{entry.node}:{entry.name}={entry.value}': this node is not started here")
+    table = [
+        dataclasses.replace(
+            process,
+            parameters={
+                **process.parameters,
+                **{entry.name: entry.value for entry in changed if entry.node == process.name},
+            },
+        )
+        for process in table
+    ]
+    check_parameters(options.parameter_file, {process.name: process.parameters for process in table})
+    return table
+
+
+def page_address(parameter_file: Path) -> str:
+    """Address of the page that the viewer of a stack serves.
+
+    Raises
+    ------
+    SettingsError
+        If the file has a parameter of the viewer that is not accepted.
+    """
+    settings = ViewerSettings.from_mapping(parameters_in(parameter_file, VIEWER), str(parameter_file))
+    return settings.page_address(settings.port)
+
+
+def _origin(options: BringupOptions) -> dict[str, ParameterValue]:
+    """Facts about the run that its bag keeps."""
+    budget = str(parameters_in(options.parameter_file, OBSERVER).get("contact_budget", ""))
+    files = {
+        "parameter_file": options.parameter_file,
+        "scene_file": scene_file(options.scene),
+        "contact_budget": budget_file(budget),
+    }
+    lockstep = "true" if options.lockstep else "false"
+    values = {"scene": options.scene, "seed": options.seed, "target": options.target, "lockstep": lockstep}
+    return {
+        "custom_data": [f"{key}={value}" for key, value in values.items()],
+        "files": [f"{key}={path.resolve()}" for key, path in files.items()],
+    }
+
+
+def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
+    """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has."""
+    values: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
+    for obstacle in anywhere(scene):
+        prefix, material = "node" if obstacle.is_deformable else "sphere", obstacle.material
+        values[f"{prefix}_stiffness"] = material.planner_scale * material.stiffness
+        values[f"{prefix}_damping"] = material.damping
+        if obstacle.is_deformable:
+            values["edge_stiffness"] = material.planner_scale * material.edge_stiffness
+    chosen = parameters_in(parameter_file, "planner")
+    return {name: value for name, value in values.items() if name not in chosen}

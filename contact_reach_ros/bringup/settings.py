@@ -1,0 +1,49 @@
+"""What bring-up starts; without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS
+from contact_reach_ros.resources import config_file
+from contact_reach_ros.settings import Sections, Settings, setting
+
+
+@dataclass(frozen=True)
+class BringupOptions(Settings):
+    """What to start."""
+
+    scene: str = setting("ball", "scene: a name or the path of a YAML file")
+    seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
+    target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
+    lockstep: bool = setting(False, "simulated time that waits for every node, instead of real time")
+    state_rate: float = setting(
+        0.0, "nominal rate of joint states; 0 leaves it to the parameter file", unit="Hz", minimum=0.0, maximum=1000.0
+    )
+    bag: str = setting("", "directory to record a bag to; none when empty")
+    parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
+    driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")
+    adapter: str = setting(
+        "none",
+        "start the adapter of this kind between controller and drive, see docs/adapter.md",
+        choices=("none", "effort"),
+    )
+    discovery: str = setting(
+        "host",
+        "who hears the nodes: this host only, or everybody on the subnet, see docs/security.md",
+        choices=("host", "subnet"),
+    )
+    view: bool = setting(False, "start the viewer, a page for browsers")
+    overrides: tuple[str, ...] = setting(
+        (), "parameters of nodes besides the file's: node:parameter=value each, the value as YAML"
+    )
+
+    @property
+    def parameter_file(self) -> Path:
+        """The parameter file in use."""
+        return Path(self.parameters) if self.parameters else config_file(DEFAULT_PARAMETERS)
+
+
+BRINGUP_SECTIONS: Sections = {"": BringupOptions}
+"""Settings of bring-up by parameter prefix."""

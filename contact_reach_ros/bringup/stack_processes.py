@@ -1,0 +1,338 @@
+"""Starts, awaits and watches the processes of the stack, and ends them so that the arm comes to rest."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from lifecycle_msgs.srv import GetState
+from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.processes import Process, Wave
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.ros.boundary import Boundary
+from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.interfaces import RECORDER
+from contact_reach_ros.ros.running import running
+from contact_reach_ros.ros.scheduling import prioritise_middleware
+
+_ACTIVE = "active"
+_POLL_S = 0.1
+_REST_SPEED = 0.02
+_REST_TIMEOUT_S = 2.0
+_END_TIMEOUT_S = 15.0
+_ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
+"""Topics that a recorder should hear before time begins: of earlier messages it receives only the last seconds."""
+_HEARD_S = 3.0
+"""Longest wait for the recorder, which need not record everything."""
+_WATCHDOG_S = 0.3
+"""Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+class StackError(ContactReachError):
+    """The stack did not come up, or one of its processes died."""
+
+
+class StackProcesses:
+    """The processes of the running stack.
+
+    Parameters
+    ----------
+    node
+        For services and topics; its executor must not be spun by others.
+    table
+        From `processes`.
+    parameter_file
+        Given to every process.
+    interruption
+        Checked by `check`, and so during every wait.
+    log
+        File for the output of the processes; their own terminal when None.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        table: Sequence[Process],
+        parameter_file: Path,
+        interruption: Interruption,
+        log: Path | None = None,
+    ) -> None:
+        self._node = node
+        self._interruption = interruption
+        self._table = list(table)
+        self.parameter_file = parameter_file
+        self._log_path = log
+        self._log: IO[bytes] | None = None
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._is_alone = False
+        """Whether no other stack was found before the first loop was started."""
+        self._optional: set[str] = set()
+        """Processes whose end changes nothing, once they are up."""
+        self._boundary = Boundary(node.get_logger().error)
+        node.create_timer(1.0, self._log_refusals, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._boundary.protect(node)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._speed = float("nan")
+        self.inbox = Inbox(node, self._boundary.refuse)
+        """Polled while spinning: fast topics cost nothing in between."""
+        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
+
+    def bring_up(self, timeout: float, progress: Callable[[str], None]) -> None:
+        """Start all processes and wait until each is up and each lifecycle node active.
+
+        Parameters
+        ----------
+        timeout
+            For the whole, s.
+        progress
+            Called repeatedly with a line that names what is awaited.
+
+        Raises
+        ------
+        StackError
+            If a process died, or the time is over; the missing ones are named with their last state.
+        KeyboardInterrupt
+            If it was interrupted.
+        """
+        if self._log_path is not None and self._log is None:
+            self._log = self._log_path.open("wb")
+        prioritise_middleware()
+        deadline = time.monotonic() + timeout
+        for wave in Wave:
+            if wave is Wave.LOOPS and not self._is_alone:
+                self._look_around()
+            processes = [
+                process for process in self._table if process.wave is wave and process.name not in self._running
+            ]
+            if wave is Wave.LAST and processes and RECORDER in self._running:
+                self._until_heard(RECORDER, _ANSWERS, min(deadline, time.monotonic() + _HEARD_S))
+            for process in processes:
+                self._start(process)
+            self._wait_active(processes, deadline, timeout, progress)
+            self._optional |= {process.name for process in processes if not process.essential}
+
+    def restart(
+        self, table: Sequence[Process], keep: Collection[str], timeout: float, progress: Callable[[str], None]
+    ) -> None:
+        """Bring the arm to rest, end all processes but those to keep, and bring up those of another table.
+
+        Parameters
+        ----------
+        table
+            From `processes`.
+        keep
+            Names of processes that continue.
+        timeout, progress
+            As for `bring_up`.
+
+        Raises
+        ------
+        StackError, KeyboardInterrupt
+            As `bring_up`.
+        """
+        self._end_all(keep)
+        self._table = list(table)
+        self.bring_up(timeout, progress)
+
+    def wait_heard(self, listener: str, heard: Sequence[Topic], timeout: float) -> None:
+        """Wait until a node has subscribed to topics, which a recorder does only once it has discovered a publisher.
+
+        Raises
+        ------
+        StackError
+            If a process died, or the time is over; the topics that are not heard are named.
+        KeyboardInterrupt
+            If it was interrupted.
+        """
+        missing = self._until_heard(listener, heard, time.monotonic() + timeout)
+        if missing:
+            names = ", ".join(topic.name for topic in missing)
+            raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._see_log()}")
+
+    def _look_around(self) -> None:
+        """Look for another stack once more: discovery has settled while the first processes got ready."""
+        others = running(self._node, [process.name for process in self._table], self._running)
+        if others:
+            raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
+        self._is_alone = True
+
+    def _until_heard(self, listener: str, heard: Sequence[Topic], deadline: float) -> list[Topic]:
+        """Wait as `wait_heard` does; returns the topics that are still not heard."""
+        missing = list(heard)
+        while missing and time.monotonic() < deadline:
+            self.check()
+            self.spin(_POLL_S)
+            missing = [topic for topic in missing if listener not in self._listeners(topic)]
+        return missing
+
+    def _listeners(self, topic: Topic) -> set[str]:
+        name = self._node.resolve_topic_name(topic.name)
+        return {endpoint.node_name for endpoint in self._node.get_subscriptions_info_by_topic(name)}
+
+    def _start(self, process: Process) -> None:
+        self._running[process.name] = subprocess.Popen(
+            [sys.executable, "-m", process.module, *self._arguments(process)],
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=self._log,
+            # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
+            start_new_session=True,
+            preexec_fn=end_with_parent,
+        )
+
+    def _wait_active(
+        self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
+    ) -> None:
+        clients = {
+            process.name: self._node.create_client(GetState, f"/{process.name}/get_state") for process in processes
+        }
+        missing = {process.name: "no such node yet" for process in processes}
+        try:
+            while missing:
+                self.check()
+                if time.monotonic() > deadline:
+                    named = ", ".join(f"{name} ({state})" for name, state in missing.items())
+                    raise StackError(f"not active after {timeout:.0f} s: {named}{self._see_log()}")
+                progress("waiting for " + ", ".join(missing))
+                for name in list(missing):
+                    state = self._state_of(clients[name])
+                    if state == _ACTIVE:
+                        del missing[name]
+                    elif state:
+                        missing[name] = state
+                self.spin(_POLL_S)
+        finally:
+            for client in clients.values():
+                self._node.destroy_client(client)
+
+    def spin(self, seconds: float) -> None:
+        """Serve the node for a while, then look into the inbox."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+        self.inbox.wait(0)
+
+    def check(self) -> None:
+        """Check that all processes are alive; one that is not essential is only reported.
+
+        Raises
+        ------
+        StackError
+            Naming a process that died, and how.
+        KeyboardInterrupt
+            If there was an interruption.
+        """
+        self._interruption.check()
+        for name, process in list(self._running.items()):
+            code = process.poll()
+            if code is not None:
+                how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+                if name in self._optional:
+                    print(f"{name} ended ({how}); the stack goes on without it", file=sys.stderr)
+                    del self._running[name]
+                    continue
+                raise StackError(f"{name} ended ({how}){self._see_log()}")
+
+    @property
+    def process_ids(self) -> dict[str, int]:
+        """Of the processes that were started, by name."""
+        return {name: process.pid for name, process in self._running.items()}
+
+    def shutdown(self) -> None:
+        """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
+        self._end_all(())
+        self._executor.shutdown()
+        if self._log is not None:
+            self._log.close()
+
+    def _end_all(self, keep: Collection[str]) -> None:
+        self._halt()
+        for process in reversed(self._table):
+            if process.name not in keep:
+                self._end(process.name)
+            if process.name == "controller":
+                self.spin(_WATCHDOG_S)
+
+    def _arguments(self, process: Process) -> list[str]:
+        arguments = ["--ros-args", "--enclave", process.enclave, "--params-file", str(self.parameter_file)]
+        for key, value in process.parameters.items():
+            # JSON is YAML: quoted, an empty or blank-separated string stays a string.
+            arguments += ["-p", f"{key}:={json.dumps(value)}"]
+        return arguments
+
+    def _state_of(self, client: Client) -> str:
+        """Lifecycle state of a node; empty while unknown."""
+        if not client.service_is_ready():
+            return ""
+        response = self._call(client, GetState.Request(), 1.0)
+        return response.current_state.label if response is not None else "not answering"
+
+    def _call(self, client: Client, request: Any, timeout: float) -> Any:
+        future = client.call_async(request)
+        self._executor.spin_until_future_complete(future, timeout_sec=timeout)
+        if future.done():
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _halt(self) -> None:
+        """Ask the controller for its compliant stop and wait until the arm is at rest."""
+        controller = self._running.get("controller")
+        if controller is None or controller.poll() is not None:
+            self.spin(_WATCHDOG_S)
+            return
+        client = self._node.create_client(Trigger, "/controller/stop")
+        if client.service_is_ready() or client.wait_for_service(timeout_sec=0.5):
+            self._call(client, Trigger.Request(), 0.5)
+        deadline = time.monotonic() + _REST_TIMEOUT_S
+        while time.monotonic() < deadline and self._speed > _REST_SPEED:
+            self.spin(0.02)
+        self._node.destroy_client(client)
+
+    def _end(self, name: str) -> None:
+        process = self._running.pop(name, None)
+        if process is None or process.poll() is not None:
+            return
+        # Not SIGINT, which Python turns into a traceback while it is still importing.
+        process.terminate()
+        try:
+            process.wait(_END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGTERM: killed", file=sys.stderr)
+            process.kill()
+            process.wait()
+
+    def _see_log(self) -> str:
+        return f"; its output is in {self._log_path}" if self._log_path else ""
+
+    def _log_refusals(self) -> None:
+        for line in self._boundary.last_refusals():
+            self._node.get_logger().warning(line)
+
+    def _on_state(self, message: JointState) -> None:
+        self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")
+
+
+def end_with_parent() -> None:
+    """In a child: be ended by the kernel when its parent is killed, so that no orphan moves an arm."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -1,0 +1,90 @@
+"""Which gains are stable at a rate, if a torque acts one period after the state that it answers."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import SettingsError
+
+DAMPED_SHARE = 0.4
+"""Share of a joint's speed that its own damping may take in one period; with that of the others it is up to 0.8."""
+
+_POSTURES = 200
+
+
+class Lightness(NamedTuple):
+    """How light the arm is in its lightest postures."""
+
+    least_inertia: float
+    """Smallest eigenvalue of M, kg m²."""
+    mobility: Array
+    """Largest (M⁻¹)_ii of each joint, (n,), 1/(kg m²)."""
+
+
+@functools.cache
+def lightness(arm: Arm) -> Lightness:
+    """How light the arm is, among its home posture and 200 random ones."""
+    model, random = RobotModel(arm), np.random.default_rng(0)
+    postures = [np.array(arm.home), *random.uniform(arm.lower, arm.upper, (_POSTURES, arm.n))]
+    least, mobility = np.inf, np.zeros(arm.n)
+    for q in postures:
+        model.update(q, np.zeros(arm.n))
+        least = min(least, float(np.linalg.eigvalsh(model.mass_matrix)[0]))
+        mobility = np.maximum(mobility, np.linalg.inv(model.mass_matrix).diagonal())
+    return Lightness(least, mobility)
+
+
+def spectral_radius(stiffness: float, damping: float, period: float) -> float:
+    """Largest eigenvalue, in magnitude, of a unit mass on spring and damper whose force acts one period late.
+
+    Parameters
+    ----------
+    stiffness, damping
+        1/s² and 1/s.
+    period
+        Time between states, s.
+    """
+    step = np.array([[1.0, period, 0.5 * period**2], [0.0, 1.0, period], [-stiffness, -damping, 0.0]])
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def check_gains(arm: Arm, gains: ImpedanceSettings, period: float) -> None:
+    """Refuse gains that are not stable with one period of delay.
+
+    Raises
+    ------
+    SettingsError
+        Naming stiffness and damping of the law (1) or (2), and the largest in the same proportion that are stable.
+    """
+    inertia = lightness(arm).least_inertia
+    for law, stiffness, damping, mass in (
+        ("task", gains.task_stiffness, gains.task_damping, 1.0),
+        ("null", gains.null_stiffness, gains.null_damping, inertia),
+    ):
+        if stiffness == damping == 0.0 or spectral_radius(stiffness / mass, damping / mass, period) < 1.0:
+            continue
+        share = 1.0
+        while share > 0.01 and spectral_radius(share**2 * stiffness / mass, share * damping / mass, period) >= 1.0:
+            share -= 0.005
+        # So much less that it stays stable when it is rounded.
+        share *= 0.99
+        raise SettingsError(
+            f"impedance.{law}_stiffness = {stiffness:g} and {law}_damping = {damping:g} are not stable at "
+            f"{1.0 / period:g} Hz with one period of delay; expected at most {share**2 * stiffness:.3g} and "
+            f"{share * damping:.3g} in this proportion, or a higher rate"
+        )
+
+
+def stable_damping(damping: Array, mobility: Array, period: float) -> Array:
+    """The damping (n,) of joints, N m s/rad, no larger than is stable with one period of delay.
+
+    `mobility`: (M⁻¹)_ii of each joint, (n,), 1/(kg m²).
+    """
+    return np.minimum(damping, DAMPED_SHARE / (period * mobility))

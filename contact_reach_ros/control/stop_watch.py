@@ -1,0 +1,87 @@
+"""Watches the arm during a compliant stop: it must come to rest, stay there, and end in the drive's brakes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.timing import states_in
+from contact_reach_ros.units import NANOSECONDS
+
+_BY_HAND = 2.0
+"""An arm at rest that gets faster than so many times the speed of rest is moved by hand; slower, it creeps."""
+
+
+class StopWatch:
+    """Judges one compliant stop after the other, state by state.
+
+    Attributes
+    ----------
+    is_over
+        Whether the arm came to rest `brake_after` ago, so that the drive's brakes may have it.
+    """
+
+    def __init__(self, arm: Arm, settings: SupervisionSettings, period: float) -> None:
+        """`period`: nominal time between joint states, s."""
+        self._names = arm.joint_names
+        self._settings = settings
+        self._debounce = states_in(settings.velocity_debounce, period)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin with another stop."""
+        self.is_over = False
+        self._began_ns: int | None = None
+        self._rested_ns: int | None = None
+        self._rest: Array | None = None
+        """Where the arm came to rest, (n,), rad; None while it moves."""
+        self._slowest = math.inf
+        self._speeding_up = 0
+        self._rest_is_due = True
+
+    def look(self, q: Array, v: Array, clock_ns: int) -> str:
+        """Take a state; returns why this stop has failed, empty while it has not.
+
+        Parameters
+        ----------
+        q, v
+            Joint positions (n,) rad and velocities (n,) rad/s.
+        clock_ns
+            Time of the watchdogs' clock.
+        """
+        if self._began_ns is None:
+            self._began_ns = clock_ns
+        settings = self._settings
+        speeds = np.abs(v)
+        joint = int(speeds.argmax())
+        name, speed = self._names[joint], float(speeds[joint])
+        since = (clock_ns - self._began_ns) / NANOSECONDS
+        self._slowest = min(self._slowest, speed)
+        self._speeding_up = self._speeding_up + 1 if speed > self._slowest + settings.stop_speed_gain else 0
+        if self._speeding_up >= self._debounce:
+            return f"in the stop {name} got faster, {speed:.2f} rad/s after {1000 * since:.0f} ms"
+        if self._rest_is_due and since >= settings.rest_within:
+            self._rest_is_due = False
+            if speed > settings.reset_velocity:
+                return f"{name} still moves with {speed:.2f} rad/s {1000 * since:.0f} ms after the stop"
+        return self._look_at_rest(q, speed, clock_ns)
+
+    def _look_at_rest(self, q: Array, speed: float, clock_ns: int) -> str:
+        settings = self._settings
+        if self._rest is not None:
+            moved = np.abs(q - self._rest)
+            joint = int(moved.argmax())
+            if speed > _BY_HAND * settings.reset_velocity:
+                self._rest = None
+            elif moved[joint] > settings.stop_creep:
+                return f"{self._names[joint]} has crept by {moved[joint]:.3f} rad since it came to rest"
+        elif speed <= settings.reset_velocity:
+            self._rest = q.copy()
+            self._rested_ns = clock_ns if self._rested_ns is None else self._rested_ns
+        if self._rested_ns is not None:
+            self.is_over = clock_ns - self._rested_ns >= settings.brake_after * NANOSECONDS
+        return ""

@@ -1,0 +1,269 @@
+"""The paper's comparison in Section V-B: planning joint torques instead of references of the control law.
+
+The same cost, the same solver and the same stop rule, but the decision variables are the torques τ_t of (4c) beyond
+C + g, which is known, and no law stands between plan and arm. The paper does not say for how long a torque is held. Law
+(3) changes its torque as fast as its poles, the fastest of which decays in 11 ms; a torque that stays the same for a
+knot of 0.1 s would leave an undamped arm on its own for as long as the law needs to settle. So there is one torque
+vector per step of the transfer model, 25 ms by default: 84 variables instead of 39. Their bounds are the largest torque
+that the law can ask for at rest with actions within γ, so that both planners may accelerate the arm alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.constants import make_constants, stop_damping
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.kernels import repulsion_torque
+from contact_reach_ros.control.law import ImpedanceLaw
+from contact_reach_ros.control.references import References
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.cost import Objective
+from contact_reach_ros.planning.objectives import action_bounds, make_objective
+from contact_reach_ros.planning.plan import Held, Plan
+from contact_reach_ros.planning.prediction import reference_at
+from contact_reach_ros.planning.problem import Problem, Rollout
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.closed_loop import Reference, driven_acceleration
+from contact_reach_ros.planning.transfer.contact import contact_step
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
+from contact_reach_ros.planning.transfer.kinematics import link_frames
+from contact_reach_ros.planning.transfer.lanes import make_keep
+from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, State, System
+from contact_reach_ros.timing import PERIOD
+
+SIGMA = 0.05
+"""Initial standard deviation of the candidates as a share of the bounds.
+
+The planner's own default, 0.3, suits references, which the law follows smoothly. Torques drawn that widely throw the
+arm about: none of them is better than standing still, and the arm stays in front of a ball.
+"""
+
+
+class HeldTorque(NamedTuple):
+    """A command τ − D q̇ beyond C + g that does not change with time."""
+
+    torque: Array
+    """(n,) τ, N m."""
+    damping: Array | None
+    """(n,) diagonal of D, N m s/rad, or None for no damping."""
+
+
+def torque_bounds(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, q: Array) -> Array:
+    """Largest torque (7,) beyond C + g that law (3) can ask for at rest at `q` (7,) with actions within γ, N m."""
+    model = RobotModel(arm)
+    rest = np.zeros(arm.n)
+    model.update(q, rest)
+    law = ImpedanceLaw(arm, gains)
+    total = np.zeros(arm.n)
+    bounds = action_bounds(arm, dataclasses.replace(settings, null_space="planned", horizon=1))
+    for variable, bound in enumerate(bounds):
+        action = np.zeros_like(bounds)
+        action[variable] = bound
+        total += np.abs(law.torque(model, rest, -action[6:], -action[:6]))
+    return np.minimum(total, arm.torque_limits)
+
+
+def torque_step(system: System, state: State, act: HeldTorque) -> State:
+    """As `pipeline.step`, under a command (7, B) instead of law (3); `damping` may be None where there is none."""
+    timestep = system.timestep
+    keep = make_keep(state.q)
+    q = state.q + (0.5 * timestep) * state.qd
+    frames = link_frames(system.arm, q, keep)
+    torque: Any = act.torque
+    obstacles, link_force = state.obstacles, state.link_force
+    if obstacles is not None:
+        contact = contact_step(system.arm, frames, obstacles, system.contact_stiffness, timestep, keep)
+        obstacles, link_force = obstacles._replace(center=contact.center), contact.link_force
+        torque = torque + contact.joint_torque
+    dynamics = arm_dynamics(system.arm, frames, keep)
+    if act.damping is not None:
+        # Implicit: the wrist's inertia is too small for its damping at such steps.
+        torque = torque - act.damping * state.qd
+        added = timestep * act.damping[:, None] * np.eye(state.q.shape[0])[:, :, None]
+        dynamics = dynamics._replace(mass_matrix=dynamics.mass_matrix + added)
+    acceleration = driven_acceleration(dynamics, torque)
+    qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
+    return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueObjective(Objective):
+    """Cost (5) of joint torques: actions are (H, 7 * substeps, B), N m, step after step."""
+
+    def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
+        """Run the transfer model without the laws under the actions, knot by knot."""
+        start = self.start(problem, actions.shape[-1])
+        pose = pipeline.tip_pose(self.system, start)
+
+        def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
+            state, link_force = self.advance(state, action)
+            pose, capsules = self.end_of_knot(problem, state.q)
+            contact = jax.vmap(self._measure)(link_force)
+            return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0), capsules)
+
+        _, (q, poses, link_force, contact, capsules) = jax.lax.scan(knot, start, actions)
+        poses = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses)
+        # There are no references; the cost does not look at them.
+        reference = Reference(poses.position[1:], poses.rotation[1:], q)
+        return Rollout(jnp.concatenate([start.q[None], q]), poses, reference, link_force, contact, capsules)
+
+    def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
+        """As for references, less the cost of Δq, which does not exist."""
+        return super().terms(problem._replace(weights={**problem.weights, "null_motion": 0.0}), actions, rollout)
+
+    def advance(self, state: State, action: jax.Array) -> tuple[State, jax.Array]:
+        """State after one knot under an action (7 * substeps, B), and the forces (substeps, 6, B) on the links."""
+
+        def step(state: State, torque: Any) -> tuple[State, jax.Array]:
+            state = torque_step(self.system, state, HeldTorque(torque, None))
+            return state, state.link_force
+
+        return jax.lax.scan(step, state, action.reshape(self.substeps, state.q.shape[0], -1))
+
+
+def make_torque_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> TorqueObjective:
+    """The cost over the transfer model without the laws."""
+    closed = make_objective(arm, dataclasses.replace(settings, pipeline="closed_loop"), gains)
+    return TorqueObjective(closed.system, closed.horizon, closed.substeps, closed.contact_measure)
+
+
+@dataclass(frozen=True, eq=False)
+class TorquePlan(Plan):
+    """A plan of torques; `positions`, `rotations` and `postures` are what it expects at the ends of its knots."""
+
+    torques: Array
+    """(S, 7) beyond C + g, N m, each in force for an equal part of the plan's time."""
+
+    def references(self) -> TorqueReferences:
+        """The plan itself, for a `TorqueController`."""
+        return TorqueReferences(self.effect_ns, (), self.positions, self.rotations, self.postures, plan=self)
+
+    @property
+    def changes_ns(self) -> list[int]:
+        """When the torque changes, ns, from the effect to the expiry."""
+        duration_ns = self.knot_duration_ns * len(self.positions)
+        count = len(self.torques)
+        return [self.effect_ns + round(index * duration_ns / count) for index in range(count + 1)]
+
+    def in_force(self, time_ns: int) -> HeldTorque | None:
+        """The torque at a time after the effect, ns; None once the plan has run out."""
+        index = int(np.searchsorted(self.changes_ns, time_ns, side="left")) - 1
+        if index >= len(self.torques):
+            return None
+        return HeldTorque(self.torques[index], np.zeros_like(self.torques[index]))
+
+
+class TorqueSpace:
+    """Joint torques, one vector for each step of the transfer model.
+
+    Parameters
+    ----------
+    settings, gains
+        Of the planner and the controller; the gains shape the bounds only.
+    damping
+        (n,) of the joints where no plan is in force, N m s/rad.
+    """
+
+    def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, damping: Array) -> None:
+        self.objective: Objective = make_torque_objective(arm, settings, gains)
+        self._arm = arm
+        bounds = torque_bounds(arm, settings, gains, np.array(arm.home))
+        self.bounds = np.tile(bounds, settings.horizon * settings.substeps)
+        self.vectors_per_knot = settings.substeps
+        self._settings = settings
+        self._damping = damping
+        self._model = RobotModel(arm)
+
+    def actions(self, points: jax.Array) -> jax.Array:
+        """Torques (H, n * substeps, B), N m, of points (N, B)."""
+        return (points * self.bounds[:, None]).reshape(self.objective.horizon, -1, points.shape[1])
+
+    def step(self, system: System, state: State, held: Any) -> State:
+        """Advance under a torque."""
+        return torque_step(system, state, held)
+
+    def hold(self, q: Array) -> Held:
+        """Damped joints."""
+        return HeldTorque(np.zeros(self._arm.n), self._damping)
+
+    def still(self, problem: Problem) -> Array:
+        """Torques that would stop the arm within the first knot; none at all would let it coast on."""
+        q, v = (np.asarray(values, float)[:, 0] for values in (problem.q, problem.v))
+        self._model.update(q, v)
+        point = np.zeros((self._settings.horizon, self._settings.substeps, self._arm.n))
+        point[0] = -self._model.mass_matrix @ v / self._settings.knot_duration
+        return np.clip(point.ravel() / self.bounds, -1.0, 1.0)
+
+    def finish(self, plan: Plan, point: np.ndarray) -> TorquePlan:
+        """The plan with its torques."""
+        torques = (point * self.bounds).reshape(-1, self._arm.n)
+        values = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan)}
+        return TorquePlan(**values, torques=torques)
+
+
+def make_torque_planner(
+    arm: Arm,
+    settings: PlanningSettings,
+    gains: ImpedanceSettings,
+    permitted_force: float,
+    capacity: int,
+    damping: Array,
+) -> RecedingHorizonPlanner:
+    """A planner of joint torques; `damping` (n,) acts on the joints where no plan is in force, N m s/rad."""
+    space = TorqueSpace(arm, settings, gains, damping)
+    return RecedingHorizonPlanner(arm, settings, gains, permitted_force, capacity, space)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueReferences(References):
+    """Passes a plan of torques to the controller."""
+
+    plan: TorquePlan = field(kw_only=True)
+
+
+class TorqueController(Controller):
+    """Applies planned torques plus C + g as they are, without feedback other than planning again.
+
+    Until the first plan takes effect, the controller holds the arm; when a plan has run out, joints are damped. Torques
+    are capped at the data sheet's limits, and joints near their limits are pushed back, as with the other methods.
+    """
+
+    def __init__(self, arm: Arm, settings: ControllerSettings, period: float = PERIOD) -> None:
+        super().__init__(arm, settings, period)
+        self._limits_only = make_constants(arm, limits=settings.limits, period=period)
+        self._damping = stop_damping(arm, settings.supervision)
+        self._plans: list[Plan] = []
+
+    def follow(self, references: References) -> None:
+        """Take the torques of a plan; they are in force from its effect on."""
+        if not isinstance(references, TorqueReferences):
+            super().follow(references)
+            return
+        # The newest plan that is in force, and those that are not yet.
+        now_ns = self.stamp_ns
+        newest = max((other.effect_ns for other in self._plans if other.effect_ns <= now_ns), default=now_ns)
+        self._plans = [other for other in self._plans if other.effect_ns >= newest] + [references.plan]
+
+    def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
+        """The torque of the plan in force, or what holds or stops the arm."""
+        if self.stop_reason or not any(plan.effect_ns <= now_ns for plan in self._plans):
+            return super().tick(q, v, now_ns, clock_ns)
+        self.model.update(q, v)
+        held = reference_at(self._plans, now_ns + 1)
+        torque = self.model.bias.copy()
+        torque += held.torque if isinstance(held, HeldTorque) else -self._damping * v
+        torque += repulsion_torque(self._limits_only, q, v)
+        limits = self.arm.torque_limits
+        return np.clip(torque, -limits, limits)

@@ -1,0 +1,91 @@
+"""All ways to reach a goal, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments.baselines.collision_free import CollisionFreePlanner
+from contact_reach_ros.experiments.baselines.joint_torque import SIGMA, TorqueController, make_torque_planner
+from contact_reach_ros.experiments.baselines.method import Method
+from contact_reach_ros.experiments.baselines.rrt_star import PathSettings
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+
+METHODS = {
+    "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
+    "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
+    "collision_free": "RRT* in joint space, the shortest of several simplified paths, followed without re-planning",
+    "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
+    "joint_torque": "plans joint torques (paper: 'joint torque') with Algorithm 1, applied without any control law",
+    "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
+    "gradient": "the method with many gradient steps per step of Algorithm 1",
+}
+"""What each name stands for, in one line with what the paper calls it."""
+
+_PATHS = {
+    "collision_free": PathSettings(),
+    "rrt_star": PathSettings(searches=1, iterations=1000, informed=False, simplify=False),
+}
+
+PATH_METHODS = tuple(_PATHS)
+"""Methods that follow a path to its end, however long it is, and know nothing of contact."""
+
+_CHANGES: dict[str, dict[str, str]] = {
+    "contact_reach": {"null_space": "planned", "solver": "hybrid"},
+    "reference_posture": {"null_space": "reference_posture", "solver": "hybrid"},
+    "cma_es": {"null_space": "planned", "solver": "cma"},
+    "gradient": {"null_space": "planned", "solver": "gradient"},
+}
+"""Settings that make the difference between methods with the same planner; all others are the same."""
+
+
+def make_method(
+    arm: Arm,
+    name: str,
+    capacity: int,
+    permitted_force: float,
+    seed: int,
+    settings: PlanningSettings | None = None,
+    controller: ControllerSettings | None = None,
+) -> Method:
+    """A method that is not warmed up yet; only its `warm_up` takes long.
+
+    Parameters
+    ----------
+    arm
+        What it moves.
+    name
+        One of `METHODS`.
+    capacity
+        Number of obstacle spheres that its plans look at, see `sphere_capacity`.
+    permitted_force
+        ε of (4d), N.
+    seed
+        Of its random numbers; replaces that of the settings.
+    settings
+        Of the planner; those that make the method what it is are set here.
+    controller
+        Of the controller, whose gains the planner plans with.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such method; the message lists those there are.
+    """
+    if name not in METHODS:
+        raise SettingsError(f"method '{name}' is unknown; expected one of {', '.join(METHODS)}")
+    controller = ControllerSettings() if controller is None else controller
+    settings = PlanningSettings() if settings is None else settings
+    if name in _PATHS:
+        return Method(CollisionFreePlanner(arm, settings, controller.impedance, _PATHS[name], seed), controller)
+    if name == "joint_torque":
+        settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
+        damping = stop_damping(arm, controller.supervision)
+        planner = make_torque_planner(arm, settings, controller.impedance, permitted_force, capacity, damping)
+        return Method(planner, controller, TorqueController)
+    settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
+    return Method(RecedingHorizonPlanner(arm, settings, controller.impedance, permitted_force, capacity), controller)

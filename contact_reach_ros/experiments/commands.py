@@ -1,0 +1,224 @@
+"""The commands `contact-reach bench ...`.
+
+Only options that are given are passed on, by their names: the defaults are those of the benches.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.settings import BRAX_PIPELINES
+
+
+def add_benches(bench: argparse.ArgumentParser) -> None:
+    """Add all benches to the parser of `contact-reach bench`."""
+    benches = bench.add_subparsers(required=True, metavar="WHAT")
+
+    def add(name: str, run: Callable[..., int | None], help_text: str) -> argparse.ArgumentParser:
+        parser = benches.add_parser(name, help=help_text, argument_default=argparse.SUPPRESS)
+        parser.add_argument("--json", dest="file", type=Path, metavar="FILE", help="write the result as JSON")
+        parser.set_defaults(run=run)
+        return parser
+
+    control = add(
+        "control",
+        _control,
+        "arithmetic of controller and observer, per tick; with --seconds how the stack keeps its time",
+    )
+    control.add_argument("--ticks", type=int, help="ticks of arithmetic to measure (default: 20000)")
+    control.add_argument("--seconds", type=float, help="run the stack in real time for so long instead")
+    control.add_argument("--load", type=int, help="with so many processes that never sleep (default: 0)")
+    control.add_argument("--scene", help="a name or a YAML file (default: ball)")
+    control.add_argument(
+        "--pages", type=int, help="compare with so many pages of the viewer open (default: 0, no viewer)"
+    )
+    bags = add("bags", _plain("bench_bags"), "lost messages, and what recording, replaying and analysing bags costs")
+    bags.add_argument("--seconds", type=float, help="of recording five 1 kHz topics (default: 60)")
+    bags.add_argument("--minutes", type=float, help="length of the bag to be analysed (default: 10)")
+    bags.add_argument("--bag", type=Path, help="a recording to make it of (default: the sample of the package)")
+    foam = add(
+        "foam", _plain("bench_foam"), "stiffness of the walls in plant and planner, and what simulating them costs"
+    )
+    foam.add_argument("--scene", help="scene with walls: a name or a YAML file (default: wall)")
+    foam.add_argument("--seed", type=int, help="seed of the scene (default: 0)")
+    foam.add_argument("--force", type=float, help="what nodes are pressed with, N (default: 10)")
+    foam.add_argument("--fit", action="store_true", help="find the planner's stiffness that agrees best")
+    observer = add(
+        "observer", _plain("bench_observer"), "how soon pushes are seen, and how seldom free motion is taken for one"
+    )
+    observer.add_argument(
+        "--minutes", type=float, help="simulated free motion in which false stops are counted (default: 60)"
+    )
+    instead = observer.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--rate", type=float, nargs="+", metavar="HZ", help="compare rates of joint states, as 100 200 500 1000"
+    )
+    instead.add_argument("--slow", action="store_true", help="pushes that grow slowly, joint by joint")
+    observer.add_argument("--commanded", action="store_true", help="observe from commands, not from measured torques")
+    observer.add_argument(
+        "--friction", type=float, metavar="FACTOR", help="on the joint friction of the simulated arm (default: 3)"
+    )
+    observer.add_argument("--plot", type=Path, metavar="FILE", help="draw pushes seen against false contacts")
+    planner = add("planner", _planner, "time and steps of plans along closed-loop runs, and comparisons")
+    planner.add_argument(
+        "--scene", dest="scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free, ball, wall)"
+    )
+    planner.add_argument("--plans", type=int, help="warm-started plans per scene, at least (default: 50)")
+    planner.add_argument("--seed", type=int, help="seed of the first run and of the solver (default: 0)")
+    planner.add_argument(
+        "--brax",
+        nargs="*",
+        choices=BRAX_PIPELINES,
+        help="Brax's pipelines to compare with; each takes a minute to compile (default: all)",
+    )
+    planner.add_argument("--quick", action="store_true", help="show that it runs, with a tiny budget")
+    planner.add_argument(
+        "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
+    )
+    model = add("model", _plain("bench_model"), "the planner's transfer model against the simulated robot")
+    model.add_argument("--states", type=int, help="random states and actions (default: 500)")
+    model.add_argument("--seed", type=int, help="of states and actions (default: 0)")
+    setting = add("setting", _plain("bench_setting"), "whole episodes for each value of one of the planner's settings")
+    setting.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
+    setting.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
+    setting.add_argument("--scene", dest="scenes", nargs="+", help="names or YAML files (default: ball wall)")
+    setting.add_argument("--targets", type=int, help="episodes per scene and value (default: 10)")
+    faults = add("faults", _faults, "episodes in which things go wrong at random")
+    faults.add_argument("--episodes", type=int, help="how many (default: 200)")
+    faults.add_argument("--seed", type=int, help="of the first episode (default: 0)")
+    faults.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one per core)")
+    faults.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run the episodes instead"
+    )
+    stops = add("stops", _plain("bench_stops"), "how fast and how far the arm sinks when it is stopped")
+    stops.add_argument("--postures", type=int, help="random postures of each scene (default: 200)")
+    stops.add_argument("--scenes", nargs="+", metavar="SCENE", help="whose mismatch it has (default: ball_mismatch)")
+    stops.add_argument("--workers", dest="count", type=int, metavar="W", help="processes (default: one per core)")
+    table1 = add("table1", _table1, "the paper's Table I: every method in every scene")
+    table1.add_argument(
+        "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: those of the paper)"
+    )
+    table1.add_argument(
+        "--goals", nargs="+", metavar="GOAL", help="hold the orientation, or leave it free (default: both)"
+    )
+    table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: all)")
+    table1.add_argument("--targets", type=int, help="targets per scene (default: 10)")
+    table1.add_argument("--repeats", type=int, help="episodes per target (default: 3)")
+    table1.add_argument("--seed", type=int, help="of the first target (default: 0)")
+    table1.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20)")
+    table1.add_argument(
+        "--latency", type=float, metavar="SECONDS", help="time of a plan (default: measured beforehand)"
+    )
+    table1.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one per core)")
+    table1.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run the episodes instead"
+    )
+    table1.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
+    table1.add_argument("--results", type=Path, metavar="FILE", help="write a page of results, as docs/results.md")
+    table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
+    table1.add_argument(
+        "--other", type=Path, metavar="FILE", help="with --report-only: a run with other goals, to compare with"
+    )
+    fig4 = add("fig4", _fig4, "the paper's Fig. 4: where the arm goes with each method, as a picture")
+    fig4.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
+    fig5 = add("fig5", _fig5, "the paper's Fig. 5: contact force over time, with pictures of the arm")
+    fig5.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
+    for figure, methods, output in (
+        (fig4, "contact_reach reference_posture rrt_star", "docs/fig4.png"),
+        (fig5, "contact_reach reference_posture", "docs/fig5.png"),
+    ):
+        figure.add_argument("--methods", nargs="+", metavar="METHOD", help=f"as for table1 (default: {methods})")
+        figure.add_argument("--seed", type=int, help="of the target and what stands around (default: 0)")
+        figure.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
+        figure.add_argument("--renderer", help="auto, egl or osmesa (default: auto)")
+        figure.add_argument("--output", type=Path, help=f"the picture (default: {output})")
+    solver = add("solver", _plain("bench_solver"), "Algorithm 1 against plain CMA-ES and many gradient steps")
+    solver.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
+    solver.add_argument("--seeds", type=int, help="states to start from (default: 20)")
+
+
+def _plain(bench: str) -> Callable[..., None]:
+    """Call the function that has the name of its module with all options."""
+
+    def run(**options: Any) -> None:
+        getattr(import_module(f"contact_reach_ros.experiments.{bench}"), bench)(**options)
+
+    return run
+
+
+def _control(ticks: int = 20000, seconds: float | None = None, file: Path | None = None, **options: Any) -> None:
+    if seconds is None:
+        from contact_reach_ros.experiments.bench_control import bench_control
+
+        bench_control(ticks, file)
+    else:
+        # The one bench that needs ROS in this process.
+        from contact_reach_ros.experiments.bench_control_stack import bench_control_stack
+        from contact_reach_ros.experiments.control_report import ControlBench
+
+        bench_control_stack(ControlBench(seconds, **options), file)
+
+
+def _planner(
+    scenes: list[str] | None = None,
+    seed: int = 0,
+    quick: bool = False,
+    file: Path | None = None,
+    plot: Path | None = None,
+    **options: Any,
+) -> None:
+    from contact_reach_ros.experiments.bench_planner import PlannerBench, bench_planner
+    from contact_reach_ros.world.files import matching_scene_names
+
+    names = tuple(scenes or matching_scene_names())
+    bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
+    bench_planner(bench, file, plot)
+
+
+def _faults(**options: Any) -> int:
+    from contact_reach_ros.experiments.bench_faults import bench_faults
+
+    return 1 if bench_faults(**options)["violations"] else 0
+
+
+def _table1(
+    file: Path | None = None,
+    results: Path | None = None,
+    resume: bool = False,
+    report_only: bool = False,
+    other: Path | None = None,
+    **options: Any,
+) -> None:
+    from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, report_table1
+
+    if other is not None and not report_only:
+        raise SettingsError("--other needs --report-only")
+    if not report_only:
+        bench_table1(Table1(**_tuples(options)), file, results, resume)
+    elif file is None:
+        raise SettingsError("--report-only needs --json FILE, the result of a finished run")
+    else:
+        report_table1(file, results, other)
+
+
+def _fig4(output: Path = Path("docs/fig4.png"), file: Path | None = None, **options: Any) -> None:
+    from contact_reach_ros.experiments.bench_fig4 import Fig4, bench_fig4
+
+    bench_fig4(Fig4(**_tuples(options)), output, file)
+
+
+def _fig5(output: Path = Path("docs/fig5.png"), file: Path | None = None, **options: Any) -> None:
+    from contact_reach_ros.experiments.bench_fig5 import Fig5, bench_fig5
+
+    bench_fig5(Fig5(**_tuples(options)), output, file)
+
+
+def _tuples(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}

@@ -1,0 +1,66 @@
+"""The halves of a plan from the planner's messages, or any object with their fields."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.references import PoseKnots, PostureKnots
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages.joint_order import JointOrder
+from contact_reach_ros.messages.values import nanoseconds, vector
+
+
+def pose_knots(message: Any) -> PoseKnots:
+    """The x_d half in a MultiDOFJointTrajectory.
+
+    Raises
+    ------
+    InputError
+        If a point has not one transform, or a rotation is none.
+    """
+    if any(len(point.transforms) != 1 for point in message.points):
+        raise InputError("reference/pose: each point needs exactly one transform, the flange's x_d")
+    transforms = [point.transforms[0] for point in message.points]
+    positions = [vector(transform.translation) for transform in transforms]
+    return PoseKnots(
+        nanoseconds(message.header.stamp),
+        tuple(nanoseconds(point.time_from_start) for point in message.points),
+        np.array(positions, dtype=float).reshape(-1, 3),
+        _rotations([transform.rotation for transform in transforms]),
+    )
+
+
+def posture_knots(message: Any, joint_names: Sequence[str]) -> PostureKnots:
+    """The q_d half in a JointTrajectory, its joints in the order of `joint_names`.
+
+    Raises
+    ------
+    InputError
+        If joints are missing, or a point has not one position for each name.
+    """
+    names = list(message.joint_names)
+    indices = JointOrder(joint_names).indices(names, "reference/posture")
+    if any(len(point.positions) != len(names) for point in message.points):
+        raise InputError("reference/posture: each point needs one position for each joint name")
+    postures = np.array([point.positions for point in message.points], dtype=float).reshape(-1, len(names))
+    return PostureKnots(
+        nanoseconds(message.header.stamp),
+        tuple(nanoseconds(point.time_from_start) for point in message.points),
+        postures if indices is None else postures[:, indices],
+    )
+
+
+def _rotations(quaternions: list[Any]) -> Array:
+    """Rotation matrices (H, 3, 3)."""
+    rotations = np.empty((len(quaternions), 3, 3))
+    for index, turn in enumerate(quaternions):
+        if not 1e-6 < math.hypot(turn.w, turn.x, turn.y, turn.z) < math.inf:
+            raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
+        rotations[index] = rotation_from_quaternion((turn.w, turn.x, turn.y, turn.z))
+    return rotations

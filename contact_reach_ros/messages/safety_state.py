@@ -1,0 +1,129 @@
+"""The content of `safety_state`, read from any object with the fields of the message."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.observer.location import Contact
+from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, code_of
+
+MONITORING = "monitoring"
+"""Message while nothing stops the arm and nothing touches it."""
+
+STOP_CODE = "stop code"
+"""Key of the code of what stopped the arm, see `StopCode`."""
+
+OK, WARN, ERROR = 0, 1, 2
+"""Levels of a diagnostic_msgs/msg/DiagnosticStatus."""
+
+DISTRUST = "distrust"
+"""Key of what is wrong with the joint states or the model, on which a compliant stop relies."""
+
+DOUBT = "doubt"
+"""Key of why the arm must not be started; without it the observer vouches for the state."""
+
+TORQUE = "acting torque"
+"""Key of whether the acting torque is known."""
+
+_KNOWN, _UNKNOWN = "known", "unknown"
+
+_MODEL_ERROR = "model error Nm"
+"""Key of the torque of each joint that the model lacks to carry the arm."""
+
+_WATCHED = "observer"
+_UNWATCHED = "not required: the arm may move unwatched"
+
+_LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
+
+
+def findings(report: SafetyReport) -> dict[str, str]:
+    """The values of a report; link and force of a contact are known from its first heartbeat on."""
+    values = {"level": report.level.value, "external torque max Nm": f"{np.abs(report.residual).max():.3f}"}
+    if report.reason:
+        values[STOP_CODE] = code_of(report.reason)
+    if report.distrust:
+        values[DISTRUST] = report.distrust
+    if report.doubt:
+        values[DOUBT] = report.doubt
+    values["residual age ms"] = f"{1000.0 * report.age:.1f}"
+    values[_MODEL_ERROR] = " ".join(f"{value:.2f}" for value in report.model_error)
+    values[TORQUE] = _KNOWN if report.known_for > 0.0 else _UNKNOWN
+    contact = report.contact
+    if contact is not None:
+        values[_LINK] = contact.link
+        values["contact force N"] = f"{contact.strength:.1f}"
+        values[_FORCE] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
+        values[_POSITION] = " ".join(f"{value:.3f}" for value in contact.position.tolist())
+    return values
+
+
+def read_level(message: Any) -> int:
+    """Level of a DiagnosticStatus; rclpy has it as a byte string, a bag's reader as a number."""
+    level = message.level
+    return level[0] if isinstance(level, bytes) else int(level)
+
+
+def is_stopped(message: Any) -> bool:
+    """Whether a safety state, of whatever node, is that of a stop."""
+    return read_level(message) >= ERROR
+
+
+def read_verdict(message: Any) -> Verdict:
+    """The verdict in the observer's safety state; messages of earlier versions doubt nothing."""
+    values = {item.key: item.value for item in message.values}
+    reason = read_reason(message)
+    try:
+        error = tuple(float(number) for number in values.get(_MODEL_ERROR, "").split())
+    except ValueError as wrong:
+        raise InputError(f"safety_state: {_MODEL_ERROR} must be numbers ({wrong})") from wrong
+    known = values.get(TORQUE) != _UNKNOWN
+    return Verdict(reason, values.get(DISTRUST, ""), values.get(DOUBT, ""), error, known)
+
+
+def observer_values(is_required: bool) -> dict[str, str]:
+    """The controller's value for whether it starts only an arm that an observer vouches for."""
+    return {_WATCHED: "required" if is_required else _UNWATCHED}
+
+
+def requires_observer(message: Any) -> bool:
+    """Whether a controller with this safety state requires an observer, as those of earlier versions did not say."""
+    return all(item.value != _UNWATCHED for item in message.values if item.key == _WATCHED)
+
+
+def read_reason(message: Any) -> str:
+    """Why a node stopped the arm, with its code where the message has one; empty if it did not."""
+    if not is_stopped(message):
+        return ""
+    code = next((item.value for item in message.values if item.key == STOP_CODE), "")
+    try:
+        return StopReason(StopCode(code), message.message)
+    except ValueError:
+        return str(message.message)
+
+
+def read_contact(message: Any, arm: Arm) -> Contact | None:
+    """The contact in the observer's safety state; None if there is none in it.
+
+    Raises
+    ------
+    InputError
+        If link, position or force are malformed.
+    """
+    values = {item.key: item.value for item in message.values}
+    if _LINK not in values:
+        return None
+    try:
+        position, force = (np.array(values[key].split(), float).reshape(3) for key in (_POSITION, _FORCE))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"safety_state: {_POSITION} and {_FORCE} must be three numbers each ({error})") from error
+    if values[_LINK] not in arm.contact_links or not np.isfinite([position, force]).all():
+        raise InputError(
+            f"safety_state: {_LINK} = {values[_LINK]} at {position} with {force}: expected finite numbers and one of "
+            f"{', '.join(arm.contact_links)}"
+        )
+    return Contact(values[_LINK], position, force, float("nan"))

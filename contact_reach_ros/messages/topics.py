@@ -1,0 +1,121 @@
+"""Every topic of the stack: name, message type and quality of service, in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from nav_msgs.msg import Path
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float32MultiArray, Float64MultiArray, Header, Int64MultiArray, String
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+
+class Qos(NamedTuple):
+    """Quality of service that a publisher offers, or a subscriber requests; `ros.qos` makes rclpy's profile of it."""
+
+    depth: int
+    """Messages that are kept."""
+    reliable: bool = True
+    latched: bool = False
+    """Whether subscribers that come late receive the messages that are kept."""
+
+
+STREAM = Qos(1000)
+"""What publishers offer: reliable and deep, so that late recorders and lockstep lose nothing."""
+
+KEPT_STREAM = Qos(4000, latched=True)
+"""A stream whose last four seconds late subscribers receive, for lockstep, where time begins without them.
+
+On a busy machine a recorder may need seconds to discover a topic.
+"""
+
+LATCHED = Qos(1, latched=True)
+"""Late subscribers receive the last message."""
+
+LATCHED_EVENTS = Qos(100, latched=True)
+"""Late subscribers receive the last events, since the newest one alone does not give the whole state."""
+
+ALL_EVENTS = Qos(1000, latched=True)
+"""What subscribers of events request: deep enough for all publishers together, or a talkative one hides the others."""
+
+LATCHED_BATCHES = Qos(64, latched=True)
+"""Batches of intake notes: a recorder that has just discovered the topic receives those before."""
+
+NEWEST = Qos(1, reliable=False)
+"""What real-time subscribers request: only the last message counts."""
+
+EVERY = STREAM
+"""What lockstep subscribers request."""
+
+
+class Topic(NamedTuple):
+    """One topic, with the quality of service that its publishers offer."""
+
+    name: str
+    type: Any
+    qos: Qos = STREAM
+    called: str = ""
+    """What its messages are called where they are refused; see `contents`."""
+
+    def kept(self, keep: bool) -> Topic:
+        """Return the topic, with publishers that give late subscribers the last seconds if `keep` is set."""
+        return self._replace(qos=KEPT_STREAM) if keep else self
+
+    @property
+    def contents(self) -> str:
+        """What its messages are called where they are refused, such as 'joint states'."""
+        return self.called or self.name.replace("_", " ")
+
+    @property
+    def type_name(self) -> str:
+        """Type as ROS writes it, such as sensor_msgs/msg/JointState."""
+        package, kind, _ = self.type.__module__.split(".")
+        return f"{package}/{kind}/{self.type.__name__}"
+
+
+JOINT_STATES = Topic("joint_states", JointState)
+COMMANDS = Topic("effort_controller/commands", Float64MultiArray, called="commands")
+ADAPTER_COMMANDS = Topic("adapter/commands", Float64MultiArray, called="commands")
+SHADOW_COMMANDS = Topic("shadow/commands", Float64MultiArray, called="commands")
+GOAL_POSE = Topic("goal_pose", PoseStamped, called="goals")
+REFERENCE_POSE = Topic("reference/pose", MultiDOFJointTrajectory, called="references")
+REFERENCE_POSTURE = Topic("reference/posture", JointTrajectory, called="references")
+OBSTACLES = Topic("obstacles", MarkerArray, LATCHED)
+EXTERNAL_TORQUE = Topic("external_torque", JointState, called="external torques")
+EXTERNAL_WRENCH = Topic("external_wrench", WrenchStamped)
+SAFETY_STATE = Topic("safety_state", DiagnosticStatus, LATCHED_EVENTS, called="safety states")
+DIAGNOSTICS = Topic("diagnostics", DiagnosticArray)
+PLAN_PATH = Topic("plan/path", Path)
+PLAN_MARKERS = Topic("plan/markers", MarkerArray, called="plans")
+SIM_CONTACTS = Topic("sim/contacts", JointState, called="contacts")
+SIM_FAULTS = Topic("sim/faults", String, Qos(10), called="faults")
+ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
+CLOCK = Topic("clock", Clock)
+SETTINGS = Topic("settings", DiagnosticStatus, LATCHED_EVENTS)
+CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_BATCHES)
+OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_BATCHES)
+PLANNER_INTAKE = Topic("intake/planner", Int64MultiArray, LATCHED_BATCHES)
+PLAN_STATISTICS = Topic("plan/statistics", DiagnosticArray)
+PLAN_SOLUTION = Topic("plan/solution", Float32MultiArray)
+LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, called="promises")
+
+ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
+"""What a recorder writes."""
+
+
+def find(name: str, among: Iterable[Topic] = ALL) -> Topic | None:
+    """The topic of a full name, in whatever namespace; None if it is none of these."""
+    return next((topic for topic in among if name.endswith(f"/{topic.name}")), None)
+
+
+WAITING_FOR_STATE = "waiting for the first joint state"
+"""Message of the planner's diagnostics before the first joint state."""
+WAITING_FOR_OBSTACLES = "waiting for the first obstacles"
+"""Message of the planner's diagnostics before it knows whether there are any."""
+WAITING_FOR_CONTROLLER = "waiting for a controller that hears the plans"
+"""Message of the planner's diagnostics while its plans would be lost; given a goal it plans nevertheless."""

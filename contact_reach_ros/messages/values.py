@@ -1,0 +1,56 @@
+"""Values in messages, of any object with the fields of the message."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.units import NANOSECONDS
+
+LATEST_S = 2**31 - 3600
+"""Seconds of the latest stamp that is accepted: an hour is left for what follows, which has stamps of its own."""
+
+
+def checked_stamp(seconds: int, nanosec: int, topic: str) -> int:
+    """Nanoseconds of a stamp that other stamps are made from.
+
+    Raises
+    ------
+    InputError
+        If it is no time, or too late to add to.
+    """
+    if not (0 <= seconds <= LATEST_S and nanosec < NANOSECONDS):
+        raise InputError(
+            f"{topic}: header.stamp = {seconds} s and {nanosec} ns; expected 0 to {LATEST_S} s and less than a second "
+            "in ns: see the sender's clock"
+        )
+    return seconds * NANOSECONDS + nanosec
+
+
+def nanoseconds(stamp: Any) -> int:
+    """Nanoseconds of a stamp or duration."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def vector(message: Any) -> Array:
+    """Position or vector (3,) of a Point or Vector3."""
+    return np.array([message.x, message.y, message.z])
+
+
+def quaternion(message: Any) -> Array:
+    """Quaternion as (x, y, z, w)."""
+    return np.array([message.x, message.y, message.z, message.w])
+
+
+def split_array(message: Any) -> dict[str, NDArray[np.float32]]:
+    """The parts of a Float32MultiArray whose dimensions name parts one after the other; empty if they do not fit."""
+    sizes = [dimension.size for dimension in message.layout.dim]
+    data = np.asarray(message.data, dtype=np.float32)
+    if not sizes or sum(sizes) != len(data):
+        return {}
+    names = [dimension.label for dimension in message.layout.dim]
+    return dict(zip(names, np.split(data, np.cumsum(sizes)[:-1]), strict=True))

@@ -1,0 +1,115 @@
+"""Where the adapter sends commands to: an effort controller of ros2_control."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+from rclpy.task import Future
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.adapter_settings import EffortSettings
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.serialized import CommandWriter
+
+try:
+    from controller_manager_msgs.srv import SwitchController
+except ImportError:
+    SwitchController = None
+
+PACKAGE = "controller_manager_msgs"
+
+
+class EffortTarget:
+    """Writes torques for `<controller>/commands` in the order of the controller's parameter `joints`.
+
+    A stop deactivates the controller, unless the arm would drop then: effort controllers that are deactivated send
+    zeros.
+
+    Attributes
+    ----------
+    topic
+        Of the commands.
+    order
+        Names of the joints in the order of the commands; empty while it is not known.
+    problem
+        Why nothing can be passed on; empty when it can.
+    """
+
+    def __init__(self, node: Node, arm: Arm, settings: EffortSettings, carries: bool) -> None:
+        """`carries`: whether the adapter's torques carry the arm."""
+        self.topic = topics.COMMANDS._replace(name=f"{settings.controller}/commands")
+        self.order: tuple[str, ...] = ()
+        self.problem = ""
+        self._node, self._arm, self._settings = node, arm, settings
+        self._indices: list[int] = []
+        self._writer = CommandWriter(arm.n)
+        self._asked: Future | None = None
+        self._parameters = self._switch = None
+        if settings.ask_joints:
+            self._parameters = node.create_client(GetParameters, f"{settings.controller}/get_parameters")
+            self.problem = f"the parameter joints of {settings.controller} is not known yet"
+        else:
+            self._take_order(arm.joint_names)
+        if carries and not settings.brakes:
+            return
+        if SwitchController is None:
+            node.get_logger().warning(
+                f"{PACKAGE} is not installed: a stop does not deactivate {settings.controller}, but sends harmless "
+                "torques until ~/reset; install ros-jazzy-controller-manager-msgs"
+            )
+        else:
+            self._switch = node.create_client(SwitchController, f"{settings.manager}/switch_controller")
+
+    def look(self) -> None:
+        """Ask for the order of joints, unless it is known; to be called a few times a second."""
+        if self._parameters is None or not self.problem or not self._parameters.service_is_ready():
+            return
+        if self._asked is not None and not self._asked.done():
+            return
+        self._asked = self._parameters.call_async(GetParameters.Request(names=["joints"]))
+        self._asked.add_done_callback(self._on_order)
+
+    def write(self, torque: Array) -> bytes:
+        """The message with these torques (n,), N m, in the arm's order; not while there is a `problem`."""
+        return self._writer.write(torque[self._indices])
+
+    def stop(self) -> None:
+        """Deactivate the controller, if that is possible; without waiting for it."""
+        self._switch_controller("deactivate")
+
+    def resume(self) -> None:
+        """Activate it again."""
+        self._switch_controller("activate")
+
+    def _on_order(self, future: Future) -> None:
+        answer = future.result()
+        if answer is not None and answer.values:
+            self._take_order(tuple(answer.values[0].string_array_value))
+
+    def _take_order(self, joints: tuple[str, ...]) -> None:
+        names = self._arm.joint_names
+        if sorted(joints) != sorted(names):
+            self.problem = (
+                f"{self._settings.controller} takes commands for the joints {', '.join(joints) or 'none'}; expected "
+                f"{', '.join(names)} in any order: set its parameter joints"
+            )
+            return
+        self._indices = [names.index(name) for name in joints]
+        self.order, self.problem = joints, ""
+
+    def _switch_controller(self, act: str) -> None:
+        if self._switch is None:
+            return
+        request: Any = SwitchController.Request(strictness=SwitchController.Request.STRICT)
+        setattr(request, f"{act}_controllers", [self._settings.controller])
+        self._switch.call_async(request).add_done_callback(lambda future: self._on_switched(act, future))
+
+    def _on_switched(self, act: str, future: Future) -> None:
+        logger, name = self._node.get_logger(), self._settings.controller
+        if future.result() is not None and future.result().ok:
+            logger.info(f"{act}d {name}")
+        else:
+            logger.error(f"{self._settings.manager} did not {act} {name}; see its log")

@@ -1,0 +1,267 @@
+"""The observer: from joint states to external torques, contacts and stops."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.joint_state import JointState, checked_torque
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.location import Contact, ContactLocator
+from contact_reach_ros.observer.momentum import MomentumObserver
+from contact_reach_ros.observer.plausibility import PlausibilityCheck, TorqueCheck
+from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor
+from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.observer.sight import Sight
+from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.timing import StampOrder
+from contact_reach_ros.units import NANOSECONDS
+
+HEARTBEAT = 0.01
+"""Longest time between reports that must be passed on, s."""
+
+
+class SafetyReport(NamedTuple):
+    """The observer's conclusions from one joint state.
+
+    Attributes
+    ----------
+    stamp_ns
+        Stamp of the state, ns.
+    level
+        Free, in contact, or stopped.
+    reason
+        Why the arm must stop; empty while it need not. The observer latches what it has seen, but not that it sees
+        nothing.
+    distrust
+        What is wrong with the joint states or the model, on which even a compliant stop relies; empty if nothing is.
+    doubt
+        Why the arm must not start; empty when the observer vouches for the state.
+    residual
+        External torque (n,), N m.
+    age
+        Time since the state that the residual is from, s; infinite before the first.
+    known_for
+        Time for which the acting torque has been known, s; 0 while it is not.
+    contact
+        Where the arm is touched, rounded to 1 mm and 0.1 N; None without a located contact.
+    model_error
+        Torque (n,), N m, that the model lacks to carry the arm, within the budget.
+    has_news
+        Whether level, reason, distrust or doubt have changed.
+    is_heartbeat
+        Whether a heartbeat is due.
+    """
+
+    stamp_ns: int
+    level: SafetyLevel
+    reason: str
+    distrust: str
+    doubt: str
+    residual: Array
+    age: float
+    known_for: float
+    contact: Contact | None
+    model_error: tuple[float, ...]
+    has_news: bool
+    is_heartbeat: bool
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the controller has to know."""
+        return Verdict(self.reason, self.distrust, self.doubt, self.model_error, self.known_for > 0.0)
+
+    @property
+    def due(self) -> bool:
+        """Whether the report must be passed on; others need not be."""
+        return self.has_news or self.is_heartbeat
+
+
+class Observer:
+    """Momentum observer, safety monitor, plausibility check and contact location, in that order, for each joint state.
+
+    Attributes
+    ----------
+    contact
+        Contact of the last heartbeat; None while nothing touches the arm.
+    updates
+        Number of new, accepted states.
+    order
+        Counts repeated and late states.
+    sight
+        Whether the external torque can be relied on.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: ObserverSettings,
+        budget: ContactBudget,
+        period: float = 0.001,
+        inertias: str = "nominal",
+        locates: bool = True,
+    ) -> None:
+        """Make an observer that has seen nothing.
+
+        Parameters
+        ----------
+        arm, settings, budget
+            What to observe, and how.
+        period
+            Nominal time between joint states, s.
+        inertias
+            The arm's inertia set to observe with.
+        locates
+            Whether to locate contacts, which takes longer than everything else.
+        """
+        budget = budget.resolve(arm)
+        self._from_commands = settings.torque_source == COMMANDED
+        if self._from_commands:
+            budget = settings.commanded.widened(budget)
+        model = RobotModel(arm, inertias)
+        self.arm = arm
+        self.momentum = MomentumObserver(settings.momentum, model, period)
+        self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
+        self.contact: Contact | None = None
+        self.updates = 0
+        self.order = StampOrder()
+        self.sight = Sight(arm, period)
+        self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
+        self._torque_check = TorqueCheck(arm, settings.plausibility, period)
+        self._locator = ContactLocator(model, budget.contact_thresholds)
+        self._locates = locates
+        self._commanded: Array | None = None
+        self._patience = settings.commanded.lost
+        self._lost = self._patience
+        """States in a row without a new command, counted up to `_patience`."""
+        self._heartbeat_every = max(1, round(HEARTBEAT / period))
+        self._reported: tuple[SafetyLevel, str, str, str] | None = None
+
+    def command(self, torque: Array) -> None:
+        """Take a command (n,), N m, which acts on the links until the next state if commands are the torque source.
+
+        Raises
+        ------
+        InputError
+            If it has another size or is not finite.
+        """
+        self._commanded = checked_torque(torque, self.arm.n)
+
+    def update(self, state: JointState) -> SafetyReport | None:
+        """Take one state; returns the conclusions from it, or None for a state that is not new.
+
+        Raises
+        ------
+        InputError
+            If a position or velocity is not finite; the residual stays as it is.
+        """
+        stamp_ns, q, v, _ = state
+        if not np.isfinite(q.sum() + v.sum()):
+            raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
+        if not self.order.is_new(stamp_ns):
+            return self._conclude(stamp_ns, is_heartbeat=True) if self.sight.repeated() else None
+        torque, missing = self._acting_torque(state.torque)
+        momentum, monitor = self.momentum, self.monitor
+        if missing:
+            # The next state is compared with the last good one: this is no hand-over.
+            momentum.refused += 1
+        else:
+            momentum.update(q, v, torque, stamp_ns)
+        self.sight.advanced(stamp_ns, v, momentum.updated_ns == stamp_ns, missing, torque is not None)
+        monitor.update(momentum.residual, q, v, momentum.known_for)
+        wrong = self._plausibility.update(q, v, monitor.sudden, stamp_ns)
+        if wrong:
+            monitor.stop_distrusting(wrong)
+        stuck = "" if self._from_commands else self._torque_check.update(v, torque)
+        if stuck:
+            monitor.stop(stuck)
+        self.updates += 1
+        is_heartbeat = self.updates % self._heartbeat_every == 0
+        if is_heartbeat:
+            self.contact = self.locate(q) if self._locates and monitor.in_contact else None
+        return self._conclude(stamp_ns, is_heartbeat)
+
+    def report(self, stamp_ns: int = 0, is_heartbeat: bool = False) -> SafetyReport:
+        """The present state of the observer as a report."""
+        monitor, momentum, sight = self.monitor, self.momentum, self.sight
+        level, reason = monitor.level, monitor.stop_reason
+        if sight.blind and not reason:
+            level, reason = SafetyLevel.BLIND, sight.blind
+        state = level, reason, monitor.distrust, reason or sight.doubt
+        updated_ns = momentum.updated_ns
+        age = math.inf if updated_ns is None else max(stamp_ns - updated_ns, 0) / NANOSECONDS
+        return SafetyReport(
+            stamp_ns,
+            *state,
+            momentum.residual,
+            age,
+            momentum.known_for,
+            self.contact,
+            monitor.model_error,
+            state != self._reported,
+            is_heartbeat,
+        )
+
+    def _conclude(self, stamp_ns: int, is_heartbeat: bool) -> SafetyReport:
+        report = self.report(stamp_ns, is_heartbeat)
+        self._reported = report[1:5]
+        return report
+
+    def locate(self, q: Array) -> Contact:
+        """The contact that best explains the sudden external torque at joint positions `q` (n,), rad, rounded."""
+        return self._locator.locate(q, self.monitor.sudden).rounded()
+
+    def rehearse(self) -> None:
+        """Run through every step once, with an observer that is not used for anything else.
+
+        Work that libraries do at their first call must not happen while an arm waits.
+        """
+        zero, home = np.zeros(self.arm.n), np.array(self.arm.home)
+        for stamp_ns in (0, 1_000_000):
+            self.update(JointState(stamp_ns, home, zero, zero))
+        self.momentum.flange_wrench()
+        self.locate(home)
+
+    def stop(self, reason: str) -> None:
+        """Latch a stop for a reason outside the joint states."""
+        self.monitor.stop(reason)
+
+    def reset(self) -> None:
+        """Release a stop.
+
+        Raises
+        ------
+        InputError
+            If the arm moves or is still pushed; the stop stays.
+        """
+        self.monitor.reset()
+
+    def resume(self, residual: Array) -> None:
+        """Continue from an external torque (n,), N m, for recordings that begin late."""
+        self.momentum.residual = residual
+
+    def _acting_torque(self, measured: Array | None) -> tuple[Array | None, str]:
+        """Torque (n,) N m of the last step, None while it is unknown; and why, unless the brakes may be closed."""
+        if self._from_commands:
+            torque, self._commanded = self._commanded, None
+            if torque is not None:
+                self._lost = 0
+            elif self._lost < self._patience:
+                self._lost += 1
+                return None, "commands come too seldom: look at the controller and the network"
+            return torque, ""
+        if measured is None:
+            return None, "joint_states carry no effort: let the driver fill it, or set torque_source to commanded"
+        if np.isfinite(measured.sum()):
+            return measured, ""
+        unknown = ~np.isfinite(measured)
+        if np.isnan(measured).all():
+            return None, ""
+        names = ", ".join(name for name, lacks in zip(self.arm.joint_names, unknown, strict=True) if lacks)
+        return None, f"joint_states carry no finite effort for {names}: look at the driver's torque sensors"

@@ -1,0 +1,209 @@
+"""All settings of the observer."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget
+from contact_reach_ros.settings import Sections, Settings, setting
+
+MEASURED, COMMANDED = TORQUE_SOURCES = ("measured", "commanded")
+"""Source of the torque that acts on the links: the joint states' effort, or the command."""
+
+WIDENED = ("sudden_thresholds", "contact_thresholds", "contact_per_speed", "model_error")
+"""What of the contact budget is wider while commands are the torque source."""
+
+
+@dataclass(frozen=True)
+class MomentumSettings(Settings):
+    """Settings of the momentum observer."""
+
+    gain: float = setting(
+        50.0,
+        "K: the residual follows the external torque as a first-order lag of 1/K",
+        unit="1/s",
+        minimum=1.0,
+        maximum=500.0,
+    )
+    viscous_friction: tuple[float, ...] = setting(
+        None,
+        "viscous friction that the model expects",
+        unit="Nm s/rad",
+        minimum=0.0,
+        maximum=50.0,
+        per_joint=True,
+    )
+    coulomb_friction: tuple[float, ...] = setting(
+        None, "dry friction that the model expects", unit="Nm", minimum=0.0, maximum=50.0, per_joint=True
+    )
+    coulomb_speed: float = setting(
+        0.02,
+        "speed at which the expected dry friction has reached 76 %, so that it does not jump when the sign changes",
+        unit="rad/s",
+        minimum=1e-4,
+        maximum=1.0,
+    )
+    gravity_in_torque: bool = setting(
+        True,
+        "the acting torque carries the arm's weight; false for an arm that compensates gravity itself and reports, or "
+        "is commanded, only the torque on top of that",
+    )
+    rotors_in_torque: bool = setting(
+        True, "the acting torque also accelerates the rotors; false for torque sensors on the link side of the gears"
+    )
+
+
+@dataclass(frozen=True)
+class SafetySettings(Settings):
+    """Settings of the safety state machine; the contact budget holds the thresholds.
+
+    Times are at least two states long, or one where they are 1 ms.
+    """
+
+    debounce: int = setting(3, "time above a threshold that stops the arm", unit="ms", minimum=1, maximum=100)
+    contact_debounce: int = setting(2, "time above a threshold that means contact", unit="ms", minimum=1, maximum=100)
+    handover_debounce: int = setting(
+        30, "time above a threshold that stops the arm at hand-over", unit="ms", minimum=1, maximum=1000
+    )
+    contact_release: float = setting(
+        0.6, "share of the thresholds below which a contact ends", minimum=0.01, maximum=1.0
+    )
+    release_debounce: int = setting(50, "time below it that ends a contact", unit="ms", minimum=1, maximum=1000)
+    mean_time: int = setting(
+        300,
+        "time constant of the slow mean of the external torque; ten times as long in contact",
+        unit="ms",
+        minimum=2,
+        maximum=100000,
+    )
+    model_error_per_rad: float = setting(
+        1.0,
+        "greatest change of the slow mean with the posture, as a share of `model_error`",
+        unit="1/rad",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    model_error_at_rest: float = setting(
+        0.3,
+        "greatest change of the slow mean while the posture stays, as a share of `contact_thresholds`",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    reset_share: float = setting(
+        0.5, "share of the thresholds below which a stop may be reset", minimum=0.01, maximum=1.0
+    )
+    reset_velocity: float = setting(
+        0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
+    )
+
+
+@dataclass(frozen=True)
+class PlausibilitySettings(Settings):
+    """When joint states are no longer trusted."""
+
+    position_slip: float = setting(
+        0.02,
+        "difference between a position and its integrated velocity that stops the arm, forgotten over 0.2 s",
+        unit="rad",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    frozen_time: int = setting(
+        30,
+        "time for which a position may stay the same, to the last bit, while the joint's sudden external torque is "
+        "that of a contact; longer stops the arm: the encoder is stuck, or the joint blocked",
+        unit="ms",
+        minimum=5,
+        maximum=10000,
+    )
+    frozen_torque_time: int = setting(
+        200,
+        "a measured torque that stays the same, to the last bit, for so long while its joint moves stops the arm",
+        unit="ms",
+        minimum=5,
+        maximum=10000,
+    )
+
+
+@dataclass(frozen=True)
+class CommandedSettings(Settings):
+    """What differs while commands are the torque source: gears and drives are between them and the links."""
+
+    threshold_factor: float = setting(
+        3.0,
+        "factor on the contact budget's thresholds of contact and sudden torque and on `model_error`, with "
+        "`torque_source: commanded`",
+        minimum=1.0,
+        maximum=10.0,
+    )
+    handover_time: float = setting(
+        1.0,
+        "least duration of the hand-over then: the drive opens its brakes within it, unseen",
+        unit="s",
+        minimum=0.0,
+        maximum=5.0,
+    )
+    lost: int = setting(
+        4,
+        "states in a row that may come without a new command, as when one is lost; more mean that the arm is held by "
+        "its drive, and is handed over again",
+        minimum=0,
+        maximum=20,
+    )
+
+    def widened(self, budget: ContactBudget) -> ContactBudget:
+        """The contact budget with these thresholds; `budget` must be resolved."""
+        wider: dict[str, Any] = {
+            name: tuple(min(self.threshold_factor * value, MAX_THRESHOLD) for value in getattr(budget, name))
+            for name in WIDENED
+        }
+        time = max(self.handover_time, budget.handover_time)
+        return dataclasses.replace(budget, handover_time=time, **wider)
+
+
+@dataclass(frozen=True)
+class ObserverSettings:
+    """Settings of the observer, by section."""
+
+    momentum: MomentumSettings = field(default_factory=MomentumSettings)
+    safety: SafetySettings = field(default_factory=SafetySettings)
+    plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
+    torque_source: str = MEASURED
+    """One of `TORQUE_SOURCES`."""
+    commanded: CommandedSettings = field(default_factory=CommandedSettings)
+
+    @classmethod
+    def from_sections(cls, sections: Mapping[str, Any]) -> ObserverSettings:
+        """The settings out of those of a node, by parameter prefix as in `OBSERVER_SECTIONS`."""
+        return cls(
+            sections["momentum"],
+            sections["safety"],
+            sections["plausibility"],
+            sections[""].torque_source,
+            sections["commanded"],
+        )
+
+
+@dataclass(frozen=True)
+class SourceSettings(Settings):
+    """Where the observer takes its values from."""
+
+    contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
+    torque_source: str = setting(
+        MEASURED,
+        "torque that acts on the links: the effort of joint_states, or the commands",
+        choices=TORQUE_SOURCES,
+    )
+
+
+OBSERVER_SECTIONS: Sections = {
+    "": SourceSettings,
+    "momentum": MomentumSettings,
+    "safety": SafetySettings,
+    "plausibility": PlausibilitySettings,
+    "commanded": CommandedSettings,
+}
+"""Settings of the observer's node by parameter prefix."""

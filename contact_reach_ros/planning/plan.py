@@ -1,0 +1,87 @@
+"""Plans: references of several knots, and the motion that the planner predicts under them (numpy only)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.references import References
+
+
+class HeldReference(NamedTuple):
+    """x_d and q_d that are constant in time."""
+
+    position: Array
+    """(3,), m."""
+    rotation: Array
+    """(3, 3)."""
+    posture: Array
+    """(n,), rad."""
+
+
+Held = tuple[Any, ...]
+"""What is in force for a while, a NamedTuple of arrays: `HeldReference`, unless a method plans something different."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """References of H knots and the motion predicted under them.
+
+    Knot i holds from effect + i dt, excluded, to effect + (i + 1) dt, included.
+    """
+
+    number: int
+    """Counted from 1 by each planner."""
+    effect_ns: int
+    """When knot 0 takes effect, on the clock of the states, ns."""
+    knot_duration_s: float
+    """dt, s."""
+    positions: Array
+    """(H, 3) translation of x_d, flange in the base frame, m."""
+    rotations: Array
+    """(H, 3, 3) rotation of x_d."""
+    postures: Array
+    """(H, n) q_d of law (2), rad."""
+    predicted_q: Array
+    """(H + 1, n) joint angles at the knot boundaries, rad."""
+    predicted_positions: Array
+    """(H + 1, 3) flange at the knot boundaries, m."""
+    predicted_contact_forces: Array
+    """(H, L) largest contact force within each knot on each of the arm's `contact_links`, N."""
+    cost: float
+    """Value of (5)."""
+    cost_terms: dict[str, float]
+    """The terms that add up to `cost`."""
+    steps: int
+    """Solver steps taken."""
+    stop_reason: str
+    """"stagnated", "max_steps" or "deadline"."""
+    solve_s: float
+    """Wall-clock time of the whole call, s."""
+    rejected: int
+    """Candidates whose cost was not finite."""
+    left_out: int
+    """Obstacle spheres beyond the planner's capacity, which were ignored."""
+
+    @property
+    def knot_duration_ns(self) -> int:
+        """dt, ns."""
+        return round(self.knot_duration_s * 1e9)
+
+    def references(self) -> References:
+        """References for the controller."""
+        ends_ns = tuple((knot + 1) * self.knot_duration_ns for knot in range(len(self.positions)))
+        return References(self.effect_ns, ends_ns, self.positions, self.rotations, self.postures)
+
+    @property
+    def changes_ns(self) -> list[int]:
+        """Times at which what is in force changes, ns: effect, ends of the knots but the last, and expiry."""
+        return [self.effect_ns + knot * self.knot_duration_ns for knot in range(len(self.positions) + 1)]
+
+    def in_force(self, time_ns: int) -> Held | None:
+        """What is in force at a time after the effect, ns; None once the plan has run out."""
+        knot = (time_ns - self.effect_ns - 1) // self.knot_duration_ns
+        if knot >= len(self.positions):
+            return None
+        return HeldReference(self.positions[knot], self.rotations[knot], self.postures[knot])

@@ -1,0 +1,246 @@
+"""The planner: when to plan, from which state and for which goal; a core computes the plans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.observer.location import Contact
+from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.planning.known_obstacles import KnownObstacles
+from contact_reach_ros.planning.node_settings import ReplanningSettings
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.collision import check_goal
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
+from contact_reach_ros.world.task import Task
+
+_ABANDONED_NS = 2_000_000_000
+"""Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""
+
+
+class PlanningCore(Protocol):
+    """Computes plans, each for a state that was measured some time before the plan takes effect."""
+
+    def warm_up(self, progress: Callable[[str], None]) -> None:
+        """Prepare what the first plan would otherwise wait for; `progress` gets a line for the user at each stage."""
+
+    def reset(self) -> None:
+        """Forget the plans made so far."""
+
+    def reseed(self, seed: int) -> None:
+        """Forget the plans made so far and draw other random numbers from now on."""
+
+    def history(self) -> Any:
+        """What the next plan depends on besides its request."""
+
+    def go_on_from(self, history: Any) -> None:
+        """Plan next as a core with this history would."""
+
+    def plan(self, q: Array, v: Array, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+        """Make a plan, as `RecedingHorizonPlanner.plan`; raises `PlanningError` if there is no way to the goal."""
+
+
+class Request(NamedTuple):
+    """Everything that a plan depends on, besides the previous plans."""
+
+    q: Array
+    """Measured joint positions (n,), rad."""
+    v: Array
+    """Measured joint velocities (n,), rad/s."""
+    state_ns: int
+    """Time of the measurement, ns."""
+    effect_ns: int
+    """Time at which the plan takes effect, ns."""
+    goal: Target
+    spheres: Spheres
+
+
+class Planner:
+    """Takes goals, obstacles, contacts and joint states, and requests plans when they are due.
+
+    Planning has two phases, so that the slow one can run wherever there is time: `request` is cheap and decides when to
+    plan, `solve` makes the plan.
+
+    Attributes
+    ----------
+    goal
+        Target of the goal in force; None while there is none.
+    plan
+        The last plan; None before the first and after the goal was withdrawn.
+    state
+        The last joint state; None before the first.
+    reaction
+        Reaction to contact that no known obstacle explains.
+    settings
+        When to plan.
+    obstacles
+        What is known of the obstacles.
+    due_ns
+        Stamp of the earliest joint state that leads to the next plan, ns.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        core: PlanningCore | None,
+        reaction: ContactReaction,
+        settings: ReplanningSettings,
+        latency: Callable[[], int] | None = None,
+        refuse: Callable[[str, InputError], None] | None = None,
+    ) -> None:
+        """Plan with `core`.
+
+        Parameters
+        ----------
+        arm, reaction, settings
+            Arm, reaction to unexpected contact, and when to plan.
+        core
+            Makes the plans; None for a planner that only makes requests.
+        latency
+            Returns the time from a state to the effect of its plan, ns; by default that of the settings.
+        refuse
+            Called for a goal that waited for a joint state and proved unreachable, and for plans that are due while it
+            is not known where the obstacles are, whose errors are raised by default; also for a goal that is withdrawn
+            because the joint states paused.
+        """
+        self.core = core
+        self.reaction = reaction
+        self.goal: Target | None = None
+        self.plan: Plan | None = None
+        self.state: JointState | None = None
+        self.due_ns = 0
+        self._clock_ns: int | None = None
+        self._arm = arm
+        self._model = RobotModel(arm)
+        self.settings = settings
+        self._latency = latency or (lambda: settings.latency_ns)
+        self._refuse, self._note = refuse or _raise, refuse or _ignore
+        self._pending: Task | None = None
+        self.obstacles = KnownObstacles(settings.max_obstacle_age, settings.require_obstacles)
+
+    def command(self, goal: Task) -> None:
+        """Take a goal. Before the first joint state it waits: the orientation may depend on the arm's pose.
+
+        Raises
+        ------
+        InputError
+            If the goal cannot be reached, see `Task.resolve` and `check_goal`, or the obstacles are unknown; the
+            previous one stays.
+        """
+        if self.state is None:
+            self._pending = goal
+            return
+        target = self._resolve(goal, self.state)
+        problem = self.obstacles.problem(self.state.stamp_ns)
+        if problem:
+            raise InputError(problem)
+        self._pursue(target)
+
+    def withdraw(self) -> None:
+        """Forget goal and plans: after a stop the arm moves again only with a new goal."""
+        self.goal = self._pending = None
+        self.plan = None
+        self.reaction.reset()
+        if self.core is not None:
+            self.core.reset()
+
+    def see(self, obstacles: Spheres, stamp_ns: int | None = None) -> None:
+        """Take all obstacles as they were at `stamp_ns`, on the clock of the joint states; None for now."""
+        now_ns = None if self.state is None else self.state.stamp_ns
+        self.obstacles.see(obstacles, now_ns if stamp_ns is None else stamp_ns)
+
+    def hear(self, report: SafetyReport) -> None:
+        """Take a report of the observer: a stop withdraws the goal, unexpected contact changes what is planned."""
+        if report.reason:
+            self.withdraw()
+        else:
+            self.touched(report.contact)
+
+    def touched(self, contact: Contact | None) -> bool:
+        """Take the contact within the budget that the observer reports, None for none; returns whether plans change."""
+        if self.goal is None or self.state is None:
+            return False
+        changes = self.reaction.report(contact, self.state.q, self.obstacles.spheres, self.state.stamp_ns)
+        if changes:
+            self.due_ns = self.state.stamp_ns
+        return changes
+
+    def request(self, state: JointState, clock_ns: int | None = None) -> Request | None:
+        """Take a joint state; returns what to plan from it, None while no plan is due.
+
+        `clock_ns`: when it came, on a clock that never jumps; its stamp where it is None.
+
+        Raises
+        ------
+        InputError
+            If the state is not finite; without `refuse`, also for what that takes note of.
+        """
+        stamp_ns, q, v, _ = state
+        if not np.isfinite(q.sum() + v.sum()):
+            raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
+        clock_ns = stamp_ns if clock_ns is None else clock_ns
+        paused_ns, self._clock_ns = clock_ns - (self._clock_ns or clock_ns), clock_ns
+        if paused_ns > _ABANDONED_NS and self.goal is not None:
+            self.withdraw()
+            paused = paused_ns / NANOSECONDS
+            self._note("goals", InputError(f"joint states paused for {paused:.1f} s: send the goal again to go on"))
+        self.state = state
+        self.obstacles.advance(stamp_ns)
+        if self._pending is not None:
+            pending, self._pending = self._pending, None
+            try:
+                self._pursue(self._resolve(pending, state))
+            except InputError as error:
+                self._refuse("goals", error)
+        if self.goal is None or stamp_ns < self.due_ns:
+            return None
+        self.due_ns = stamp_ns + self.settings.period_ns
+        self.reaction.moved(self._model.tip_pose(q)[0])
+        problem = self.obstacles.problem(stamp_ns)
+        if problem:
+            self._refuse("plans", InputError(problem))
+            return None
+        goal, spheres = self.reaction.goal(self.goal), self.reaction.spheres(self.obstacles.spheres)
+        return Request(q, v, stamp_ns, stamp_ns + self._latency(), goal, spheres)
+
+    def solve(self, request: Request) -> Plan:
+        """Make the plan that was requested.
+
+        Raises
+        ------
+        InputError
+            If no motion from this state has a finite cost.
+        PlanningError
+            If there is no way to the goal, or only one through a rigid body.
+        """
+        if self.core is None:
+            raise PlanningError("the planner has no core to make plans with: pass one to it")
+        self.plan = self.core.plan(*request)
+        return self.plan
+
+    def _resolve(self, goal: Task, state: JointState) -> Target:
+        target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1])
+        check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
+        return target
+
+    def _pursue(self, goal: Target) -> None:
+        self.goal = goal
+        self.reaction.reset()
+
+
+def _ignore(*_: object) -> None:
+    pass
+
+
+def _raise(_: str, error: InputError) -> None:
+    raise error

@@ -1,0 +1,84 @@
+"""The contract between the planner and a solver.
+
+A solver searches the box [-1, 1]ⁿ. Its state, a NamedTuple of arrays, means nothing to the planner, which keeps it from
+one plan to the next, has the solver shift it in time, and records it in bags by the names of its fields.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import jax
+import numpy as np
+
+from contact_reach_ros.planning.warm_start import FloatArray
+
+ProblemT = TypeVar("ProblemT")
+AnyProblem = TypeVar("AnyProblem", contravariant=True)
+CostFunction = Callable[[ProblemT, jax.Array], jax.Array]
+"""Costs (B,) of candidates (n, B) for a problem, which is any tree of arrays."""
+
+State = Any
+"""A NamedTuple of arrays, in single precision or integers up to 2²⁴."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Result of a search."""
+
+    best: np.ndarray
+    """(n,) within [-1, 1]."""
+    cost: float
+    state: State
+    """State at the end of the search."""
+    steps: int
+    stop_reason: str
+    """"stagnated", "max_steps" or "deadline"."""
+    rejected: int
+    """Number of candidates with a non-finite cost."""
+    costs: tuple[float, ...]
+    """Best cost at the start and after each step."""
+
+
+class Solver(Protocol[AnyProblem]):
+    """Minimises a cost over the box [-1, 1]ⁿ, step by step."""
+
+    max_steps: int
+    """Greatest number of steps in one call of `solve`."""
+
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on."""
+
+    def init(self, mean: FloatArray, spread: FloatArray) -> State:
+        """State of a search that starts at `mean` (n,) with standard deviations `spread` (n,)."""
+
+    def shift(self, state: State, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float) -> State:
+        """State for a search from `mean` (n,) after the variables moved on by `elapsed` of their `knots` in time.
+
+        `spread` (n,) is that of variables that the state does not cover.
+        """
+
+    def solve(
+        self, problem: AnyProblem, state: State, start_cost: float, number: int, until: float = math.inf
+    ) -> Solution:
+        """Search for the minimum; the solution is never worse than the state's mean.
+
+        Parameters
+        ----------
+        problem
+            Passed on to the cost function.
+        state
+            Start of the search.
+        start_cost
+            Cost of the state's mean; infinity if it is not finite.
+        number
+            Selects the random numbers, together with the seed.
+        until
+            Instant of `time.perf_counter` by which to return, checked between steps; at least one is taken.
+        """
+
+    def warm_up(self, problem: AnyProblem, state: State) -> float:
+        """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""

@@ -1,1 +1,0 @@
-"""The simulated robot, its sensors and faults."""

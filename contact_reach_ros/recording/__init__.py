@@ -1,1 +1,0 @@
-"""Bags: writing, reading, replay and report."""

@@ -1,0 +1,1 @@
+"""Re-execution of the nodes of a bag."""

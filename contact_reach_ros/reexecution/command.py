@@ -1,0 +1,152 @@
+"""`contact-reach reexecute BAG`: compares recorded outputs with re-executed ones."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.reexecution.inputs import RecordedInputs
+from contact_reach_ros.reexecution.loops import (
+    TOLERANCE,
+    Reexecution,
+    realtime_factor,
+    reexecute_controller,
+    reexecute_observer,
+)
+from contact_reach_ros.reexecution.settings import ChangedSettings
+
+IDENTICAL, DIFFERENT = 0, 1
+
+
+@dataclass(frozen=True)
+class ReexecutionOptions:
+    """What the command line asks for."""
+
+    bag: Path
+    changes: Path | None = None
+    """Parameter file with settings to change."""
+    plan: int | None = None
+    """Number of the plan to solve again, instead of controller and observer."""
+    json: Path | None = None
+
+
+def run_reexecution(options: ReexecutionOptions) -> int:
+    """Re-execute and report what differs; returns `DIFFERENT` if anything does and no settings are changed.
+
+    Raises
+    ------
+    BagError, SettingsError
+        If the bag lacks what is needed, or the changed settings are not accepted.
+    """
+    bag, changes = BagReader(options.bag), ChangedSettings(options.changes)
+    inputs = RecordedInputs(bag)
+    for note in bag.notes:
+        print(f"note: {note}")
+    report: dict[str, Any] = {"bag": str(options.bag)}
+    differs = False
+    if options.plan is None:
+        found = reexecute(inputs, changes)
+        for one in found.values():
+            differs |= one.first_difference is not None
+            _print(one, inputs, changes)
+            report[one.node] = _as_json(one, inputs, changes)
+        report["reexecution_realtime_factor"] = realtime_factor(found)
+        print(f"re-executed {report['reexecution_realtime_factor']:.1f} times as fast as the robot")
+    else:
+        report["plan"], differs = _reexecute_plan(inputs, options.plan, changes)
+    if options.json is not None:
+        options.json.write_text(json.dumps(report, indent=2) + "\n")
+    return DIFFERENT if differs else IDENTICAL
+
+
+def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> dict[str, Reexecution]:
+    """Re-execute controller and observer, as far as the bag has what they took in; returns them by name.
+
+    Raises
+    ------
+    BagError
+        If it has that of neither.
+    """
+    found = {}
+    missing: list[BagError] = []
+    for name, run in (("controller", reexecute_controller), ("observer", reexecute_observer)):
+        try:
+            found[name] = run(inputs, changes)
+        except BagError as error:
+            missing.append(error)
+    if not found:
+        raise missing[0]
+    for lacking in missing:
+        print(f"note: {lacking}")
+    return found
+
+
+def _print(found: Reexecution, inputs: RecordedInputs, changes: ChangedSettings) -> None:
+    total = len(found.stamp_ns)
+    if changes:
+        change = np.abs(found.values - found.recorded)
+        largest = float(np.nanmax(change)) if np.isfinite(change).any() else float("nan")
+        result = f"with {changes.file}: up to {largest:.3g} Nm from the recorded ones"
+    elif found.first_difference is not None:
+        result = f"DIFFERENT from {found.first_difference.text(inputs.origin_ns)}"
+    elif found.compared:
+        result = f"identical (largest difference {found.largest_difference:.1g} Nm, tolerance {TOLERANCE:g})"
+    else:
+        result = "nothing could be compared"
+    print(f"{found.node:11} {total} outputs, {found.compared} compared: {result}")
+    for reason in found.reasons:
+        print(f"{'':11} stops: {reason}")
+    for note in found.notes:
+        print(f"{'':11} note: {note}")
+
+
+def _as_json(found: Reexecution, inputs: RecordedInputs, changes: ChangedSettings) -> dict[str, Any]:
+    first = found.first_difference
+    return {
+        "outputs": len(found.stamp_ns),
+        "compared": found.compared,
+        "identical": None if changes or not found.compared else first is None,
+        "largest_difference_Nm": found.largest_difference if np.isfinite(found.largest_difference) else None,
+        "first_difference": None if first is None else first._asdict() | {"text": first.text(inputs.origin_ns)},
+        "stop_reasons": list(found.reasons),
+        "notes": list(found.notes),
+    }
+
+
+def _reexecute_plan(inputs: RecordedInputs, number: int, changes: ChangedSettings) -> tuple[dict[str, Any], bool]:
+    # The planner's libraries take seconds to import.
+    from contact_reach_ros.reexecution.plans import ROUNDING, RecordedPlans
+
+    found = RecordedPlans(inputs).solve(number, changes)
+    plan, recorded = found.plan, found.statistics
+    print(f"plan {number}, {found.solved} plan(s) solved in {found.seconds:.1f} s")
+    if changes:
+        print(f"with {changes.file}:")
+    elif found.first_difference is not None:
+        print(f"DIFFERENT: {found.first_difference}")
+    elif found.rounding:
+        print(f"equal within rounding ({ROUNDING:g} for each plan solved; largest difference {found.rounding:.1g})")
+    else:
+        print("identical, bit for bit")
+    print(f"  {'':22}{'recorded':>14}{'now':>14}")
+    rows = {"steps": plan.steps, "cost": plan.cost, **{f"cost {key}": value for key, value in plan.cost_terms.items()}}
+    for name, value in rows.items():
+        print(f"  {name:22}{float(recorded.get(name, 'nan')):14.6g}{value:14.6g}")
+    print(f"  {'largest contact force':22}{'':14}{plan.predicted_contact_forces.max():14.3g} N")
+    result = {
+        "number": number,
+        "plans_solved": found.solved,
+        "identical": None if changes else found.first_difference is None and not found.rounding,
+        "equal_within_rounding": None if changes else found.first_difference is None,
+        "first_difference": None if found.first_difference is None else found.first_difference._asdict(),
+        "recorded": dict(recorded),
+        "now": rows,
+        "positions_m": plan.positions.tolist(),
+    }
+    return result, found.first_difference is not None

@@ -1,0 +1,364 @@
+"""Re-execution of controller and observer on what they took in, the same to the last digit.
+
+The very objects that the nodes run take the recorded messages in the recorded order. With changed settings the result
+is how they would have answered the same states, which would soon have become other states.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.errors import BagError, InputError
+from contact_reach_ros.messages.intake import Taken
+from contact_reach_ros.messages.references import pose_knots, posture_knots
+from contact_reach_ros.messages.safety_state import read_verdict
+from contact_reach_ros.observer.observer import Observer
+from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.reexecution.inputs import (
+    ADAPTER_COMMANDS,
+    COMMANDS,
+    EXTERNAL_TORQUE,
+    SHADOW_COMMANDS,
+    RecordedInputs,
+    Row,
+)
+from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings, recorded_period
+from contact_reach_ros.stop_reasons import requested
+from contact_reach_ros.units import NANOSECONDS
+
+TOLERANCE = 1e-9
+"""N m: differences up to this count as none."""
+
+_LONG_AGO_NS = 10 * NANOSECONDS
+
+
+class Difference(NamedTuple):
+    """Where a re-execution first differs from the recording."""
+
+    tick: int
+    """Number of the output, counted from 1 at the start of the node."""
+    stamp_ns: int
+    field: str
+    recorded: float | str
+    reexecuted: float | str
+
+    def text(self, origin_ns: int) -> str:
+        """In words, with the time since `origin_ns`."""
+        since = (self.stamp_ns - origin_ns) / NANOSECONDS
+        return f"tick {self.tick}, {since:.3f} s, {self.field}: recorded {self.recorded}, re-executed {self.reexecuted}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Reexecution:
+    """One node, re-executed.
+
+    Attributes
+    ----------
+    node :
+        Its name.
+    stamp_ns :
+        (k,) of the joint states that it answered.
+    values :
+        (k, n) re-executed torques or residuals, N m.
+    recorded :
+        (k, n) the recorded ones; NaN where the bag lacks them.
+    compared :
+        How many were compared: those that are in the bag, from where the node's state is known.
+    largest_difference :
+        N m; NaN if nothing was compared.
+    first_difference :
+        None if there is none.
+    reasons :
+        Why the re-executed node stopped the arm.
+    notes :
+        What could not be done, one sentence each.
+    seconds :
+        Processor time that it took.
+    """
+
+    node: str
+    stamp_ns: NDArray[np.int64]
+    values: Array
+    recorded: Array
+    compared: int
+    largest_difference: float
+    first_difference: Difference | None
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    seconds: float
+
+    @property
+    def duration(self) -> float:
+        """Time of the robot's clock that was re-executed, s."""
+        return float(self.stamp_ns[-1] - self.stamp_ns[0]) / NANOSECONDS if len(self.stamp_ns) else 0.0
+
+
+def realtime_factor(found: Mapping[str, Reexecution]) -> float:
+    """How many times faster than the robot controller and observer together were re-executed."""
+    seconds = sum(one.seconds for one in found.values())
+    return max((one.duration for one in found.values()), default=0.0) / seconds if seconds else float("nan")
+
+
+def reexecute_controller(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
+    """Re-execute the controller.
+
+    Raises
+    ------
+    BagError
+        If the bag lacks what the controller took in, or its settings.
+    SettingsError
+        If changed settings are not accepted.
+    """
+    return _ControllerLoop(inputs, changes or ChangedSettings()).run()
+
+
+def reexecute_observer(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
+    """Re-execute the observer; raises as `reexecute_controller` does."""
+    return _ObserverLoop(inputs, changes or ChangedSettings()).run()
+
+
+class _Output(NamedTuple):
+    number: int
+    stamp_ns: int
+    value: Array
+    recorded: Array
+    is_compared: bool
+
+
+class _Loop:
+    """What both nodes share: taking the rows in order, comparing outputs, and getting into step.
+
+    A node whose beginning the bag lacks, or a joint state in between, is in an unknown state: it continues from the
+    recorded outputs until it agrees with the recording again.
+    """
+
+    def __init__(self, node: str, inputs: RecordedInputs, changes: ChangedSettings) -> None:
+        if node not in inputs.intakes:
+            raise BagError(f"bag '{inputs.bag.summary.path}' lacks intake/{node}: what the {node} took in is not known")
+        recorded = inputs.sections(node)
+        self.node, self.inputs, self.changes = node, inputs, changes
+        self.settings: dict[str, Any] = changes.apply(node, recorded)
+        self.period = recorded_period(node, inputs.settings)
+        self.topic = EXTERNAL_TORQUE
+        if node == "controller":
+            supervision = recorded["supervision"]
+            self.topic = ADAPTER_COMMANDS if supervision.adapter else COMMANDS
+            if supervision.shadow:
+                self.topic = SHADOW_COMMANDS
+        self.recorded = inputs.columns[self.topic].values
+        self.intake = inputs.intakes[node]
+        self.in_step = not self.intake.starts_late
+        self.missing = self.uncompared = 0
+        self.outputs: list[_Output] = []
+        self.reasons: list[str] = []
+        self.recorded_reasons = inputs.safety_reasons(node)
+        self.handlers: dict[Taken, Callable[[Row], None]] = {}
+
+    def run(self) -> Reexecution:
+        """Go through all rows."""
+        began = time.process_time()
+        for row in self.intake:
+            handler = self.handlers.get(row.what)
+            if handler is None:
+                continue
+            try:
+                handler(row)
+            except InputError:
+                # As the node refused it.
+                continue
+        compared = [output for output in self.outputs if output.is_compared]
+        differences = [np.abs(output.value - output.recorded) for output in compared]
+        return Reexecution(
+            self.node,
+            np.array([output.stamp_ns for output in self.outputs], dtype=np.int64),
+            np.reshape([output.value for output in self.outputs], (-1, self.inputs.arm.n)),
+            np.reshape([output.recorded for output in self.outputs], (-1, self.inputs.arm.n)),
+            len(compared),
+            float(np.max(differences)) if compared else float("nan"),
+            self._first_difference(compared, differences),
+            tuple(self.reasons),
+            tuple(self._notes()),
+            time.process_time() - began,
+        )
+
+    def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
+        """Keep an output, beside the recorded one unless the bag lacks it."""
+        can_compare = recorded is not None and not self.changes
+        if recorded is None:
+            recorded = np.full(self.inputs.arm.n, np.nan)
+        if can_compare and not self.in_step:
+            self.in_step = float(np.abs(value - recorded).max()) <= TOLERANCE
+            self.uncompared += not self.in_step
+        self.outputs.append(_Output(row.output, stamp_ns, value, recorded, can_compare and self.in_step))
+
+    def lose(self) -> None:
+        """Note that a message is missing: what follows cannot be compared until it agrees."""
+        self.missing += 1
+        self.in_step = False
+
+    def note_reason(self, reason: str) -> None:
+        """Note why the node stops the arm; empty while it does not."""
+        if reason and self.reasons[-1:] != [reason]:
+            self.reasons.append(reason)
+
+    def next_stop(self) -> str:
+        """The reason of a stop that came from outside of the messages: the recorded one that is due."""
+        recorded = self.recorded_reasons
+        return recorded[min(len(self.reasons), len(recorded) - 1)] if recorded else requested()
+
+    def _notes(self) -> list[str]:
+        notes = []
+        if self.intake.lost:
+            notes.append(f"{self.intake.lost} notes of intake/{self.node} come after a gap and are left out")
+        if self.missing:
+            notes.append(f"{self.missing} messages that the {self.node} took in are not in the bag")
+        if self.uncompared:
+            notes.append(f"{self.uncompared} outputs are not compared: the {self.node}'s state is not known there")
+        return notes
+
+    def _first_difference(self, compared: list[_Output], differences: list[Array]) -> Difference | None:
+        for output, difference in zip(compared, differences, strict=True):
+            # Not `>`: what is not a number differs, too.
+            if not (difference <= TOLERANCE).all():
+                joint = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
+                field = f"{self.topic} of {self.inputs.arm.joint_names[joint]}"
+                values = float(output.recorded[joint]), float(output.value[joint])
+                return Difference(output.number, output.stamp_ns, field, *values)
+        recorded = self.recorded_reasons
+        is_whole = self.in_step and not self.intake.starts_late and not self.intake.lost
+        if self.changes or not is_whole or recorded == self.reasons:
+            return None
+        stamp_ns = self.outputs[-1].stamp_ns if self.outputs else 0
+        return Difference(len(self.outputs), stamp_ns, "stop reasons", str(recorded), str(self.reasons))
+
+
+def _make_observer(loop: _Loop, locates: bool = True) -> Observer:
+    """The observer of a node's settings."""
+    settings = ObserverSettings.from_sections(loop.settings)
+    inertias = loop.changes.inertia_set
+    return Observer(loop.inputs.arm, settings, loop.settings[BUDGET], loop.period, inertias, locates)
+
+
+class _ControllerLoop(_Loop):
+    def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
+        super().__init__("controller", inputs, changes)
+        sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
+        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
+        self.watch = _make_observer(self, locates=False)
+        self.controller.watch_with(self.watch)
+        self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
+        self.last_residual: Array | None = None
+        self.lockstep = bool(inputs.settings["controller"].get("use_sim_time", False))
+        self.rows = inputs.by_output(self.topic)
+        self.handlers = {
+            Taken.ACTIVATE: lambda _: self.controller.activate(),
+            Taken.JOINT_STATES: self._tick,
+            Taken.SAFETY_STATE: self._hear,
+            Taken.REFERENCE_POSE: self._follow,
+            Taken.REFERENCE_POSTURE: self._follow,
+            Taken.STOP: lambda _: self.controller.stop(self.next_stop()),
+            Taken.RESET: lambda row: self.controller.reset(self._clock_ns(row)),
+        }
+
+    def _clock_ns(self, row: Row) -> int:
+        return self.controller.stamp_ns if self.lockstep else row.clock_ns
+
+    def _answer(self, output: int) -> Array | None:
+        """The recorded torque of that number."""
+        return self.recorded[self.rows[output]] if output in self.rows else None
+
+    def _tick(self, row: Row) -> None:
+        state = self.inputs.state(row.sent_ns)
+        if state is None:
+            self.lose()
+            return
+        controller = self.controller
+        recorded = self._answer(row.output) if row.gave_output else None
+        if not self.in_step and recorded is not None:
+            self._get_into_step(state, row.output)
+        # A state that did not start the controller was refused: because of other publishers, or for its values.
+        controller.not_yet = "" if row.gave_output else "refused then"
+        clock_ns = state.stamp_ns if self.lockstep else row.clock_ns
+        try:
+            torque = controller.update(state, clock_ns)
+        finally:
+            controller.not_yet = ""
+        self.note_reason(controller.stop_reason)
+        if controller.state is state and torque is not None:
+            self.give(row, state.stamp_ns, torque, recorded)
+        controller.watch(state, torque, clock_ns)
+        at = self.residuals.get(state.stamp_ns)
+        self.last_residual = None if at is None else self.inputs.columns[EXTERNAL_TORQUE].values[at]
+        self.note_reason(controller.stop_reason)
+
+    def _get_into_step(self, state: JointState, output: int) -> None:
+        """Continue from the last recorded torque; a controller that was started before, was so long ago."""
+        if not self.controller.started:
+            self.controller.start(state.q, state.v, state.stamp_ns - _LONG_AGO_NS)
+        before = self._answer(output - 1)
+        if before is not None:
+            self.controller.resume(before)
+        if self.last_residual is not None:
+            self.watch.resume(self.last_residual)
+
+    def _hear(self, row: Row) -> None:
+        message = self.inputs.message(row.what, row.sent_ns)
+        if message is None:
+            self.missing += 1
+        elif message.name == "observer":
+            self.controller.hear(read_verdict(message), self._clock_ns(row))
+
+    def _follow(self, row: Row) -> None:
+        message = self.inputs.message(row.what, row.sent_ns)
+        references, stamp_ns = self.controller.references, self.controller.stamp_ns
+        if message is None:
+            self.lose()
+        elif row.what is Taken.REFERENCE_POSE:
+            references.offer_poses(pose_knots(message), stamp_ns)
+        else:
+            references.offer_postures(posture_knots(message, self.inputs.arm.joint_names), stamp_ns)
+
+
+class _ObserverLoop(_Loop):
+    def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
+        super().__init__("observer", inputs, changes)
+        self.observer = _make_observer(self)
+        self.rows = inputs.by_stamp(self.topic)
+        self.commands = {sent: row for row, sent in enumerate(inputs.columns[COMMANDS].publish_ns.tolist())}
+        self.last_recorded: Array | None = None
+        self.handlers = {
+            Taken.JOINT_STATES: self._update,
+            Taken.COMMANDS: self._command,
+            Taken.STOP: lambda _: self.observer.stop(self.next_stop()),
+            Taken.RESET: lambda _: self.observer.reset(),
+        }
+
+    def _command(self, row: Row) -> None:
+        at = self.commands.get(row.sent_ns)
+        if at is None:
+            self.lose()
+        else:
+            self.observer.command(self.inputs.columns[COMMANDS].values[at])
+
+    def _update(self, row: Row) -> None:
+        state = self.inputs.state(row.sent_ns)
+        if state is None:
+            self.lose()
+            return
+        if not self.in_step and self.last_recorded is not None:
+            self.observer.resume(self.last_recorded)
+        report = self.observer.update(state)
+        if report is not None:
+            at = self.rows.get(state.stamp_ns)
+            self.last_recorded = None if at is None else self.recorded[at]
+            self.note_reason(report.reason)
+            self.give(row, state.stamp_ns, report.residual, self.last_recorded)

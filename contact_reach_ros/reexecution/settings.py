@@ -1,0 +1,196 @@
+"""Settings of a recorded stack: as the nodes had them, or with changes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings
+from contact_reach_ros.errors import BagError, SettingsError
+from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
+from contact_reach_ros.parameter_files import check_node_names, full_name, parameters_in
+from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS
+from contact_reach_ros.settings import Sections, unknown_key
+from contact_reach_ros.timing import PERIOD
+
+BUDGET = "budget"
+"""Prefix of the contact budget, which comes from a file of its own."""
+GAINS = "impedance"
+"""Prefix of the controller's gains, which the planner has, too."""
+
+SECTIONS: Mapping[str, Sections] = {
+    "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},
+    "observer": {**OBSERVER_SECTIONS, BUDGET: ContactBudget},
+    "planner": {**PLANNER_SECTIONS, GAINS: ImpedanceSettings, BUDGET: ContactBudget},
+}
+"""What the nodes that are re-executed record, by parameter prefix."""
+
+RENAMED = {
+    "safety.mean_states": "safety.mean_time",
+    "plausibility.frozen_states": "plausibility.frozen_time",
+}
+"""Settings by the names that earlier versions recorded."""
+
+FORMERLY: Mapping[str, Mapping[str, Any]] = {
+    "controller": {
+        "supervision.require_observer": False,
+        "supervision.correct_stop": False,
+        "supervision.watch_itself": False,
+        "supervision.brake_after": 3600.0,
+        "supervision.stop_creep": 7.0,
+    },
+    "observer": {
+        "safety.model_error_per_rad": 1000.0,
+        "safety.model_error_at_rest": 1000.0,
+        "budget.model_error": [MAX_THRESHOLD] * 7,
+        "commanded.threshold_factor": 1.0,
+        "commanded.handover_time": 0.0,
+        "commanded.lost": 0,
+    },
+    "planner": {
+        "max_obstacle_age": 0.0,
+        "require_obstacles": False,
+        "planning.clearance_weight": 0.0,
+        "planning.collision_tolerance": 1.0,
+    },
+}
+"""What earlier versions did: values by node of settings that their bags lack."""
+
+DROPPED = {"momentum.max_gap": 0.003}
+"""Settings that earlier versions recorded and this one derives, with the only values that it can re-execute."""
+
+MODEL = "model"
+"""Stands for a node in a parameter file: its parameter inertia_set is the model that controller and observer have."""
+
+_INERTIA_SET = "inertia_set"
+_CONTACT_BUDGET = "contact_budget"
+_EVERY_NODE = ("use_sim_time", "robot", "robot digest", "state_rate")
+_OF_PROCESSES = ("use_sim_time", "robot", "autostart", "cpus", "state_rate")
+"""Parameters of every node that do not change what it computes."""
+_FIRST_ARM = "iiwa14"
+"""The arm of bags that name none."""
+
+
+def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
+    """The arm that the nodes of a bag had.
+
+    Raises
+    ------
+    BagError
+        If this version does not have it, or has another one of that name.
+    """
+    for node, values in settings.items():
+        try:
+            arm = load_arm(str(values.get("robot", _FIRST_ARM)))
+        except SettingsError as error:
+            raise BagError(f"settings of the {node}: {error}") from error
+        digest = values.get("robot digest", arm.digest)
+        if digest != arm.digest:
+            raise BagError(
+                f"settings of the {node}: the arm '{arm.name}' had digest {digest}, this version's has {arm.digest}; "
+                "use the version that recorded the bag"
+            )
+    return load_arm(str(next(iter(settings.values()), {}).get("robot", _FIRST_ARM)))
+
+
+def recorded_period(node: str, settings: Mapping[str, Mapping[str, Any]]) -> float:
+    """Nominal time between joint states that a node of a bag had, s."""
+    return 1.0 / float(settings.get(node, {}).get("state_rate", 1.0 / PERIOD))
+
+
+def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> dict[str, Any]:
+    """The settings objects of a node by prefix; `recorded` are its values by full name.
+
+    Raises
+    ------
+    BagError
+        If a name or a value is none of this version's: the node may have worked in another way. `bag` is named.
+    """
+    source = f"bag '{bag}', settings of the {node}"
+    every = {**FORMERLY.get(node, {}), **recorded}
+    renamed = {RENAMED.get(name, name): value for name, value in every.items() if DROPPED.get(name) != value}
+    try:
+        values = _by_prefix(node, renamed, _EVERY_NODE, source)
+    except SettingsError as error:
+        raise BagError(f"{error}; use the version that recorded the bag") from error
+    try:
+        return {prefix: kind.from_mapping(values[prefix], source) for prefix, kind in SECTIONS[node].items()}
+    except SettingsError as error:
+        raise BagError(str(error)) from error
+
+
+class ChangedSettings:
+    """Settings to re-execute with instead of the recorded ones, from a parameter file; without one nothing changes.
+
+    Attributes
+    ----------
+    file
+        The parameter file.
+    inertia_set
+        The inertial parameters that controller and observer have.
+    """
+
+    def __init__(self, file: Path | None = None) -> None:
+        """Raises `SettingsError` if the file cannot be read, names no node, or a parameter that the node has not."""
+        self.file = file
+        if file is not None:
+            check_node_names(file, [MODEL])
+        nodes = (*SECTIONS, MODEL)
+        found = {node: {} if file is None else parameters_in(file, node) for node in nodes}
+        if file is not None and not any(found.values()):
+            raise SettingsError(f"{file}: names none of {', '.join(nodes)}; expected '<node>: ros__parameters: ...'")
+        model = found.pop(MODEL)
+        self.inertia_set = str(model.pop(_INERTIA_SET, "nominal"))
+        for name in model:
+            raise SettingsError(unknown_key(name, [_INERTIA_SET], f"{file}: {MODEL}"))
+        self._changes = {
+            node: _by_prefix(node, values, _OF_PROCESSES, f"{file}: {node}") for node, values in found.items()
+        }
+        # The planner plans for the controller's gains.
+        self._changes["planner"][GAINS] = self._changes["controller"][GAINS] | self._changes["planner"][GAINS]
+        # The controller watches itself with the observer's.
+        self._changes["controller"] |= {prefix: self._changes["observer"][prefix] for prefix in OBSERVER_SECTIONS}
+
+    def __bool__(self) -> bool:
+        return self.file is not None
+
+    def apply(self, node: str, recorded: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings objects of a node by prefix: the recorded ones with what the file changes.
+
+        Raises
+        ------
+        SettingsError
+            If a value is not accepted.
+        """
+        made = dict(recorded)
+        for prefix, own in self._changes[node].items():
+            if own:
+                settings = recorded[prefix]
+                made[prefix] = type(settings).from_mapping(vars(settings) | own, f"{self.file}: {node}")
+        own = self._changes[node].get("", {})
+        if _CONTACT_BUDGET in own:
+            made[BUDGET] = load_budget(own[_CONTACT_BUDGET])
+        return made
+
+
+def _by_prefix(
+    node: str, values: Mapping[str, Any], ignored: Collection[str], source: str
+) -> dict[str, dict[str, Any]]:
+    """The settings of a node by prefix and own name; raises `SettingsError` if it has none of that full name."""
+    known = {
+        full_name(prefix, entry.name): (prefix, entry.name)
+        for prefix, kind in SECTIONS[node].items()
+        for entry in kind.declared()
+    }
+    found: dict[str, dict[str, Any]] = {prefix: {} for prefix in SECTIONS[node]}
+    for name, value in values.items():
+        if name in known:
+            prefix, own = known[name]
+            found[prefix][own] = value
+        elif name not in ignored:
+            raise SettingsError(unknown_key(name, known, source))
+    return found

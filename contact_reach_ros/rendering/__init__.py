@@ -1,1 +1,0 @@
-"""Pictures of the arm among its obstacles, without a display."""

@@ -1,0 +1,1 @@
+"""What bags amount to: signals, numbers, plots and a page for browsers."""

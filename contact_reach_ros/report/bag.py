@@ -1,0 +1,264 @@
+"""The contents of a report about one bag: signals, numbers, and notes on what is missing."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.control.settings import LimitSettings
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
+from contact_reach_ros.reexecution.command import reexecute
+from contact_reach_ros.reexecution.inputs import RecordedInputs
+from contact_reach_ros.reexecution.loops import Reexecution
+from contact_reach_ros.reexecution.settings import ChangedSettings
+from contact_reach_ros.report.recorded_settings import recorded_section
+from contact_reach_ros.report.signals import EpisodeSignals, read_signals
+from contact_reach_ros.report.summary import ERROR_LEVEL, Episode, EpisodeSummary, largest
+from contact_reach_ros.timing import PERCENTILES
+
+CALLED = "stop service called"
+"""Reason of a harmless stop, which ends a run."""
+
+_EXPECTED = {
+    "joint_states": "joint positions, distance, tick jitter",
+    "effort_controller/commands": "commanded torques, round trip",
+    "external_torque": "external torque",
+    "sim/contacts": "true contact force, which only a simulation knows",
+    "safety_state": "safety events",
+    "goal_pose": "goal, distance, verdict",
+    "reference/pose": "plan age",
+    "plan/statistics": "solve time, stop reasons and cost of each plan",
+    "intake/controller": "round trip of each tick, and re-execution",
+    "settings": "limits, thresholds and configuration",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportBag:
+    """One bag, read for a report.
+
+    Attributes
+    ----------
+    label :
+        Its name on the page.
+    arm :
+        The arm that was recorded.
+    reader, signals :
+        The bag, and its signals.
+    episode, summary :
+        None without a goal.
+    zero :
+        Time of the signals that the page counts from: when the goal was sent, or the first joint state, s.
+    end :
+        When the run ended, before the stack was shut down, s.
+    verdict :
+        The outcome in a few words; `good` whether the goal was reached without a stop.
+    budget, torque_limits :
+        The thresholds, and the limit of each joint's torque, (n,), Nm.
+    reexecuted :
+        Controller and observer with other settings, by name; empty without.
+    notes :
+        What is missing or odd, one sentence each.
+    """
+
+    label: str
+    arm: Arm
+    reader: BagReader
+    signals: EpisodeSignals
+    episode: Episode | None
+    summary: EpisodeSummary | None
+    zero: float
+    end: float
+    verdict: str
+    good: bool
+    budget: ContactBudget
+    torque_limits: Array
+    reexecuted: Mapping[str, Reexecution]
+    notes: tuple[str, ...]
+
+    @property
+    def path(self) -> Path:
+        """Where the bag is."""
+        return self.reader.summary.path
+
+    @property
+    def shown_from(self) -> float:
+        """First time that charts show until they are asked for the whole bag, s on the page."""
+        begin = float(self.signals.position.time[0]) if len(self.signals.position.time) else 0.0
+        return (begin if self.episode is None else max(begin, self.episode.shown_from)) - self.zero
+
+    def jitter_us(self) -> Array:
+        """Deviation of each tick from 1 ms after the one before, by when joint states were sent, µs."""
+        return (np.diff(self.signals.state_sent_ns) - 1_000_000) / 1000.0
+
+    def round_trip_us(self) -> Array:
+        """From the sending of a joint state to that of its command, µs."""
+        return self.signals.answers_ns / 1000.0
+
+
+def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) -> ReportBag:
+    """Read a bag, complete or not.
+
+    Raises
+    ------
+    BagError
+        If the file is no bag.
+    """
+    reader = BagReader(path)
+    signals = read_signals(reader, arm.joint_names)
+    notes = list(reader.notes)
+    if not reader.summary.message_count:
+        notes.append("the bag has no messages")
+    lost = reader.summary.custom_data.get("messages_lost", "0")
+    if lost.isdigit() and int(lost):
+        notes.append(f"{lost} messages were lost while the bag was recorded")
+    lacking = [
+        f"topic {topic} is missing: no {what}"
+        for topic, what in _EXPECTED.items()
+        if f"/{topic}" not in reader.topics()
+    ]
+    notes += [*lacking, *signals.notes]
+    budget = recorded_section(signals, "observer", "budget", load_budget(), notes).resolve(arm)
+    limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
+    calls = [event.time for event in signals.safety if event.message == CALLED]
+    last = float(signals.position.time[-1]) if len(signals.position.time) else 0.0
+    end = min([*calls[:1], last])
+    episode = _episode(arm, signals, end, notes)
+    summary = episode.summary() if episode is not None else None
+    verdict, good = _verdict(signals, summary, end)
+    reexecuted: Mapping[str, Reexecution] = {}
+    if changes:
+        try:
+            reexecuted = reexecute(RecordedInputs(reader), changes)
+        except BagError as error:
+            notes.append(f"not executed with other settings: {error}")
+    return ReportBag(
+        label=label,
+        arm=arm,
+        reader=reader,
+        signals=signals,
+        episode=episode,
+        summary=summary,
+        zero=episode.start if episode is not None else 0.0,
+        end=end,
+        verdict=verdict,
+        good=good,
+        budget=budget,
+        torque_limits=limits.torque_share * arm.torque_limits,
+        reexecuted=reexecuted,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
+    """The numbers of the summary with their units, by name; NaN where unknown."""
+    summary, signals = bag.summary, bag.signals
+    contact, torque = (s.between(bag.zero, bag.end) for s in (signals.contact_force, signals.external_torque))
+    nan = float("nan")
+    found: dict[str, tuple[float, str]] = {
+        "time to the goal": (summary.duration_s if summary else nan, "s"),
+        "limit: the least time": (summary.limit_s if summary else nan, "s"),
+        "time, over the limit": (summary.time_ratio if summary else nan, "×"),
+        "distance at the end": (1000 * summary.final_error_m if summary else nan, "mm"),
+        "way to the goal": (1000 * summary.distance_m if summary else nan, "mm"),
+        "largest contact force": (largest(contact.column("max")), "N"),
+        "time above the permitted force": (_time_above(bag), "ms"),
+        "largest external torque": (largest(np.abs(torque.values)), "Nm"),
+        "of what stops the arm": (100 * largest(threshold_share(bag)), "%"),
+        "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
+        "ticks": (float(len(signals.position.time)), ""),
+        "ticks missed": (summary.missed_ticks if summary else nan, ""),
+    }
+    for name, values in (("tick jitter", np.abs(bag.jitter_us())), ("round trip", bag.round_trip_us())):
+        for key in ("p50", "p99", "p999"):
+            percent = PERCENTILES[key]
+            found[f"{name} {_percent(percent)}"] = (float(np.percentile(values, percent)) if len(values) else nan, "µs")
+    solve = np.array([plan.numbers.get("took ms", nan) for plan in signals.plans])
+    found["plans"] = (float(len(signals.plan_times)), "")
+    for percent in (50.0, 95.0, 100.0):
+        found[f"plan takes {_percent(percent)}"] = (float(np.percentile(solve, percent)) if len(solve) else nan, "ms")
+    found["greatest plan age"] = (summary.plan_age_ms_max if summary else nan, "ms")
+    return found
+
+
+def threshold_share(bag: ReportBag) -> Array:
+    """(n,) greatest share of any joint's external torque in the threshold that stops the arm at its speed."""
+    torque, velocity = bag.signals.external_torque, bag.signals.velocity
+    if not len(torque.time):
+        return np.zeros(0)
+    thresholds = np.tile(np.array(bag.budget.torque_thresholds), (len(torque.time), 1))
+    if len(velocity.time):
+        row = np.clip(np.searchsorted(velocity.time, torque.time), 0, len(velocity.time) - 1)
+        thresholds += np.array(bag.budget.torque_per_speed) * np.abs(np.nan_to_num(velocity.values[row]))
+    # NaN only where all are.
+    return np.fmax.reduce(np.abs(torque.values) / thresholds, axis=1)
+
+
+def as_json(bag: ReportBag) -> dict[str, Any]:
+    """All numbers, for JSON; None where unknown."""
+    return {
+        "bag": str(bag.path),
+        "verdict": bag.verdict,
+        "good": bag.good,
+        "summary": None if bag.summary is None else bag.summary.as_json(),
+        "metrics": {
+            name: {"value": value if np.isfinite(value) else None, "unit": unit}
+            for name, (value, unit) in metrics(bag).items()
+        },
+        "events": [
+            {"time_s": event.time - bag.zero, "level": event.level, "source": event.name, "message": event.message}
+            for event in bag.signals.safety
+        ],
+        "plan_stop_reasons": stop_reasons(bag),
+        "topics": {name: topic.message_count for name, topic in sorted(bag.reader.topics().items())},
+        "custom_data": dict(bag.reader.summary.custom_data),
+        "settings": {node: dict(values) for node, values in bag.signals.settings.items()},
+        "notes": list(bag.notes),
+    }
+
+
+def stop_reasons(bag: ReportBag) -> dict[str, int]:
+    """How often each reason ended the search for a plan."""
+    reasons = [plan.stop_reason for plan in bag.signals.plans]
+    return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
+
+
+def _episode(arm: Arm, signals: EpisodeSignals, end: float, notes: list[str]) -> Episode | None:
+    if not len(signals.position.time) or np.isnan(signals.position.values).all():
+        return None
+    try:
+        return Episode(signals, arm, end)
+    except BagError as error:
+        notes.append(f"no verdict: {error}")
+        return None
+
+
+def _verdict(signals: EpisodeSignals, summary: EpisodeSummary | None, end: float) -> tuple[str, bool]:
+    stops = [event for event in signals.safety if event.level >= ERROR_LEVEL and event.time < end]
+    stops = [event for event in stops if event.message != CALLED]
+    if stops:
+        return f"stopped by the {stops[0].name}: {stops[0].message}", False
+    if summary is None:
+        return "no goal in the bag", False
+    return ("goal reached", True) if summary.reached else ("goal not reached", False)
+
+
+def _time_above(bag: ReportBag) -> float:
+    """Milliseconds with a contact force above the permitted one; NaN without any force."""
+    force = bag.signals.contact_force
+    if len(force.time) < 2:
+        return float("nan")
+    above = force.column("max")[:-1] > bag.budget.permitted_force
+    return 1000 * float(np.diff(force.time)[above].sum())
+
+
+def _percent(percent: float) -> str:
+    return "at most" if percent == 100.0 else f"p{percent:g}"

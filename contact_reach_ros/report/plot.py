@@ -1,0 +1,178 @@
+"""The picture of an episode: distance to the goal, contact force and external torque over the same time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.report.signals import Series
+
+SUCCESS_DISTANCE = 0.01
+"""The paper's delta, m: the goal is reached within it."""
+
+_DOTS = (0, (1, 3))
+_MARKER_STYLES: dict[str, dict[str, Any]] = {
+    "goal": {"color": BLUE, "linestyle": "-"},
+    "reached": {"color": GREEN, "linestyle": "--"},
+    "safety": {"color": VERMILION, "linestyle": ":"},
+}
+_MAXIMUM_ROWS = 6
+_SHORTEST = 1e-3
+BEFORE = 2.0
+"""How much of the time before the first goal or stop is shown, s: a stack may have waited long for its goal."""
+_ROW_HEIGHT = 0.09
+"""Of the labels, in heights of a panel."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Marker:
+    """A moment to mark: time in s, a label of a few words, and a kind: "goal", "reached" or "safety"."""
+
+    time: float
+    label: str
+    kind: str
+
+
+def episode_figure(
+    distance: Series,
+    contact: Series,
+    torque: Series,
+    markers: Sequence[Marker],
+    title: str,
+    permitted_force: float,
+    torque_thresholds: Sequence[float] = (),
+) -> Figure:
+    """Draw an episode in three panels: distance to the goal, contact force, external torque.
+
+    Parameters
+    ----------
+    distance, contact, torque :
+        The column "distance", m, from flange to goal; the columns "max" and "sum", N, of the forces on the bodies; and
+        a column for each joint, Nm. Times are of one clock; a series without any leaves its panel empty.
+    markers :
+        Moments to mark; the earliest one of kind "goal" becomes time zero.
+    title :
+        One line: scene, seed, result.
+    permitted_force :
+        The paper's epsilon, N.
+    torque_thresholds :
+        External torque per joint, Nm, above which the robot stops; none are drawn if empty.
+
+    Raises
+    ------
+    BagError
+        If there is nothing to draw.
+    """
+    times = (distance.time, contact.time, torque.time)
+    recorded = [time for time in times if len(time)]
+    if not recorded:
+        raise BagError("nothing to plot: there is neither a distance, nor a contact force, nor an external torque")
+    first, last = min(float(time.min()) for time in recorded), max(float(time.max()) for time in recorded)
+    sent = [marker.time for marker in markers if marker.kind == "goal"]
+    zero = min(sent, default=first)
+    figure = Figure(figsize=(9.0, 7.6), dpi=130)
+    panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (1.0, 1.0, 1.25)})
+    _draw_distance(panels[0], distance.time - zero, distance.column("distance"))
+    _draw_contact(panels[1], contact, zero, permitted_force)
+    _draw_torque(panels[2], torque.time - zero, torque.values, torque_thresholds)
+    for panel, time in zip(panels, times, strict=True):
+        _finish(panel, bool(len(time)))
+    begin = max(first, min((marker.time for marker in markers), default=first) - BEFORE)
+    panels[0].set_xlim(begin - zero, max(last, begin + _SHORTEST) - zero)
+    panels[2].set_xlabel("time since the goal was sent [s]" if sent else "time [s]")
+    figure.subplots_adjust(left=0.09, right=0.8, top=0.9, bottom=0.075, hspace=0.12)
+    rows = _draw_markers(figure, panels, markers, zero)
+    figure.subplots_adjust(top=0.93 - 0.024 * rows)
+    figure.suptitle(title, x=0.09, y=0.98, ha="left", fontsize=12, fontweight="bold")
+    figure.align_ylabels(panels)
+    return figure
+
+
+def _draw_distance(panel: Axes, time: np.ndarray, distance: np.ndarray) -> None:
+    panel.plot(time, distance, color=BLUE, linewidth=1.8, label="distance")
+    label = f"success, {SUCCESS_DISTANCE:g} m"
+    panel.axhline(SUCCESS_DISTANCE, color=GREY, linewidth=1.0, linestyle="--", label=label)
+    panel.set_ylabel("distance to goal [m]")
+    panel.set_yscale("log")
+    positive = distance[distance > 0.0]
+    low = min(SUCCESS_DISTANCE, positive.min(initial=np.inf))
+    high = max(SUCCESS_DISTANCE, positive.max()) if len(positive) else 10 * SUCCESS_DISTANCE
+    panel.set_ylim(low / 2, high * 2)
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _draw_contact(panel: Axes, force: Series, zero: float, permitted: float) -> None:
+    time = force.time - zero
+    panel.plot(time, force.column("sum"), color=ORANGE, linewidth=1.4, label="sum of all bodies")
+    panel.plot(time, force.column("max"), color=BLACK, linewidth=1.4, label="largest of any body")
+    panel.axhline(permitted, color=VERMILION, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
+    panel.set_ylabel("contact force [N]")
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.set_ylim(0.0, 1.15 * max(permitted, np.nanmax(force.column("sum"), initial=0.0)))
+
+
+def _draw_torque(panel: Axes, time: np.ndarray, torque: np.ndarray, thresholds: Sequence[float]) -> None:
+    for joint in range(torque.shape[1]):
+        colour = JOINT_COLOURS[joint % len(JOINT_COLOURS)]
+        panel.plot(time, torque[:, joint], color=colour, linewidth=1.2, label=f"joint A{joint + 1}")
+    panel.set_ylabel("external torque [Nm]")
+    largest = float(np.nanmax(np.abs(torque), initial=0.0))
+    for joint, threshold in enumerate(thresholds):
+        colour = JOINT_COLOURS[joint % len(JOINT_COLOURS)]
+        for value in (-threshold, threshold):
+            panel.axhline(value, color=colour, linewidth=0.9, linestyle=_DOTS, alpha=0.7)
+    if len(thresholds):
+        panel.plot([], [], color=GREY, linewidth=0.9, linestyle=_DOTS, label="stop thresholds")
+        # The nearest threshold stays in view; those far above must not flatten the curves.
+        largest = max(largest, min(thresholds))
+    panel.set_ylim(-1.15 * (largest or 1.0), 1.15 * (largest or 1.0))
+
+
+def _finish(panel: Axes, recorded: bool) -> None:
+    if not recorded:
+        panel.text(0.5, 0.5, "not recorded", transform=panel.transAxes, ha="center", color=GREY)
+    panel.grid(True, color="#dddddd", linewidth=0.6)
+    panel.set_axisbelow(True)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
+
+
+def _draw_markers(figure: Figure, panels: Sequence[Axes], markers: Sequence[Marker], zero: float) -> int:
+    """Draw the lines through all panels, with the labels in as many rows above as keep them apart.
+
+    Returns
+    -------
+    int
+        The number of rows.
+    """
+    top = panels[0]
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    row_starts: list[float] = []
+    # From right to left: an earlier label goes above those that it would run into, so that no line crosses a label.
+    for marker in sorted(markers, key=lambda marker: marker.time, reverse=True):
+        time, style = marker.time - zero, _MARKER_STYLES[marker.kind]
+        for panel in panels:
+            panel.axvline(time, linewidth=1.1, zorder=1.5, **style)
+        label = top.annotate(marker.label, (time, 1.0), xycoords=("data", "axes fraction"), fontsize=9)
+        start = top.transData.transform((time, 1.0))[0]
+        end = start + label.get_window_extent(renderer).width + 12.0
+        row = next((row for row in range(len(row_starts)) if end < min(row_starts[row:])), len(row_starts))
+        if row >= _MAXIMUM_ROWS:
+            label.remove()
+            continue
+        row_starts[row : row + 1] = [start]
+        height = 1.0 + _ROW_HEIGHT * (row + 1)
+        label.set(position=(3, 2.0), color=style["color"])
+        label.xy = (time, height - _ROW_HEIGHT)
+        label.set_anncoords("offset points")
+        top.axvline(time, ymin=1.0, ymax=height, linewidth=1.1, clip_on=False, **style)
+    return len(row_starts)

@@ -1,0 +1,311 @@
+"""Time series of an episode, read from a bag.
+
+Times are seconds of the robot's own clock since its first joint state: the stamps of joint states, torques and
+contacts are on that clock. Messages without a stamp are placed on it through their time of reception, compared with
+those of the joint states; so an episode in lockstep, whose clock is not that of the wall, comes out right as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, Stamps, read_raw
+from contact_reach_ros.bags.goals import goal_in, pursued
+from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.messages.intake import COLUMNS, Taken
+from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.units import NANOSECONDS
+
+_SPARSE = {
+    "goal_pose": "geometry_msgs/msg/PoseStamped",
+    "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
+    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
+    "settings": "diagnostic_msgs/msg/DiagnosticStatus",
+    "intake/controller": "std_msgs/msg/Int64MultiArray",
+}
+"""Topics of few messages, which are decoded one by one, with their types."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Series:
+    """Values over time.
+
+    Attributes
+    ----------
+    time :
+        (n,), s.
+    names :
+        What the k columns are.
+    values :
+        (n, k); NaN where a message had no such value.
+    """
+
+    time: np.ndarray
+    names: tuple[str, ...]
+    values: np.ndarray
+
+    def column(self, name: str) -> np.ndarray:
+        """The values (n,) of one name; NaN throughout where there is no such column."""
+        if name not in self.names:
+            return np.full(len(self.time), np.nan)
+        return self.values[:, self.names.index(name)]
+
+    def between(self, start: float, end: float) -> Series:
+        """The part from one time to another, s, both included."""
+        inside = (self.time >= start) & (self.time <= end)
+        return Series(self.time[inside], self.names, self.values[inside])
+
+
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """A change of the safety state: time in s, level of DiagnosticStatus (0: all is well), source and message."""
+
+    time: float
+    level: int
+    name: str
+    message: str
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanStatistics:
+    """How one plan was found: when it takes effect, s, and its numbers in plan/statistics."""
+
+    time: float
+    stop_reason: str
+    numbers: Mapping[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class EpisodeSignals:
+    """The signals of an episode; a series is empty where its topic was not recorded.
+
+    Attributes
+    ----------
+    origin_ns :
+        Stamp of the first joint state, at time 0, ns.
+    position, velocity, effort :
+        Joint states, rad, rad/s, Nm.
+    command :
+        Commanded torques, Nm.
+    external_torque :
+        Residual of the momentum observer, Nm.
+    contact_force :
+        True contact force in simulation, N: a column per robot body, and the columns "sum" and "max".
+    safety :
+        Changes in the order of time; a state that is only repeated is left out.
+    goals :
+        Positions that were sent as goals, m, except those that the planner refused: the columns x, y and z. In lockstep
+        at the joint state that their stamp names, else when they were received.
+    diagnostics :
+        Numbers from the diagnostics, by "<status>/<key>".
+    plan_times :
+        (n,) when plans take effect, s, in order.
+    plans :
+        How they were found, in the order of their effect.
+    state_sent_ns :
+        (n,) when joint states were sent, ns since the epoch; in the order of their series.
+    answers_ns :
+        (n,) from the sending of a joint state to the sending of its command, ns.
+    settings :
+        By node.
+    in_lockstep :
+        Whether simulated time waited for the nodes.
+    notes :
+        Irregularities of the messages, one sentence each.
+    """
+
+    origin_ns: int
+    position: Series
+    velocity: Series
+    effort: Series
+    command: Series
+    external_torque: Series
+    contact_force: Series
+    safety: tuple[Event, ...]
+    goals: Series
+    diagnostics: Mapping[str, Series]
+    plan_times: np.ndarray
+    plans: tuple[PlanStatistics, ...]
+    state_sent_ns: np.ndarray
+    answers_ns: np.ndarray
+    settings: Mapping[str, Mapping[str, Any]]
+    in_lockstep: bool
+    notes: tuple[str, ...]
+
+
+def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
+    """Read an episode; messages are mapped by name to the order of the joints."""
+    joints = tuple(joint_names)
+    count = len(joints)
+    columns: dict[str, Collector] = {
+        "joint_states": JointStates(("position", "velocity", "effort"), joints),
+        "effort_controller/commands": Arrays(count),
+        "external_torque": JointStates(("effort",), joints),
+        "sim/contacts": JointStates(("effort",)),
+        "reference/pose": Stamps(),
+    }
+    sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
+    types = {name: bag.topics()[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics()}
+    other = {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
+    handlers = columns | {name: messages.append for name, messages in sparse.items() if name not in other}
+    read_raw(bag, {f"/{name}": handler for name, handler in handlers.items()})
+    state, command, torque, contact, pose = (column.column() for column in columns.values())
+    clock = _Clock(state)
+
+    def received(name: str) -> list[tuple[float, Any]]:
+        """Time, s, and message; those that cannot be decoded are left out, which the bag's notes mention."""
+        times = clock.of_receptions(np.array([raw.log_time_ns for raw in sparse[name]], np.int64)).tolist()
+        pairs = zip(times, map(bag.decode, sparse[name]), strict=True)
+        return [(time, message) for time, message in pairs if message is not None]
+
+    state_times = clock.of_stamps(state)
+    settings = {status.name: read_settings(status) for _, status in received("settings")}
+    plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
+    in_lockstep = any(values.get("use_sim_time") is True for values in settings.values()) or "/clock" in bag.topics()
+    return EpisodeSignals(
+        clock.origin_ns,
+        Series(state_times, joints, state.values[:, :count]),
+        Series(state_times, joints, state.values[:, count : 2 * count]),
+        Series(state_times, joints, state.values[:, 2 * count :]),
+        Series(clock.of_receptions(command.log_ns), joints, command.values),
+        Series(clock.of_stamps(torque), joints, torque.values),
+        Series(clock.of_stamps(contact), contact.names, contact.values),
+        tuple(_changes(received("safety_state"))),
+        _goals(received("goal_pose"), plans, clock if in_lockstep else None),
+        _diagnostics(received("diagnostics")),
+        (np.sort(pose.stamp_ns[pose.stamp_ns > 0]) - clock.origin_ns) / NANOSECONDS,
+        tuple(sorted(plans, key=lambda plan: plan.time)),
+        state.publish_ns,
+        _answers(command, [message.data for _, message in received("intake/controller")]),
+        settings,
+        in_lockstep,
+        (
+            *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
+            *_oddities({"joint_states": state, "external_torque": torque, "sim/contacts": contact}, command),
+        ),
+    )
+
+
+class _Clock:
+    """Places messages on the robot's clock, in s since its first joint state."""
+
+    def __init__(self, states: Column) -> None:
+        stamped = states.stamp_ns != 0
+        received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
+        if len(stamps):
+            self._received_0, self.origin_ns, self._last_ns = int(received[0]), int(stamps[0]), int(stamps[-1])
+        else:
+            self._received_0 = self.origin_ns = self._last_ns = int(states.log_ns[0]) if len(states) else 0
+        self._received = (received - self._received_0) / NANOSECONDS
+        self._stamps = (stamps - self.origin_ns) / NANOSECONDS
+
+    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether stamps, ns, lie between those of the first joint state and of the last one."""
+        return np.asarray((stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns))
+
+    def of_stamps(self, column: Column) -> np.ndarray:
+        """By the stamps in the headers, or by reception where they are zero."""
+        times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
+        unstamped = column.stamp_ns == 0
+        times[unstamped] = self.of_receptions(column.log_ns[unstamped])
+        return times
+
+    def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
+        """By times of reception, ns."""
+        received = (log_ns - self._received_0) / NANOSECONDS
+        if not len(self._received):
+            return received
+        inside = np.interp(received, self._received, self._stamps)
+        # Outside of the joint states both clocks are taken to run alike.
+        return inside + received - np.clip(received, self._received[0], self._received[-1])
+
+
+def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[Event]:
+    """The statuses with a new state: some senders repeat theirs as a sign of life."""
+    last: dict[str, tuple[int, str]] = {}
+    for time, status in statuses:
+        state = (status.level, status.message)
+        if last.get(status.name) != state:
+            last[status.name] = state
+            yield Event(time, status.level, status.name, status.message)
+
+
+def _plans(clock: _Clock, array: Any) -> Iterator[PlanStatistics]:
+    stamp = array.header.stamp
+    time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
+    for status in array.status:
+        reasons = [item.value for item in status.values if item.key == "stop reason"]
+        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(_numbers(status)))
+
+
+def _numbers(status: Any) -> Iterator[tuple[str, float]]:
+    """The values that are numbers, by their keys."""
+    for item in status.values:
+        try:
+            yield item.key, float(item.value)
+        except ValueError:
+            continue
+
+
+def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns, by the controller's record of its inputs."""
+    rows = [batch[1:].reshape(-1, len(COLUMNS)) for batch in batches if len(batch) % len(COLUMNS) == 1]
+    if not rows or not commands.sequence.any():
+        return np.zeros(0, np.int64)
+    taken = np.concatenate(rows)
+    taken = taken[taken[:, 0] == Taken.JOINT_STATES]
+    # States before the start, or that came again, have no answer: the number of commands stays as it is.
+    taken = taken[np.diff(taken[:, 3], append=-1) != 0]
+    # The command that follows has the next number.
+    order = np.argsort(commands.sequence, kind="stable")
+    numbers = commands.sequence[order]
+    at = np.searchsorted(numbers, taken[:, 3] + 1)
+    known = at < len(numbers)
+    known[known] = numbers[at[known]] == taken[known, 3] + 1
+    answers = commands.publish_ns[order][at[known]] - taken[known, 1]
+    return answers[(answers >= 0) & (answers < NANOSECONDS)]
+
+
+def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
+    for name, column in {**columns, "effort_controller/commands": commands}.items():
+        if column.refused:
+            yield f"{name}: {column.refused} messages cannot be read and are left out"
+    for name, column in columns.items():
+        back = int((np.diff(column.stamp_ns) < 0).sum())
+        if back:
+            yield f"{name}: {back} stamps are older than the one before; curves follow the stamps"
+    states = columns["joint_states"]
+    if len(states) and np.isnan(states.values[:, : len(states.names) // 3]).all():
+        yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
+
+
+def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: _Clock | None) -> Series:
+    """The goals that were not refused; by their stamps on a clock, or without one by reception."""
+    places = [message.pose.position for _, message in messages]
+    positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
+    times = np.array([time for time, _ in messages])
+    if clock is not None:
+        stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
+        times = np.where(clock.covers(stamps), (stamps - clock.origin_ns) / NANOSECONDS, times)
+    planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
+    kept = pursued(positions, planned)
+    return Series(times[kept], ("x", "y", "z"), positions[kept])
+
+
+def _diagnostics(arrays: Sequence[tuple[float, Any]]) -> dict[str, Series]:
+    """Numbers by '<status>/<key>'."""
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    for time, array in arrays:
+        for status in array.status:
+            for key, number in _numbers(status):
+                column = found.setdefault(f"{status.name}/{key}", ([], []))
+                column[0].append(time)
+                column[1].append(number)
+    return {key: Series(np.array(when), (key,), np.array(numbers)[:, None]) for key, (when, numbers) in found.items()}

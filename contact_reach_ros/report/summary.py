@@ -1,0 +1,288 @@
+"""Summary and plot of a recorded episode."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.speed_limit import least_duration
+from contact_reach_ros.report.plot import BEFORE, SUCCESS_DISTANCE, Marker, episode_figure
+from contact_reach_ros.report.recorded_settings import recorded_section
+from contact_reach_ros.report.signals import EpisodeSignals, Series
+
+ERROR_LEVEL = 2
+"""Of a DiagnosticStatus: the arm is stopped."""
+
+
+@dataclasses.dataclass(frozen=True)
+class EpisodeSummary:
+    """One goal, from the moment it was sent. The field names are those of the JSON report.
+
+    Attributes
+    ----------
+    reached
+        Whether the flange came within 0.01 m of the goal.
+    final_error_m
+        Distance from the goal at the end.
+    duration_s
+        Time until the goal was reached; NaN if it was not.
+    watched_s
+        From the goal's being sent to the end of the episode.
+    distance_m
+        From start to goal.
+    limit_s
+        The least time that the transfer model's bound on the speed permits for this way, with the settings of the run.
+    time_ratio
+        `duration_s` over `limit_s`; NaN if the goal is where the arm is.
+    max_contact_force_N
+        Largest force on one robot body.
+    max_external_torque_Nm
+        Largest residual of the observer on one joint.
+    ticks, missed_ticks
+        Joint states in the recording until the end, and those that the driver reported missed.
+    round_trip_us
+        From a joint state to its command: p50, p99, p999.
+    plan_ms
+        Solve time: p50, p95, max.
+    plan_age_ms_max
+        Greatest age of the plan in force at a joint state: the time since it took effect.
+    safety_events
+        Stops: time_s, source and reason.
+    """
+
+    reached: bool
+    final_error_m: float
+    duration_s: float
+    watched_s: float
+    distance_m: float
+    limit_s: float
+    time_ratio: float
+    max_contact_force_N: float  # noqa: N815 - the unit's letter
+    max_external_torque_Nm: float  # noqa: N815
+    ticks: int
+    missed_ticks: int
+    round_trip_us: dict[str, float]
+    plan_ms: dict[str, float]
+    plan_age_ms_max: float
+    safety_events: list[dict[str, Any]]
+
+    @property
+    def success(self) -> bool:
+        """Reached, and never stopped."""
+        return self.reached and not self.safety_events
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; NaN becomes None."""
+        return {key: _plain(value) for key, value in dataclasses.asdict(self).items()}
+
+
+class Episode:
+    """What became of the goal of a bag; a second goal counts from the moment it is sent.
+
+    Parameters
+    ----------
+    signals
+        Of the bag.
+    arm
+        Whose joints the bag records.
+    end
+        When the episode ends, for example before the stack was shut down, s since the first joint state; the last
+        joint state when None.
+    timeout, settle
+        Times after the start and after the goal was reached at which the episode ends, if not earlier, s: how long a
+        recording goes on after them makes no difference.
+
+    Attributes
+    ----------
+    start
+        When the first goal was sent, s since the first joint state.
+    reached
+        When the goal was reached, on the same clock; None if it was not.
+    distance
+        Of the flange from the goal: the column "distance", m.
+
+    Raises
+    ------
+    BagError
+        If there is no goal or no joint state.
+    """
+
+    def __init__(
+        self,
+        signals: EpisodeSignals,
+        arm: Arm,
+        end: float | None = None,
+        timeout: float = np.inf,
+        settle: float = np.inf,
+    ) -> None:
+        self._signals = signals
+        self.distance = goal_distance(signals, partial(tip_positions, arm))
+        time = self.distance.time
+        if not len(time):
+            raise BagError("holds no goal with joint states; record goal_pose and joint_states")
+        self.start = float(signals.goals.time[0])
+        self.reached = first_below(time, self.distance.values[:, 0], SUCCESS_DISTANCE, self.start)
+        settled = np.inf if self.reached is None else self.reached + settle
+        self._end = min(float(time[-1]) if end is None else end, self.start + timeout, settled)
+        position = signals.position
+        row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
+        start_position, target = tip_positions(arm, position.values[row : row + 1])[0], signals.goals.values[0]
+        self._straight = float(np.linalg.norm(target - start_position))
+        self._limit = least_duration(
+            start_position,
+            target,
+            recorded_section(signals, "planner", "planning", PlanningSettings()),
+            recorded_section(signals, "controller", "impedance", ImpedanceSettings()),
+        )
+
+    @property
+    def shown_from(self) -> float:
+        """From when on it is shown: shortly before the goal was sent, or before an earlier stop."""
+        return min([self.start, *(self.start + stop["time_s"] for stop in self._stops())]) - BEFORE
+
+    def summary(self) -> EpisodeSummary:
+        """The numbers."""
+        signals = self._signals
+        duration = float("nan") if self.reached is None else self.reached - self.start
+        last = max(int(np.searchsorted(self.distance.time, self._end, side="right")) - 1, 0)
+        contact = signals.contact_force.between(self.start, self._end)
+        torque = signals.external_torque.between(self.start, self._end)
+        return EpisodeSummary(
+            reached=self.reached is not None and self.reached <= self._end,
+            final_error_m=float(self.distance.values[last, 0]),
+            duration_s=duration,
+            watched_s=self._end - self.start,
+            distance_m=self._straight,
+            limit_s=self._limit,
+            time_ratio=duration / self._limit if self._limit > 0.0 else float("nan"),
+            max_contact_force_N=largest(contact.column("max")),
+            max_external_torque_Nm=largest(np.abs(torque.values)),
+            ticks=len(np.unique(signals.position.between(-np.inf, self._end).time)),
+            missed_ticks=int(_last(signals, "driver/missed ticks", self._end, 0.0)),
+            round_trip_us={
+                key: _last(signals, f"driver/round trip {key} us", self._end) for key in ("p50", "p99", "p999")
+            },
+            plan_ms={key: _last(signals, f"planner/solve {key} us", self._end) / 1000 for key in ("p50", "p95", "max")},
+            plan_age_ms_max=1000 * self._greatest_plan_age(),
+            safety_events=self._stops(),
+        )
+
+    def plot(self, file: Path, title: str, budget: ContactBudget) -> None:
+        """Draw distance, contact force and external torque over time as a PNG.
+
+        Raises
+        ------
+        BagError
+            If the file cannot be written.
+        """
+        markers = [Marker(self.start, "goal sent", "goal")]
+        if self.reached is not None:
+            markers.append(Marker(self.reached, "reached", "reached"))
+        markers += [Marker(stop["time_s"] + self.start, f"{stop['source']} stop", "safety") for stop in self._stops()]
+        signals = self._signals
+        figure = episode_figure(
+            self.distance.between(-np.inf, self._end),
+            signals.contact_force.between(-np.inf, self._end),
+            signals.external_torque.between(-np.inf, self._end),
+            markers,
+            title,
+            budget.permitted_force,
+            budget.torque_thresholds,
+        )
+        try:
+            figure.savefig(file, format="png")
+        except OSError as error:
+            raise BagError(f"plot '{file}' cannot be written: {error.strerror}") from error
+
+    def _stops(self) -> list[dict[str, Any]]:
+        """Each stop once, however often it was repeated."""
+        stops: dict[tuple[str, str], float] = {}
+        for event in self._signals.safety:
+            if event.level >= ERROR_LEVEL and event.time <= self._end:
+                stops.setdefault((event.name, event.message), event.time)
+        return [
+            {"time_s": time - self.start, "source": source, "reason": reason}
+            for (source, reason), time in stops.items()
+        ]
+
+    def _greatest_plan_age(self) -> float:
+        """Seconds; NaN without plans."""
+        effects = self._signals.plan_times
+        if not len(effects):
+            return float("nan")
+        ticks = self._signals.position.time
+        ticks = ticks[(ticks >= effects[0]) & (ticks <= self._end)]
+        return largest(ticks - effects[np.searchsorted(effects, ticks, side="right") - 1])
+
+
+def goal_distance(
+    signals: EpisodeSignals, tip_positions: Callable[[np.ndarray], np.ndarray], period: float = 0.01
+) -> Series:
+    """Distance of the flange from the goal that is in force; from the first one before it is sent.
+
+    Parameters
+    ----------
+    signals
+        The episode.
+    tip_positions
+        Forward kinematics: joint positions (n, joints) in rad to positions (n, 3) in m, in the frame of the goals.
+    period
+        Spacing of the result, s; joint states in between are left out.
+
+    Returns
+    -------
+    Series
+        The column "distance", m; empty if there is no goal or no joint state.
+    """
+    time, positions = signals.position.time, signals.position.values
+    if not len(signals.goals.time) or not len(time):
+        return Series(np.empty(0), ("distance",), np.empty((0, 1)))
+    wanted = np.arange(time[0], time[-1] + period / 2, period)
+    # A thousandth earlier, so that rounding does not skip a joint state that comes at the very time.
+    rows = np.unique(np.clip(np.searchsorted(time, wanted - 1e-3 * period), 0, len(time) - 1))
+    rows = rows[np.all(np.isfinite(positions[rows]), axis=1)]
+    in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
+    away = tip_positions(positions[rows]) - signals.goals.values[in_force]
+    return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
+
+
+def first_below(time: np.ndarray, values: np.ndarray, limit: float, after: float = 0.0) -> float | None:
+    """First time, not before `after`, at which the values are at or below a limit; None if they never are."""
+    found = np.flatnonzero((values <= limit) & (time >= after))
+    return float(time[found[0]]) if len(found) else None
+
+
+def largest(values: np.ndarray) -> float:
+    """The largest finite value; NaN without any."""
+    values = values[np.isfinite(values)]
+    return float(values.max()) if values.size else float("nan")
+
+
+def _last(signals: EpisodeSignals, key: str, end: float, default: float = float("nan")) -> float:
+    """Last value of a diagnostics entry up to `end`, or the first one there is."""
+    series = signals.diagnostics.get(key)
+    if series is None or not len(series.time):
+        return default
+    row = max(int(np.searchsorted(series.time, end, side="right")) - 1, 0)
+    return float(series.values[row, 0])
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

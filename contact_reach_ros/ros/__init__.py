@@ -1,0 +1,1 @@
+"""What the nodes need of ROS: lifecycle, parameters, quality of service, discovery, scheduling."""

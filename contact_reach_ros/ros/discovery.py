@@ -1,0 +1,124 @@
+"""Discovery: limited to this host unless the user opens it to the subnet, and waiting until it has settled."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.resources import config_file
+
+CHOICES = ("host", "subnet")
+"""Nodes of this host only, or every computer that multicast reaches, without a password."""
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+OLD_SWITCH = "ROS_LOCALHOST_ONLY"
+
+_SETTLED_S, _DISCOVERY_S = 3.5, 10.0
+"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
+
+_FAST_DDS = "rmw_fastrtps"
+_PROFILE_OF = {"host": "fastdds.xml", "subnet": "fastdds_subnet.xml"}
+
+
+class Reach(NamedTuple):
+    """Range in which the nodes of this process and its children can be heard.
+
+    Attributes
+    ----------
+    choice
+        One of `CHOICES`; empty where a file of the user decides.
+    why
+        Variable or file that decides.
+    shared_memory
+        Whether Fast DDS also uses shared memory, in which publishers were seen to stall.
+    """
+
+    choice: str
+    why: str
+    shared_memory: bool = False
+
+    @property
+    def text(self) -> str:
+        """One line for the log."""
+        words = {"host": "this host only", "subnet": "OPEN to the subnet, to everybody on it"}
+        return f"discovery: {words.get(self.choice, 'as a file of yours says')} ({self.why})"
+
+
+def environment(choice: str = "host") -> dict[str, str]:
+    """Environment variables for the choice; empty where the user's environment has already made one.
+
+    ROS's own LOCALHOST range would do for Fast DDS too, but takes its shared memory with it, see config/fastdds.xml.
+    Other middleware does not read that file and gets the range.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such choice.
+    """
+    if choice not in CHOICES:
+        raise SettingsError(f"discovery = '{choice}': expected one of {', '.join(CHOICES)}")
+    if any(name in os.environ for name in (RANGE, *PROFILES)):
+        return {}
+    if not get_rmw_implementation_identifier().startswith(_FAST_DDS):
+        return {RANGE: {"host": "LOCALHOST", "subnet": "SUBNET"}[choice]}
+    return {PROFILES[0]: str(config_file(_PROFILE_OF[choice])), RANGE: "SYSTEM_DEFAULT"}
+
+
+def choose_discovery(choice: str = "host") -> None:
+    """Make the choice for this process and its children, before the middleware starts."""
+    os.environ.update(environment(choice))
+
+
+def reach(env: Mapping[str, str]) -> Reach:
+    """Range of a process with these environment variables, after `choose_discovery`."""
+    chosen = env.get(RANGE, "SUBNET").upper()
+    fast_dds = get_rmw_implementation_identifier().startswith(_FAST_DDS)
+    if env.get(OLD_SWITCH) == "1":
+        return Reach("host", f"{OLD_SWITCH}=1", fast_dds)
+    if chosen in ("LOCALHOST", "OFF"):
+        return Reach("host", f"{RANGE}={chosen}", fast_dds)
+    profile = next((env[name] for name in PROFILES if env.get(name)), "")
+    if profile and fast_dds:
+        for choice, name in _PROFILE_OF.items():
+            if profile == str(config_file(name)):
+                return Reach(choice, profile)
+        return Reach("", profile)
+    return Reach("subnet", f"{RANGE}={chosen}", fast_dds)
+
+
+def wait_until_settled(
+    look: Callable[[], Any],
+    pause: Callable[[], Any],
+    *,
+    complete: Callable[[Any], bool] = lambda seen: True,
+    ended: Callable[[], bool] = lambda: False,
+) -> None:
+    """Poll the graph until nothing new has appeared for 3.5 s, longer than participants take to announce themselves.
+
+    After 10 s this returns in any case.
+
+    Parameters
+    ----------
+    look :
+        Returns the current graph.
+    pause :
+        Called between two of them.
+    complete :
+        Whether a graph may be the final one.
+    ended :
+        Whether to give up.
+    """
+    changed = time.monotonic()
+    deadline = changed + _DISCOVERY_S
+    seen: Any = None
+    while time.monotonic() < min(deadline, changed + _SETTLED_S) and not ended():
+        pause()
+        found = look()
+        if found != seen or not complete(found):
+            seen, changed = found, time.monotonic()

@@ -1,0 +1,225 @@
+"""Topics and services of every node: the stack's graph as it should be.
+
+`contact-reach doctor` compares a running stack with it; the security policies in config/security are made from it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Permitted topics and services of one node; names are relative to its namespace, '~' stands for the node.
+
+    Attributes
+    ----------
+    publishes, subscribes
+        Topics.
+    serves
+        Services offered.
+    calls
+        Services of other nodes used.
+    """
+
+    publishes: frozenset[str]
+    subscribes: frozenset[str]
+    serves: frozenset[str]
+    calls: frozenset[str] = frozenset()
+
+
+OBSERVER = "observer"
+RECORDER = "recorder"
+VIEWER = "viewer"
+DOCTOR = "contact_reach_doctor"
+REPLAY = "replay"
+OPERATOR = "operator"
+"""The node of contact-reach goto, stop and reset."""
+
+TUNABLE = ("planner", "controller", "observer", "driver")
+"""Nodes whose parameters a restart of the stack may change."""
+
+DEMO = "demo"
+
+ADAPTER = "adapter"
+
+STOPPABLE = ("controller", "observer", ADAPTER, "driver")
+"""Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
+
+_PARAMETER_SERVICES = {
+    "~/describe_parameters",
+    "~/get_parameter_types",
+    "~/get_parameters",
+    "~/get_type_description",
+    "~/list_parameters",
+    "~/set_parameters",
+    "~/set_parameters_atomically",
+}
+_LIFECYCLE_SERVICES = {
+    "~/change_state",
+    "~/get_available_states",
+    "~/get_available_transitions",
+    "~/get_state",
+    "~/get_transition_graph",
+}
+_EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
+"""Absolute, as ROS has them."""
+
+
+def _node(
+    publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
+) -> Interface:
+    return Interface(
+        frozenset(_EVERY_NODE_PUBLISHES | {topic.name for topic in publishes}),
+        frozenset(topic.name for topic in subscribes),
+        frozenset(_PARAMETER_SERVICES | set(serves)),
+        frozenset(calls),
+    )
+
+
+def _managed(
+    publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
+) -> Interface:
+    node = _node(
+        [*publishes, topics.DIAGNOSTICS, topics.SETTINGS],
+        [*subscribes, topics.CLOCK],
+        [*_LIFECYCLE_SERVICES, *serves],
+        calls,
+    )
+    return dataclasses.replace(node, publishes=node.publishes | {"~/transition_event"})
+
+
+_STOP = ("~/stop", "~/reset")
+
+HEARD_BY_VIEWER = (
+    topics.JOINT_STATES,
+    topics.EXTERNAL_TORQUE,
+    topics.OBSTACLES,
+    topics.PLAN_MARKERS,
+    topics.REFERENCE_POSE,
+    topics.SIM_CONTACTS,
+    topics.PLAN_STATISTICS,
+    topics.SAFETY_STATE,
+    topics.DIAGNOSTICS,
+)
+_STOP_AND_RESET = tuple(f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset"))
+_CALLED_BY_VIEWER = (
+    *_STOP_AND_RESET,
+    *(
+        f"{name}/{service}"
+        for name in TUNABLE
+        for service in ("list_parameters", "describe_parameters", "get_parameters")
+    ),
+    *(f"bringup/{service}" for service in ("get_parameters", "set_parameters_atomically", "restart")),
+)
+
+MANAGED = {
+    "driver": _managed(
+        [
+            topics.JOINT_STATES,
+            topics.SIM_CONTACTS,
+            topics.OBSTACLES,
+            topics.SAFETY_STATE,
+            topics.ROBOT_DESCRIPTION,
+            topics.CLOCK,
+        ],
+        [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.SIM_FAULTS],
+        _STOP,
+    ),
+    "controller": _managed(
+        [
+            topics.COMMANDS,
+            topics.ADAPTER_COMMANDS,
+            topics.SHADOW_COMMANDS,
+            topics.SAFETY_STATE,
+            topics.LOCKSTEP_HORIZON,
+            topics.CONTROLLER_INTAKE,
+        ],
+        [
+            topics.JOINT_STATES,
+            topics.SAFETY_STATE,
+            topics.REFERENCE_POSE,
+            topics.REFERENCE_POSTURE,
+            topics.LOCKSTEP_HORIZON,
+            topics.SETTINGS,
+        ],
+        _STOP,
+    ),
+    "observer": _managed(
+        [
+            topics.EXTERNAL_TORQUE,
+            topics.EXTERNAL_WRENCH,
+            topics.SAFETY_STATE,
+            topics.LOCKSTEP_HORIZON,
+            topics.OBSERVER_INTAKE,
+        ],
+        [topics.JOINT_STATES, topics.COMMANDS],
+        _STOP,
+    ),
+    "planner": _managed(
+        [
+            topics.REFERENCE_POSE,
+            topics.REFERENCE_POSTURE,
+            topics.PLAN_PATH,
+            topics.PLAN_MARKERS,
+            topics.PLAN_STATISTICS,
+            topics.PLAN_SOLUTION,
+            topics.LOCKSTEP_HORIZON,
+            topics.PLANNER_INTAKE,
+        ],
+        [topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
+    ),
+    ADAPTER: _managed(
+        [topics.COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
+        [topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.LOCKSTEP_HORIZON, topics.SETTINGS],
+        _STOP,
+        ["effort_controller/get_parameters", "controller_manager/switch_controller"],
+    ),
+    RECORDER: _managed([], topics.ALL),
+    VIEWER: _managed([topics.GOAL_POSE], HEARD_BY_VIEWER, calls=_CALLED_BY_VIEWER),
+}
+"""The lifecycle nodes."""
+
+ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
+"""Topics that must have a single publisher: with two, the arm receives the commands of both in turn."""
+
+COMMANDING = (
+    topics.COMMANDS,
+    topics.ADAPTER_COMMANDS,
+    topics.REFERENCE_POSE,
+    topics.REFERENCE_POSTURE,
+    topics.GOAL_POSE,
+    topics.SIM_FAULTS,
+)
+"""Topics whose messages make an arm move, or inject faults into its simulation."""
+
+ACTING = ("driver", ADAPTER, "controller", "planner")
+"""Nodes that act on the messages they receive; the others only watch."""
+
+INTERFACES = {
+    **MANAGED,
+    "bringup": _node(
+        [],
+        [topics.JOINT_STATES],
+        ["~/restart"],
+        [*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
+    ),
+    DOCTOR: _node(
+        [],
+        topics.ALL,
+        calls=[f"{name}/{service}" for name in MANAGED for service in ("get_state", "get_parameters")],
+    ),
+    OPERATOR: _node(
+        [topics.GOAL_POSE],
+        [topics.JOINT_STATES, topics.SAFETY_STATE, topics.DIAGNOSTICS],
+        calls=_STOP_AND_RESET,
+    ),
+    # Where security is on, replay may publish nothing that an arm might follow.
+    REPLAY: _node([topic for topic in topics.ALL if topic not in (*ALONE, *COMMANDING)], [], ["~/pause", "~/step"]),
+}
+"""All nodes of the package, by name."""

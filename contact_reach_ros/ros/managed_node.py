@@ -1,0 +1,295 @@
+"""What all nodes of the stack have in common: lifecycle, parameters, a loop, and diagnostics."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.messages.cdr import stamp_in
+from contact_reach_ros.messages.intake import IntakeLog, Taken
+from contact_reach_ros.messages.topics import DIAGNOSTICS, LOCKSTEP_HORIZON, SETTINGS, Topic
+from contact_reach_ros.parameter_files import AUTOSTART, CPUS, RATE, ROBOT, full_name
+from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
+from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.lockstep import Lockstep
+from contact_reach_ros.ros.parameters import declare
+from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.settings import Sections, Settings
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.versions import VERSION
+
+_IDLE_NS = 100_000_000
+
+
+class ManagedNode(LifecycleNode):
+    """A lifecycle node whose work is done by one loop thread.
+
+    Subclasses set `NAME` and `SECTIONS`, create their subscriptions in `self.inbox`, and implement `turn`.
+
+    Attributes
+    ----------
+    arm
+        The arm that the parameter `robot` names.
+    period
+        Nominal time between joint states, s.
+    settings
+        The settings objects by parameter prefix.
+    running
+        Whether the node is active.
+    lockstep
+        Whether time is simulated and waits for every node: each is busy then, and none is late.
+    boundary
+        Takes whatever messages and requests lead to that is none of their purpose.
+    """
+
+    NAME: ClassVar[str]
+    SECTIONS: ClassVar[Sections]
+    ARGUMENTS: ClassVar[Sequence[str]] = ()
+    """The command line of the process, which `run` sets."""
+
+    def __init__(self) -> None:
+        super().__init__(self.NAME)
+        self.autostart = bool(self.declare_parameter(AUTOSTART.name, AUTOSTART.default).value)
+        self.cpus = str(self.declare_parameter(CPUS.name, CPUS.default).value)
+        self.lockstep = bool(self.get_parameter("use_sim_time").value)
+        self.arm = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
+        rate: Any = RATE.check(self.declare_parameter(RATE.name, RATE.default).value, f"{RATE.name} of {self.NAME}")
+        self.period = 1.0 / rate
+        self.settings = declare(self, self.SECTIONS, self.arm)
+        self.boundary = Boundary(lambda text: self.say(LoggingSeverity.ERROR, text), self.on_fault)
+        self.inbox = Inbox(self, self.refuse)
+        self.running = False
+        self._diagnostics = self.create_publisher(DIAGNOSTICS.type, DIAGNOSTICS.name, qos_profile(DIAGNOSTICS.qos))
+        self._settings_publisher = self.make_publisher(SETTINGS)
+        self._stop = threading.Event()
+        self._lines: deque[tuple[LoggingSeverity, str]] = deque()
+        self._said = self.create_guard_condition(self.write_out)
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.add_on_set_parameters_callback(self._refuse_parameters)
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Number of refusals by what was refused."""
+        return self.boundary.refused
+
+    def turn(self) -> None:
+        """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
+        self.inbox.wait(_IDLE_NS)
+
+    def close(self) -> None:
+        """Finish what `on_deactivate` would, where the process ends while the node is active."""
+
+    def on_fault(self, what: str, error: Exception) -> None:
+        """React to an internal error, a fault of this program, in handling `what`; in the thread where it happened."""
+
+    def files(self) -> Mapping[str, Settings]:
+        """Settings read from other files, by prefix; published on `settings` with the parameters."""
+        return {}
+
+    def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
+        """A summary (empty when all is well) and values for the diagnostics topic."""
+        return "", {}
+
+    def loop(self) -> None:
+        """Take turns until `request_stop`; while the node is inactive its messages are dropped."""
+        while not self._stop.is_set():
+            if self.running:
+                self.turn()
+            else:
+                self.inbox.run_tasks()
+                self._stop.wait(0.02)
+
+    def request_stop(self) -> None:
+        """End the loop."""
+        self._stop.set()
+        self.inbox.wake()
+
+    def make_publisher(self, topic: Topic) -> Any:
+        """Publisher for a topic of the stack."""
+        return self.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+
+    def make_writer(self, topic: Topic) -> Callable[[bytes], None]:
+        """Return a function that publishes serialised messages of a topic, for the loop of an active node.
+
+        It bypasses the checks of lifecycle publisher, context and type, which take as long as the loop's arithmetic.
+        """
+        write: Callable[[bytes], None] = self.make_publisher(topic).handle.publish_raw
+        return write
+
+    def make_lockstep(self, name: str = "") -> Lockstep:
+        """The node's side of lockstep, under its own name unless given another; in real time it does nothing."""
+        publish = self.make_publisher(LOCKSTEP_HORIZON).publish if self.lockstep else None
+        return Lockstep(name or self.NAME, round(self.period * NANOSECONDS), publish)
+
+    def turn_in(self, lockstep: Lockstep) -> Callable[[bytes], bool] | None:
+        """For `Inbox.add`: whether it is this node's turn to handle a serialised joint state; None in real time."""
+        if not lockstep.active:
+            return None
+        return lambda data: self._stop.is_set() or lockstep.may_handle(stamp_in(data))
+
+    def log_intake(self, topic: Topic) -> IntakeLog:
+        """Record from now on, for bags, what the inbox handles."""
+        self.inbox.intake = IntakeLog(self.make_publisher(topic).publish)
+        return self.inbox.intake
+
+    def offer(self, name: str, act: Callable[[], str]) -> None:
+        """Offer a Trigger service; `act` returns the text of the answer, or raises what the request is refused for."""
+
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = True, act()
+            return response
+
+        self.create_service(Trigger, name, answer)
+
+    def refuse(self, what: str, error: Exception) -> None:
+        """Count refused input; the last refusal of each kind goes to the log, at most once a second."""
+        self.boundary.refuse(what, error)
+
+    def say(self, severity: LoggingSeverity, line: str) -> None:
+        """Log a line from the loop thread, which must not wait for it: another thread writes it a little later."""
+        self._lines.append((severity, line))
+        self._said.trigger()
+
+    def configure(self) -> None:
+        """Prepare what must be ready before the first message; may raise."""
+
+    def activate(self) -> None:
+        """Reset what the loop's work starts from; may raise."""
+
+    def deactivate(self) -> None:
+        """End the loop's work; the node is still active. May raise."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `configure`."""
+
+        def transition() -> TransitionCallbackReturn:
+            self.configure()
+            return super(ManagedNode, self).on_configure(state)
+
+        return self._attempt(transition, refusable=True)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `activate`, publish the settings, and start the loop's work."""
+
+        def transition() -> TransitionCallbackReturn:
+            self.activate()
+            result = super(ManagedNode, self).on_activate(state)
+            self._publish_settings()
+            # The loop does not look at its inbox yet.
+            self.inbox.note(Taken.ACTIVATE)
+            self.running = result == TransitionCallbackReturn.SUCCESS
+            return result
+
+        return self._attempt(transition, refusable=True)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `deactivate` and let the loop idle, whatever comes of it."""
+
+        def transition() -> TransitionCallbackReturn:
+            self.deactivate()
+            return super(ManagedNode, self).on_deactivate(state)
+
+        result = self._attempt(transition, refusable=False)
+        self.running = False
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End for good; an active node is deactivated first."""
+        if self.running:
+            self.on_deactivate(state)
+        return super().on_shutdown(state)
+
+    def write_out(self) -> None:
+        """Log the lines that the loop thread has queued."""
+        while self._lines:
+            severity, line = self._lines.popleft()
+            self._log(severity, line)
+
+    def _log(self, severity: LoggingSeverity, line: str) -> None:
+        logger = self.get_logger()
+        # rclpy permits one severity for each line of code that logs.
+        if severity is LoggingSeverity.INFO:
+            logger.info(line)
+        elif severity is LoggingSeverity.WARN:
+            logger.warning(line)
+        else:
+            logger.error(line)
+
+    def _attempt(self, transition: Callable[[], TransitionCallbackReturn], refusable: bool) -> TransitionCallbackReturn:
+        """Result of a transition; an exception, which rclpy would keep to itself, is logged.
+
+        A transition that is `refusable` leaves the node in the state before.
+        """
+        try:
+            return transition()
+        except Exception as error:
+            self.refuse(TRANSITIONS, error)
+            self._log_refusals()
+            self.write_out()
+            if isinstance(error, ContactReachError) and refusable:
+                return TransitionCallbackReturn.FAILURE
+            return TransitionCallbackReturn.ERROR
+
+    def _refuse_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        names = ", ".join(parameter.name for parameter in parameters)
+        reason = f"{names}: parameters are set at the start; restart the node with other values"
+        self.refuse("parameters", InputError(reason))
+        return SetParametersResult(successful=False, reason=reason)
+
+    def _log_refusals(self) -> None:
+        for line in self.boundary.last_refusals():
+            self._log(LoggingSeverity.WARN, line)
+
+    def reported_settings(self) -> dict[str, Any]:
+        """The settings in force by their full names, as the node reports them."""
+        settings = {**self.settings, **self.files()}
+        values = {
+            full_name(prefix, entry.name): getattr(values, entry.name)
+            for prefix, values in settings.items()
+            for entry in values.declared()
+        }
+        values["use_sim_time"] = self.get_parameter("use_sim_time").value
+        values |= {"robot": self.arm.name, "robot digest": self.arm.digest, RATE.name: 1.0 / self.period}
+        return values
+
+    def _publish_settings(self) -> None:
+        """Publish the settings in force, each value as JSON; bags record them."""
+        self._settings_publisher.publish(
+            DiagnosticStatus(
+                name=self.NAME,
+                message=f"contact_reach_ros {VERSION}",
+                values=[KeyValue(key=key, value=json.dumps(value)) for key, value in self.reported_settings().items()],
+            )
+        )
+
+    def _publish_diagnostics(self) -> None:
+        self._log_refusals()
+        summary, values = self.diagnosis()
+        refused: dict[str, Any] = {f"refused {what}": count for what, count in self.refused.items()}
+        refused |= {f"last refusal of {what}": text for what, text in self.boundary.reasons.items()}
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if summary else DiagnosticStatus.OK,
+            name=self.get_name(),
+            message=summary or "ok",
+            values=[KeyValue(key=key, value=_text(value)) for key, value in {**values, **refused}.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

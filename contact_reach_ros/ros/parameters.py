@@ -1,0 +1,152 @@
+"""Settings as ROS parameters: declared with their ranges, and checked with a message that names file and key."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.parameter_files import (
+    ROBOT,
+    check_name,
+    check_parameters_in,
+    full_name,
+    known_parameters,
+    make_settings,
+    parameters_in,
+)
+from contact_reach_ros.settings import Sections, Setting
+
+
+def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str] = ()) -> dict[str, Any]:
+    """Declare all settings as parameters and return them, one settings object by prefix.
+
+    Parameters
+    ----------
+    node
+        That has them.
+    sections
+        Settings by prefix.
+    arm
+        Gives settings with a value for each joint their length and default.
+    changeable
+        Names of the parameters that can be set later; all others are read-only.
+
+    Raises
+    ------
+    SettingsError
+        If a parameter has a value that is not accepted.
+    """
+    made: dict[str, Any] = {}
+    for prefix, settings_class in sections.items():
+        values = {}
+        for declared in settings_class.declared():
+            entry = declared.for_arm(arm)
+            name = full_name(prefix, entry.name)
+            values[entry.name] = _declare(node, name, entry, name not in changeable)
+        made[prefix] = settings_class.from_mapping(values, f"parameters of {node.get_name()}, {prefix or 'node'}")
+    return made
+
+
+def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
+    descriptor = _descriptor(entry, read_only)
+    try:
+        if entry.is_open_list:
+            # ROS cannot tell the type of an empty list.
+            value = node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
+            return [text for text in value or [] if text]
+        default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
+        return node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
+
+
+def _descriptor(entry: Setting, read_only: bool) -> ParameterDescriptor:
+    unit = f" [{entry.unit}]" if entry.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{entry.description}{unit}",
+        additional_constraints=entry.accepts,
+        read_only=read_only,
+        # A whole number is accepted for a float; the settings class checks and converts it.
+        dynamic_typing=entry.kind is float,
+    )
+    if isinstance(entry.default, tuple) or (entry.minimum is None and entry.maximum is None):
+        return descriptor
+    if entry.kind is float:
+        low, high = entry.minimum, entry.maximum
+        limits = FloatingPointRange(
+            from_value=float("-inf") if low is None else low, to_value=float("inf") if high is None else high
+        )
+        descriptor.floating_point_range = [limits]
+    elif entry.kind is int and entry.minimum is not None and entry.maximum is not None:
+        descriptor.integer_range = [IntegerRange(from_value=int(entry.minimum), to_value=int(entry.maximum))]
+    return descriptor
+
+
+def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> Arm:
+    """Check the parameter files and overrides on a command line against the settings of a node; returns its arm.
+
+    ROS itself drops an unknown key without a word; here the node does not start.
+
+    Raises
+    ------
+    SettingsError
+        Naming file and key, and what is accepted.
+    """
+    arm = load_arm(str(early_value(arguments, node_name, ROBOT)))
+    known = known_parameters(sections, arm)
+    for option, value in itertools.pairwise(arguments):
+        if option == "--params-file":
+            check_parameters_in(Path(value), node_name, known)
+        elif option in ("-p", "--param"):
+            owner, _, key = value.partition(":=")[0].rpartition(":")
+            if owner in ("", node_name):
+                check_name(known, key, f"argument {option} {value}")
+    return arm
+
+
+def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, arm: Arm) -> dict[str, Any]:
+    """Settings objects of another node, by prefix, as far as this process's command line has its parameters.
+
+    Raises
+    ------
+    SettingsError
+        If a value is not accepted; keys that the node does not have are its own affair.
+    """
+    values: dict[str, Any] = {}
+    for option, argument in itertools.pairwise(arguments):
+        if option == "--params-file":
+            values |= parameters_in(Path(argument), node_name)
+        elif option in ("-p", "--param") and argument.startswith(f"{node_name}:"):
+            name, _, text = argument.removeprefix(f"{node_name}:").partition(":=")
+            values[name] = yaml.safe_load(text)
+    return make_settings(values, sections, arm, f"parameters of {node_name}")
+
+
+def early_value(arguments: Sequence[str], node_name: str, entry: Setting) -> Any:
+    """Value of one parameter of a node, without a prefix, from its command line: before ROS starts.
+
+    Raises
+    ------
+    SettingsError
+        If the value is not accepted.
+    """
+    value: Any = entry.default
+    for option, argument in itertools.pairwise(arguments):
+        if option == "--params-file":
+            value = parameters_in(Path(argument), node_name).get(entry.name, value)
+        elif option in ("-p", "--param"):
+            name, _, text = argument.partition(":=")
+            if name in (entry.name, f"{node_name}:{entry.name}"):
+                value = text.strip("'\"")
+    return entry.check(value, f"parameter {entry.name} of {node_name}")

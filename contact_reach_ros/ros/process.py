@@ -1,0 +1,212 @@
+"""A node as a process: how it starts and ends, with which threads, and with which priorities."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from contact_reach_ros.command_line import answer
+from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.ros.discovery import choose_discovery
+from contact_reach_ros.ros.managed_node import ManagedNode
+from contact_reach_ros.ros.parameters import check_arguments
+from contact_reach_ros.ros.scheduling import (
+    Role,
+    arrange_memory,
+    choose_cpus,
+    give_way,
+    isolated_cpus,
+    take_priority,
+    use_cpus,
+)
+
+
+def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], priority: int = 0) -> int:
+    """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
+
+    Parameters
+    ----------
+    node_class
+        What to run; the arguments are checked against its settings.
+    role
+        What the process is for.
+    arguments
+        Command line, program name first.
+    priority
+        SCHED_FIFO priority of a loop or monitor.
+    """
+    code = answer(node_class.NAME, node_class.SECTIONS, arguments[1:])
+    if code is not None:
+        return code
+    try:
+        check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
+    except ContactReachError as error:
+        print(f"{node_class.NAME}: {error}", file=sys.stderr)
+        return 2
+    sys.setswitchinterval(2e-4)
+    arrange_memory(role)
+    node: ManagedNode | None = None
+    try:
+        initialise(arguments)
+        node_class.ARGUMENTS = arguments
+        node = node_class()
+        return _serve(node, role, priority)
+    except ContactReachError as error:
+        print(f"{node_class.NAME}: {error}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
+    """Start rclpy; signals are left to the caller.
+
+    Parameters
+    ----------
+    arguments
+        Command line, program name first.
+    discovery
+        How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment says otherwise.
+
+    Raises
+    ------
+    SettingsError
+        If ROS does not understand the arguments.
+    """
+    choose_discovery(discovery)
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except rclpy_implementation.RCLError as error:
+        raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
+
+
+@contextlib.contextmanager
+def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ()) -> Iterator[Node]:
+    """A node without a lifecycle, for a tool or a supervisor; ROS ends with it.
+
+    Parameters
+    ----------
+    name
+        Of the node.
+    discovery
+        How far it can be heard, as for `initialise`.
+    arguments
+        Command line, program name first; ROS gets only the node's name when empty.
+
+    Raises
+    ------
+    ContactReachError
+        If ROS does not start it.
+    """
+    initialise(arguments or [name], discovery)
+    try:
+        try:
+            node = Node(name)
+        except rclpy_implementation.RCLError as error:
+            raise ContactReachError(f"ROS cannot start node {name}: {error}") from error
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def run_measurement(name: str, measure: Callable[[Node], Any]) -> None:
+    """Run a measurement with a bare node and print its result, if it has one, as JSON; exits with 2 on an error."""
+    try:
+        with bare_node(name) as node:
+            result = measure(node)
+            if result is not None:
+                print(json.dumps(result), flush=True)
+    except ContactReachError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _serve(node: ManagedNode, role: Role, priority: int) -> int:
+    """Loop and executor in a thread each; the main thread sleeps until a signal, which wakes no other.
+
+    An executor that had to look for signals would be awake more often than all it serves needs.
+    """
+    failures: list[BaseException] = []
+    # Not an Event, which a signal handler may not set while the same thread waits for it.
+    ended: queue.SimpleQueue[None] = queue.SimpleQueue()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def work(task: Callable[[], None]) -> None:
+        try:
+            task()
+        except BaseException as error:  # handed to the main thread, which ends the process with it
+            failures.append(error)
+        ended.put(None)
+
+    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0), isolated_cpus())
+    # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
+    _on_signals(signal.SIG_DFL)
+    if node.autostart and not _start(node):
+        return 1
+    # Also the first use of the logger, which takes long.
+    node.get_logger().info("active" if node.running else "waiting to be configured")
+    node.boundary.protect(node)
+    use_cpus(cpus)
+    # Loops that never sleep would keep everything of lower priority from running, first of all their own services.
+    warning = "" if node.lockstep else take_priority(role, priority)
+    if warning:
+        node.get_logger().warning(warning)
+    _on_signals(lambda *_: ended.put(None))
+
+    def serve() -> None:
+        give_way()
+        executor.spin()
+
+    tasks = {"loop": node.loop, "services": serve}
+    threads = [threading.Thread(target=work, args=[task], name=name) for name, task in tasks.items()]
+    for thread in threads:
+        thread.start()
+    try:
+        ended.get()
+    finally:
+        node.request_stop()
+        executor.shutdown()
+        for thread in threads:
+            thread.join()
+        if node.inbox.intake is not None:
+            node.inbox.intake.flush()
+        node.close()
+        node.write_out()
+    if failures:
+        node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
+        return 1
+    return 0
+
+
+def _on_signals(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _start(node: ManagedNode) -> bool:
+    """Configure and activate; logs what failed."""
+    for transition in (node.trigger_configure, node.trigger_activate):
+        if transition() != TransitionCallbackReturn.SUCCESS:
+            node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
+            return False
+    return True

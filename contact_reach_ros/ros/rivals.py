@@ -1,0 +1,60 @@
+"""Finds publishers of topics beside those that the arm's safety rests on.
+
+A node that was killed stays in the graph until its lease runs out, 20 s by default: until then a second one of its name
+counts as its rival.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.ros.hearing import UNKNOWN_NODE
+from contact_reach_ros.ros.interfaces import ALONE, MANAGED
+
+LOOK_AROUND_S = 0.25
+"""Period of the check."""
+
+
+def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
+    """Name these topics that have more publishers than they may, and the publishers; empty if none has.
+
+    Topics are meant by the names that they have for `node`, after its namespace and remappings. One of `ALONE`, or one
+    that `MANAGED` does not list, may have one publisher, whatever its name; another one the nodes that `MANAGED` lists
+    for it, each once.
+    """
+    reasons = []
+    for topic in exclusive:
+        resolved = node.resolve_topic_name(topic.name)
+        owners = [name for name, interface in MANAGED.items() if topic.name in interface.publishes]
+        is_alone = topic in ALONE or not owners
+        if is_alone and node.count_publishers(resolved) < 2:
+            continue
+        publishers = node.get_publishers_info_by_topic(resolved)
+        if is_alone:
+            is_wrong, expected = len(publishers) > 1, f"the {' or '.join(owners or [node.get_name()])} alone"
+        else:
+            is_wrong = _has_strangers(Counter(info.node_name for info in publishers), owners)
+            expected = f"one each of {', '.join(owners)}"
+        if is_wrong:
+            names = sorted(map(_full_name, publishers))
+            reasons.append(f"{len(names)} publishers on {resolved} ({', '.join(names)}), expected {expected}")
+    return "; ".join(reasons)
+
+
+def _full_name(publisher: TopicEndpointInfo) -> str:
+    if publisher.node_name == UNKNOWN_NODE:
+        return "a node whose name is not known yet"
+    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+
+
+def _has_strangers(counts: Counter[str], owners: list[str]) -> bool:
+    """Whether there are nodes besides the owners, or two of a name; `counts` is the number of nodes by name."""
+    # An endpoint is discovered before its node: one without a name may be an owner that is not seen yet.
+    unknown = counts.pop(UNKNOWN_NODE, 0)
+    missing = sum(name not in counts for name in owners)
+    return unknown > missing or any(name not in owners or count > 1 for name, count in counts.items())

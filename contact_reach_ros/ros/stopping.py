@@ -1,0 +1,48 @@
+"""Stopping the arm and releasing it, through the services ~/stop and ~/reset of whichever nodes answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
+
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.ros.interfaces import STOPPABLE
+
+Call = Callable[[str], Any]
+"""Calls the Trigger service of a name and returns its answer; raises `ContactReachError` without one."""
+
+
+class Outcome(NamedTuple):
+    """Whether it was done, and a line for the user."""
+
+    done: bool
+    text: str
+
+
+def stop_arm(call: Call) -> Outcome:
+    """Stop the arm by the controller, or by another node if that does not answer."""
+    failures = []
+    for name in STOPPABLE:
+        try:
+            answer = call(f"{name}/stop")
+        except ContactReachError as error:
+            failures.append(str(error))
+            continue
+        if answer.success:
+            return Outcome(True, f"{name}: {answer.message}")
+        failures.append(f"{name}: {answer.message}")
+    return Outcome(False, "NOT stopped: " + "; ".join(failures))
+
+
+def release(stopped: Collection[str], call: Call) -> Outcome:
+    """Release the stops of these nodes; the controller comes last, since it refuses while the observer is stopped."""
+    said: list[str] = []
+    for name in [name for name in reversed(STOPPABLE) if name in stopped]:
+        try:
+            answer = call(f"{name}/reset")
+        except ContactReachError as error:
+            return Outcome(False, "; ".join([*said, str(error)]))
+        said.append(f"{name}: {answer.message or 'done'}")
+        if not answer.success:
+            return Outcome(False, "; ".join(said))
+    return Outcome(True, "; ".join(said) or "nothing is stopped")

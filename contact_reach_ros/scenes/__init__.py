@@ -1,1 +1,0 @@
-"""The paper's environments: free space, ball and wall."""

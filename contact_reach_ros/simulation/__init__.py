@@ -1,0 +1,1 @@
+"""The simulated robot: MuJoCo with contact, sensors, friction, brakes and faults."""

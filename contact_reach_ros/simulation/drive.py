@@ -1,0 +1,109 @@
+"""The robot's own watchdog: it holds and brakes the arm when commands cease or make it too fast."""
+
+from __future__ import annotations
+
+import math
+
+from contact_reach_ros.arm.joint_state import checked_torque
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.simulation.plant import Actuation, Plant
+from contact_reach_ros.simulation.settings import WatchdogSettings
+from contact_reach_ros.stop_reasons import StopCode, StopReason
+from contact_reach_ros.units import NANOSECONDS
+
+
+class Drive:
+    """Passes commands to the plant and watches them.
+
+    The brakes are closed until commands have arrived for `open_after` seconds without a gap of `hold_after`, so that a
+    controller that is still starting up does not get the arm. From then on, `hold_after` seconds without a command
+    trigger the damped hold, and `stop_after` seconds a stop that is latched until `reset`. A joint that is too fast by
+    the drive's own sensors triggers a stop too, even if the joint states that it sends are faulty.
+
+    With `enabled: false` it does not watch for silence, and holds the last torque for ever.
+
+    Attributes
+    ----------
+    stop_reason
+        Why the arm is stopped; empty while it is not.
+    rejected
+        Number of refused commands.
+    """
+
+    def __init__(self, plant: Plant, settings: WatchdogSettings) -> None:
+        self.plant = plant
+        self.stop_reason = ""
+        self.rejected = 0
+        self._open_ns = int(settings.open_after * NANOSECONDS)
+        self._hold_ns = int(settings.hold_after * NANOSECONDS)
+        self._stop_ns = int(settings.stop_after * NANOSECONDS)
+        self._watches_silence = settings.enabled
+        share = settings.speed_share or math.inf
+        self._speed_limits = [share * limit for limit in plant.scene.arm.velocity_limits.tolist()]
+        self._command: Array | None = None
+        self._command_ns = 0
+        self._steady_since_ns = 0
+        self._opened = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the arm has been handed over: the brakes are open, or were before a stop."""
+        return self._opened
+
+    def command(self, torque: Array, clock_ns: int) -> None:
+        """Take a command (n,) in N m that arrived at `clock_ns`.
+
+        Raises
+        ------
+        InputError
+            If it has the wrong size or is not finite; it is counted, and the last one stays in force.
+        """
+        try:
+            checked_torque(torque, self.plant.scene.arm.n)
+        except InputError:
+            self.rejected += 1
+            raise
+        if self._command is None or clock_ns - self._command_ns > self._hold_ns:
+            self._steady_since_ns = clock_ns
+        self._command = torque
+        self._command_ns = clock_ns
+
+    def tick(self, clock_ns: int) -> None:
+        """Advance the plant by one tick under the present command."""
+        silence = clock_ns - self._command_ns
+        if self._command is not None and silence <= self._hold_ns:
+            self._opened = self._opened or clock_ns - self._steady_since_ns >= self._open_ns
+        if self._opened and not self.stop_reason:
+            self._watch_speed()
+        if self.stop_reason or not self._opened:
+            actuation = Actuation.BRAKED
+        elif not self._watches_silence:
+            actuation = Actuation.COMMANDED
+        elif silence > self._stop_ns:
+            self.stop(StopReason(StopCode.NO_COMMAND, f"no command for {silence / NANOSECONDS * 1000:.0f} ms"))
+            actuation = Actuation.BRAKED
+        elif silence > self._hold_ns:
+            actuation = Actuation.DAMPED_HOLD
+        else:
+            actuation = Actuation.COMMANDED
+        self.plant.set_actuation(actuation)
+        self.plant.step(self._command)
+
+    def _watch_speed(self) -> None:
+        for joint, (speed, limit) in enumerate(zip(self.plant.joint_velocities, self._speed_limits, strict=True)):
+            if not -limit <= speed <= limit:
+                name = self.plant.scene.arm.joint_names[joint]
+                text = f"{name} moves with {abs(speed):.2f} rad/s, permitted {limit:.2f} rad/s"
+                self.stop(StopReason(StopCode.SPEED_LIMIT, text))
+
+    def stop(self, reason: str) -> None:
+        """Close the brakes until `reset`; the first reason is kept."""
+        if not self.stop_reason:
+            self.stop_reason = reason
+
+    def reset(self) -> None:
+        """Release a stop; the brakes open again after steady commands."""
+        self.stop_reason = ""
+        self._command = None
+        self._opened = False

@@ -1,0 +1,305 @@
+"""The simulated robot: MuJoCo at the driver's tick, with contact, sensors, friction and brakes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import mujoco
+import numpy as np
+
+from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, build_mjcf
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.simulation.contacts import ContactReader, Contacts
+from contact_reach_ros.simulation.foam import Foam
+from contact_reach_ros.simulation.obstacles import (
+    SPARE_NAME,
+    SPARE_PLACE,
+    fixed_contact,
+    obstacle_bodies,
+    spare_body,
+)
+from contact_reach_ros.simulation.rigid import rigid_geoms, self_contacts
+from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import rest_positions
+
+_IMPEDANCE = 0.9
+"""MuJoCo's default impedance."""
+_BRAKE_IMPEDANCE = 0.9999
+
+
+class Actuation(Enum):
+    """What moves the joints."""
+
+    BRAKED = "braked"
+    """Brakes closed."""
+    COMMANDED = "commanded"
+    """The commanded torques."""
+    DAMPED_HOLD = "damped hold"
+    """The robot's own gravity compensation and damping."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Readings of the joint sensors: positions (n,) rad, velocities (n,) rad/s, torques (n,) N m, NaN where unknown."""
+
+    position: Array
+    velocity: Array
+    torque: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """A force (3,) N, base frame, on a point (3,) m of a link, in the frame of that link."""
+
+    link: str
+    force: Array
+    point: Array
+
+
+class Plant:
+    """The arm and the obstacles of one scene: soft spheres, rigid bodies and the arm itself.
+
+    Attributes
+    ----------
+    arm
+        The simulated arm.
+    actuation
+        What moves the joints; initially the brakes.
+    steps
+        Steps taken.
+    scene
+        Arm and surroundings.
+    contact_links
+        Links whose contact force is reported, in the order of `contact_forces`.
+    has_spare_obstacle
+        Whether `place_spare_obstacle` has a sphere to place.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        sensors: SensorSettings,
+        joints: JointSettings,
+        noise_seed: int | None = None,
+        spare_obstacle: bool = False,
+    ) -> None:
+        """Build the simulation at the scene's start, with its mismatch.
+
+        `noise_seed`, by default `scene.seed`, seeds the sensor noise. With `spare_obstacle` there is a sphere out of
+        reach for `place_spare_obstacle`.
+        """
+        self.arm = scene.arm
+        mismatch = scene.mismatch
+        bodies = [body for obstacle in scene.obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
+        everything = [*bodies, spare_body()] if spare_obstacle else bodies
+        self.model = mujoco.MjModel.from_xml_string(
+            build_mjcf(
+                scene.arm,
+                mismatch.inertia_set,
+                [*everything, *rigid_geoms(scene.environment)],
+                mismatch.payload,
+                self_contacts(scene.arm),
+            )
+        )
+        self.model.opt.timestep = TICK
+        # With a pyramidal friction cone the contact's stiffness would depend on the friction, 20-fold at the default.
+        self.model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        self.data = mujoco.MjData(self.model)
+        self.actuation = Actuation.BRAKED
+        self.steps = 0
+        self.scene = scene
+        self.contact_links = scene.arm.contact_links
+        self._sensors = sensors
+        self._joints = joints
+        self._friction_scale = mismatch.friction_scale
+        self._noise_scale = mismatch.noise_scale
+        self._rigidities: tuple[Array, Array] | None = None
+        self._random = np.random.default_rng(scene.seed if noise_seed is None else noise_seed)
+        self._arm = slice(0, scene.arm.n)
+        self._torque_limits = scene.arm.torque_limits
+        self._torque = np.full(scene.arm.n, np.nan)
+        self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "flange")
+        self._first_obstacle = self.model.nbody - len(everything)
+        self.has_spare_obstacle = spare_obstacle
+        self._pushes: list[Push] = []
+        self._rests = rest_positions(scene)
+        self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
+        self._foam = self._make_foam(1.0)
+        self._obstacles = slice(scene.arm.n, self.model.nv)
+        self._contacts = ContactReader(self.model, self.data, self.contact_links)
+        self.data.qpos[self._arm] = scene.start
+        self._apply_joint_settings()
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.steps * TICK
+
+    @property
+    def tip_position(self) -> Array:
+        """True position of the tip, (3,), m, base frame."""
+        return self.data.site_xpos[self._flange].copy()
+
+    @property
+    def joint_velocities(self) -> list[float]:
+        """True joint velocities (n,), rad/s."""
+        velocities: list[float] = self.data.qvel[self._arm].tolist()
+        return velocities
+
+    def set_actuation(self, actuation: Actuation) -> None:
+        """Change the actuation of the joints."""
+        if actuation is not self.actuation:
+            self.actuation = actuation
+            self._apply_joint_settings()
+
+    def step(self, command: Array | None = None) -> None:
+        """Advance by one tick; when commanded, under `command` (n,) N m, capped at the data sheet's limits.
+
+        Raises
+        ------
+        ValueError
+            If the actuation is commanded and there is no command.
+        """
+        data = self.data
+        if self.actuation is Actuation.COMMANDED:
+            if command is None:
+                raise ValueError("the plant is commanded but got no command: pass one or change the actuation")
+            torque = np.minimum(np.maximum(command, -self._torque_limits), self._torque_limits)
+            data.ctrl[:] = torque
+            data.qfrc_applied[self._arm] = 0.0
+            self._torque = torque
+        else:
+            data.ctrl[:] = 0.0
+            data.qfrc_applied[self._arm] = data.qfrc_bias[self._arm]
+            self._torque = np.full(self.scene.arm.n, np.nan)
+        if self._foam is not None:
+            dofs = self._obstacles
+            data.qfrc_applied[dofs] = self._foam.forces(data.qpos[dofs])
+        if self._pushes:
+            self._apply_pushes()
+        mujoco.mj_step(self.model, data)
+        self.steps += 1
+
+    def read(self) -> Reading:
+        """Sensor readings in the present state; each call draws new noise."""
+        sensors = self._sensors
+        noise = self._noise_scale * self._random.standard_normal((3, self.scene.arm.n))
+        position = self.data.qpos[self._arm] + sensors.position_noise * noise[0]
+        if sensors.position_resolution > 0.0:
+            position = sensors.position_resolution * np.rint(position / sensors.position_resolution)
+        velocity = self.data.qvel[self._arm] + sensors.velocity_noise * noise[1]
+        return Reading(position, velocity, self._torque + sensors.torque_noise * noise[2])
+
+    def contact_forces(self) -> Array:
+        """Magnitude of the contact force on each of `contact_links`, (L,), N: the vector sum over its contacts."""
+        return self._contacts.forces()
+
+    def normal_forces(self) -> Array:
+        """Sum of the normal forces of the contacts on each of `contact_links`, (L,), N, without friction."""
+        return self._contacts.normal_forces()
+
+    def contacts(self) -> Contacts:
+        """All contacts with the arm; those of a link add up to its force in `contact_forces`."""
+        return self._contacts.contacts()
+
+    def obstacle_positions(self) -> Array:
+        """Positions of the obstacles' spheres, (K, 3), m, base frame, in the order of `rest_positions`."""
+        positions = self._rests.copy()
+        positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
+        return positions
+
+    def obstacle_body(self, index: int) -> int:
+        """The simulation's body of an obstacle's sphere, by its index in `obstacle_positions`."""
+        return self._first_obstacle + index
+
+    def scale_friction(self, factor: float) -> None:
+        """Multiply both joint frictions by a factor, relative to those of the scene."""
+        self._friction_scale = factor * self.scene.mismatch.friction_scale
+        self._apply_joint_settings()
+
+    def set_payload(self, mass: float) -> None:
+        """Set a mass, kg, at the flange, in addition to the scene's payload and at the same place."""
+        model = self.model
+        body = model.body(self.scene.arm.tip_frame).id
+        total = self.scene.mismatch.payload + mass
+        if total == model.body_mass[body]:
+            return
+        model.body_mass[body] = total
+        model.body_inertia[body] = PAYLOAD_INERTIA * total
+        model.body_ipos[body] = PAYLOAD_CENTER
+        # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
+        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def scale_foam(self, factor: float) -> None:
+        """Multiply all stiffnesses of the obstacles by a factor, relative to those of the scene."""
+        model = self.model
+        if self._rigidities is None:
+            self._rigidities = (model.jnt_stiffness.copy(), model.geom_solref.copy())
+        stiffness, solref = self._rigidities
+        model.jnt_stiffness[self._obstacles] = factor * stiffness[self._obstacles]
+        bodies = model.geom_bodyid
+        foam = (bodies >= self._first_obstacle) & (bodies < self._first_obstacle + len(self._rests))
+        model.geom_solref[foam, 0] = factor * solref[foam, 0]
+        self._foam = self._make_foam(factor)
+
+    def set_pushes(self, pushes: Sequence[Push]) -> None:
+        """Replace the external forces on links."""
+        self._pushes = list(pushes)
+        self.data.xfrc_applied[:] = 0.0
+
+    def place_spare_obstacle(self, position: Array, radius: float, stiffness: float) -> None:
+        """Place a rigid sphere at `position` (3,) m, base frame.
+
+        Raises
+        ------
+        ValueError
+            If the plant was built without one.
+        """
+        if not self.has_spare_obstacle:
+            raise ValueError("the plant has no spare obstacle: build it with spare_obstacle=True")
+        model = self.model
+        geom = model.geom(SPARE_NAME).id
+        model.geom_size[geom, 0] = model.geom_rbound[geom] = radius
+        model.geom_aabb[geom] = (0.0, 0.0, 0.0, radius, radius, radius)
+        model.geom_solref[geom] = fixed_contact(stiffness)
+        self.data.mocap_pos[0] = position
+
+    def remove_spare_obstacle(self) -> None:
+        """Move it out of reach again."""
+        self.data.mocap_pos[0] = SPARE_PLACE
+
+    def _make_foam(self, factor: float) -> Foam | None:
+        obstacles = self.scene.obstacles
+        if not any(obstacle.is_deformable for obstacle in obstacles):
+            return None
+        return Foam(obstacles, factor * self.scene.foam_scale)
+
+    def _apply_pushes(self) -> None:
+        data = self.data
+        data.xfrc_applied[:] = 0.0
+        for push in self._pushes:
+            body = self.model.body(push.link).id
+            # MuJoCo applies the force at the centre of mass.
+            lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.point - data.xipos[body]
+            data.xfrc_applied[body, :3] += push.force
+            data.xfrc_applied[body, 3:] += np.cross(lever, push.force)
+
+    def _apply_joint_settings(self) -> None:
+        joints, scale = self._joints, self._friction_scale
+        damping, friction = {
+            Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
+            Actuation.DAMPED_HOLD: (joints.hold_damping, scale * joints.coulomb_friction),
+            Actuation.BRAKED: (scale * joints.viscous_friction, joints.brake_torque),
+        }[self.actuation]
+        # MuJoCo integrates joint damping implicitly, so the damped hold is stable whatever the inertia.
+        self.model.dof_damping[self._arm] = damping
+        self.model.dof_frictionloss[self._arm] = friction
+        # Dry friction creeps less the closer its impedance is to 1; with MuJoCo's 0.9, a push of 10 N would move the
+        # braked arm at 10 cm/s.
+        impedance = _BRAKE_IMPEDANCE if self.actuation is Actuation.BRAKED else _IMPEDANCE
+        self.model.dof_solimp[self._arm, :2] = impedance

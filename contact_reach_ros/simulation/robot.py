@@ -1,0 +1,195 @@
+"""The simulated robot as its driver sees it: commands in, joint states out, with faults in between."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.simulation.drive import Drive
+from contact_reach_ros.simulation.fault_kinds import Schedule
+from contact_reach_ros.simulation.faults import Faults
+from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings, WatchdogSettings, check_period
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
+
+TICK_NS = int(TICK * NANOSECONDS)
+
+_SPHERES_EVERY = 20
+_MESHES_EVERY = 40
+"""Steps between observations of meshes, whose messages are large."""
+
+
+class SimulatedRobot:
+    """Plant, drive and faults of one scene.
+
+    Attributes
+    ----------
+    plant
+        The physics.
+    drive
+        The robot's own watchdog.
+    faults
+        Faults in force; None without any, so that they cost nothing.
+    obstacles_every
+        Steps between observations of the obstacles.
+    start_ns
+        Stamp of the state before the first step, ns.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        sensors: SensorSettings | None = None,
+        joints: JointSettings | None = None,
+        watchdog: WatchdogSettings | None = None,
+        faults: Schedule = (),
+        noise_seed: int | None = None,
+        spare_obstacle: bool = False,
+        period: float = TICK,
+    ) -> None:
+        """Build the robot at the scene's start.
+
+        Parameters
+        ----------
+        scene
+            Scene, with its mismatch.
+        sensors, joints, watchdog
+            Settings; None for the defaults.
+        faults
+            Schedule of the faults from `start_faults` on.
+        noise_seed
+            Seed of sensor noise and faults; None for the scene's.
+        spare_obstacle
+            Whether there is a sphere to place later.
+        period
+            Time between joint states, s; the physics still advances at 1 kHz.
+
+        Raises
+        ------
+        SettingsError
+            If the period is not a whole number of milliseconds.
+        """
+        self._ticks = check_period(period)
+        self.scene = scene
+        self.plant = Plant(
+            scene, sensors or SensorSettings(), joints or JointSettings(), noise_seed, spare_obstacle=spare_obstacle
+        )
+        self.drive = Drive(self.plant, watchdog or WatchdogSettings())
+        self.start_ns = 0
+        self.obstacles_every = (
+            _MESHES_EVERY if any(obstacle.is_deformable for obstacle in scene.obstacles) else _SPHERES_EVERY
+        )
+        self._seed = scene.seed if noise_seed is None else noise_seed
+        self.faults = self.make_faults(faults)
+
+    @property
+    def now_ns(self) -> int:
+        """Time of the robot's clock, ns."""
+        return self.start_ns + self.plant.steps * TICK_NS
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the drive stopped the arm; empty if it did not."""
+        return self.drive.stop_reason
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the arm has been handed over: the brakes are open, or were before a stop."""
+        return self.drive.is_open
+
+    def make_faults(self, schedule: Schedule) -> Faults | None:
+        """Make faults for `change_faults`; None for an empty schedule.
+
+        Raises
+        ------
+        SettingsError
+            If the schedule cannot be played.
+        """
+        return Faults(schedule, self._seed, self.plant) if schedule else None
+
+    def change_faults(self, faults: Faults | None) -> None:
+        """End the current faults, undo their changes, and start others."""
+        if self.faults is not None:
+            self.faults.end()
+        self.faults = faults
+        self.start_faults()
+
+    def start_faults(self) -> None:
+        """Count the schedule's times from now on."""
+        if self.faults is not None:
+            self.faults.start(self.now_ns)
+
+    def command(self, torque: Array, clock_ns: int) -> None:
+        """Take a command (n,), N m; `clock_ns` is the time of the watchdogs' clock.
+
+        Raises
+        ------
+        InputError
+            If the drive refuses it. With faults, commands travel first, and `step` returns refusals.
+        """
+        if self.faults is not None:
+            self.faults.send_command(torque, self.now_ns)
+        else:
+            self.drive.command(torque, clock_ns)
+
+    @property
+    def period_ns(self) -> int:
+        """Time between joint states, ns."""
+        return self._ticks * TICK_NS
+
+    def step(self, clock_ns: int) -> list[InputError]:
+        """Advance by one period; returns the errors of commands that reached the drive and were refused."""
+        refused = []
+        for tick in range(self._ticks):
+            refused += self._tick(clock_ns + tick * TICK_NS)
+        return refused
+
+    def _tick(self, clock_ns: int) -> list[InputError]:
+        refused = []
+        if self.faults is not None:
+            if self.faults.paused(self.now_ns):
+                self.drive.reset()
+            for torque in self.faults.commands(self.now_ns):
+                try:
+                    self.drive.command(torque, clock_ns)
+                except InputError as error:
+                    refused.append(error)
+            self.faults.act(self.now_ns)
+        self.drive.tick(clock_ns)
+        return refused
+
+    def read(self) -> list[JointState]:
+        """The joint states that arrive now; without faults, the present one. Each call draws new sensor noise."""
+        reading = self.plant.read()
+        state = JointState(self.now_ns, reading.position, reading.velocity, reading.torque)
+        if self.faults is None:
+            return [state]
+        if self.faults.paused(self.now_ns):
+            return []
+        self.faults.send_state(state)
+        return self.faults.states(self.now_ns)
+
+    def shows_obstacles(self) -> bool:
+        """Whether the obstacles are published now, also where there are none: every few steps, unless they get lost."""
+        if self.plant.steps % self.obstacles_every:
+            return False
+        return self.faults is None or not self.faults.lose_obstacles(self.now_ns)
+
+    def obstacles(self) -> Spheres | None:
+        """The obstacles when an observation of them is due; None in between."""
+        if not self.shows_obstacles():
+            return None
+        return obstacle_spheres(self.scene, self.plant.obstacle_positions())
+
+    def contact_forces(self) -> Array:
+        """Contact force on each of the arm's contact links, N."""
+        return self.plant.contact_forces()
+
+
+def is_finite(state: JointState) -> bool:
+    """Whether positions and velocities are finite; every receiver refuses the state otherwise."""
+    return bool(np.isfinite(state.q.sum() + state.v.sum()))

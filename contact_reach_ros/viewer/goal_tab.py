@@ -1,0 +1,102 @@
+"""The goal that a user drags or types before sending it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
+from contact_reach_ros.viewer.actions import Actions
+from contact_reach_ros.viewer.colours import as_bytes
+from contact_reach_ros.viewer.frame import Frame
+from contact_reach_ros.viewer.handles import add_ball, set_if_changed
+from contact_reach_ros.viewer.reach import reach
+
+_REACH_PERIOD = 0.15
+"""Time between runs of inverse kinematics, s."""
+_MOVED = 0.02
+"""Joint motion after which the reach of an unchanged goal is checked again, rad."""
+
+
+class GoalTab:
+    """A goal in the scene, green where the arm can reach it, and the button that sends it."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, actions: Actions, say: Callable[[str], None]) -> None:
+        self._arm = arm
+        self._frame: Frame | None = None
+        self._due = 0.0
+        self._checked: tuple[Array, Array] | None = None
+        self._position = np.zeros(3)
+        gui = server.gui
+        gui.add_markdown("Drag the arrows in the scene, or type. Nothing moves before you send it.")
+        self._field: Any = gui.add_vector3(
+            "Goal (m)", (0.0, 0.0, 0.0), step=0.001, hint=f"flange position in {arm.base_frame}: x, y, z"
+        )
+        self._reach_text = gui.add_markdown("")
+        self._send = gui.add_button("Send goal", color="blue", icon=viser.Icon.SEND)
+        here = gui.add_button("Move it to the flange", color="gray")
+        size = arm.reach + 0.15
+        self._arrows = server.scene.add_transform_controls(
+            "/new_goal",
+            scale=0.18,
+            disable_rotations=True,
+            disable_sliders=True,
+            translation_limits=((-size, size), (-size, size), (0.0, size + arm.shoulder[2])),
+            depth_test=False,
+            visible=False,
+        )
+        self._ball = add_ball(server, "/new_goal/ball", 0.02, rgb(GREEN))
+
+        @self._arrows.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._position = np.array(event.target.position, float)
+            self._field.value = tuple(np.round(self._position, 4).tolist())
+
+        @self._field.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:
+                self._place(np.array(event.target.value, float))
+
+        @self._send.on_click
+        async def _(_: Any) -> None:
+            say(await asyncio.to_thread(actions.send_goal, self._position.copy()))
+
+        @here.on_click
+        async def _(_: Any) -> None:
+            self._place_at_flange()
+
+    def show(self, frame: Frame | None, clock: float) -> None:
+        """Show whether the running arm, whose present moment is `frame`, reaches the goal; None hides the goal.
+
+        `clock` is a steady clock, s.
+        """
+        self._frame = frame
+        set_if_changed(self._arrows, "visible", frame is not None)
+        set_if_changed(self._send, "disabled", frame is None)
+        if frame is None or clock < self._due:
+            return
+        if self._checked is None:
+            self._place_at_flange()
+        elif np.array_equal(self._checked[0], self._position) and np.abs(frame.q - self._checked[1]).max() < _MOVED:
+            return
+        self._due = clock + _REACH_PERIOD
+        self._checked = self._position.copy(), frame.q.copy()
+        answer = reach(self._arm, self._position, frame.q)
+        set_if_changed(self._ball, "color", as_bytes(rgb(GREEN if answer.reachable else VERMILION)))
+        self._reach_text.content = f"{'✔' if answer.reachable else '✘'} {answer.text}"
+
+    def _place(self, position: Array) -> None:
+        self._position = position
+        self._arrows.position = position
+
+    def _place_at_flange(self) -> None:
+        if self._frame is not None:
+            self._place(np.round(link_frames(self._arm, self._frame.q)[1][-1], 3))
+            self._field.value = tuple(self._position.tolist())

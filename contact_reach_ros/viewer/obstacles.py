@@ -1,0 +1,127 @@
+"""Obstacles in the scene: balls, the nodes of deformable bodies and their surfaces, and rigid bodies."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+import viser
+from numpy.typing import NDArray
+
+from contact_reach_ros.drawing.parts import DARK, FOAM, NODE, RIGID
+from contact_reach_ros.viewer.colours import as_bytes
+from contact_reach_ros.viewer.foam import Surface, bodies, surface
+from contact_reach_ros.world.rigid import Environment, slab
+from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
+
+_STILL = 1e-4
+"""Motion too small to be seen, m."""
+_COARSE, _FINE = (trimesh.creation.icosphere(subdivisions=steps) for steps in (1, 3))
+
+
+class _Body(NamedTuple):
+    indices: NDArray[np.intp]
+    surface: Surface | None
+    handle: Any
+
+
+class ObstacleView:
+    """Balls, the nodes of deformable bodies and their surfaces, and rigid bodies."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._shown: Spheres | None = None
+        self._spheres: Any = None
+        self._bodies: list[_Body] = []
+        self._rigid: list[Any] = []
+        self._environment: Environment = ()
+
+    def show(self, spheres: Spheres | None) -> None:
+        """Show obstacles; None for none."""
+        shown = self._shown
+        if spheres is shown:
+            return
+        self._show_rigid(() if spheres is None else spheres.environment)
+        if shown is None or spheres is None or not _alike(spheres, shown):
+            self._build(spheres)
+        elif np.abs(spheres.center - shown.center).max(initial=0.0) < _STILL:
+            return
+        self._shown = spheres
+        if spheres is None or not len(spheres):
+            return
+        self._spheres.batched_positions = spheres.center.astype(np.float32)
+        for body in self._bodies:
+            if body.surface is not None:
+                vertices = body.surface.vertices(spheres.center[body.indices], float(spheres.radius[body.indices[0]]))
+                body.handle.vertices = vertices.astype(np.float32)
+
+    def _show_rigid(self, environment: Environment) -> None:
+        if environment == self._environment:
+            return
+        for handle in self._rigid:
+            handle.remove()
+        self._environment = environment
+        self._rigid = [
+            self._server.scene.add_box(
+                f"/obstacles/rigid_{number}",
+                color=as_bytes(RIGID),
+                dimensions=tuple(shape.size),
+                wxyz=np.roll(shape.orientation, 1),
+                position=np.array(shape.center),
+                opacity=0.5,
+            )
+            for number, shape in enumerate(map(slab, environment))
+        ]
+
+    def _build(self, spheres: Spheres | None) -> None:
+        for handle in (self._spheres, *(body.handle for body in self._bodies)):
+            if handle is not None:
+                handle.remove()
+        self._spheres, self._bodies = None, []
+        if spheres is None or not len(spheres):
+            return
+        scene = self._server.scene
+        members = np.zeros(len(spheres), bool)
+        for number, indices in enumerate(bodies(spheres)):
+            members[indices] = True
+            renumbered = np.full(len(spheres), -1)
+            renumbered[indices] = np.arange(len(indices))
+            edges = renumbered[spheres.edges]
+            outer = surface(spheres.rest[indices], edges[(edges >= 0).all(axis=1)])
+            handle = None
+            if outer is not None:
+                vertices = outer.vertices(spheres.center[indices], float(spheres.radius[indices[0]]))
+                handle = scene.add_mesh_simple(
+                    f"/obstacles/surface_{number}",
+                    vertices,
+                    outer.faces,
+                    color=as_bytes(FOAM),
+                    opacity=0.5,
+                    flat_shading=True,
+                    side="double",
+                )
+            self._bodies.append(_Body(indices, outer, handle))
+        fixed = members & (spheres.stiffness >= FIXED_STIFFNESS)
+        colours = np.where(fixed[:, None], as_bytes(DARK), np.where(members[:, None], as_bytes(NODE), as_bytes(FOAM)))
+        # Drawn at half their size, the nodes of a body leave its deformation visible.
+        scales = np.where(members, 0.5, 1.0) * spheres.radius
+        # There are hundreds of nodes, and not every browser has a fast graphics card.
+        mesh = _COARSE if members.any() else _FINE
+        self._spheres = scene.add_batched_meshes_simple(
+            "/obstacles/spheres",
+            mesh.vertices,
+            mesh.faces,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(spheres), 1)),
+            batched_positions=spheres.center,
+            batched_scales=scales.astype(np.float32),
+            batched_colors=colours.astype(np.uint8),
+            opacity=None if members.any() else 0.75,
+            cast_shadow=not members.any(),
+            lod="off",
+        )
+
+
+def _alike(spheres: Spheres, other: Spheres) -> bool:
+    """Whether they differ only in their positions."""
+    return all(np.array_equal(getattr(spheres, name), getattr(other, name)) for name in ("radius", "edges", "rest"))

@@ -1,0 +1,160 @@
+"""The tab that opens bags and plays them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.viewer.player import SPEEDS, Player
+from contact_reach_ros.viewer.recorded import Recording
+
+_MARKS = 30
+"""Greatest number of events marked on the timeline and listed."""
+_LABELS = {"stop": "STOP", "goal": "goal", "contact": ""}
+"""Labels of the kinds of events on the timeline, the most important first."""
+_NOTHING = "nothing has happened yet"
+_STEPS = {"− 1 tick": -1, "+ 1 tick": 1, "+ 10 ticks": 10}
+
+
+def bag_directory(bag: Path) -> Path:
+    """Directory of a bag that is named by its directory or by one of its files."""
+    return bag if bag.is_dir() else bag.parent
+
+
+class BagTab:
+    """Opens the bags of a folder and plays them.
+
+    Parameters
+    ----------
+    server
+        Server of the page.
+    folder
+        Folder of the bags to choose from.
+    open_bag
+        Reads a bag; raises `ContactReachError` if it cannot.
+    say
+        Shows a line on the page.
+
+    Attributes
+    ----------
+    player
+        Player of the open bag; None while the running stack is shown.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, folder: Path, open_bag: Callable[[Path], Recording], say: Callable[[str], None]
+    ) -> None:
+        self.player: Player | None = None
+        self._bags = folder
+        self._open_bag = open_bag
+        self._say = say
+        self._gui = gui = server.gui
+        self._controls: list[Any] = []
+        self._choice: Any = gui.add_dropdown("Bag", self._names() or ["none"])
+        open_it = gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN)
+        again = gui.add_button("Look for bags again", color="gray")
+        self._back = gui.add_button("Back to live", visible=False, icon=viser.Icon.ARROW_BACK_UP)
+        self._folder = gui.add_folder("Playback", visible=False)
+
+        @open_it.on_click
+        async def _(_: Any) -> None:
+            await self._open_by_name(self._choice.value)
+
+        @again.on_click
+        async def _(_: Any) -> None:
+            found = self._names()
+            self._choice.options = found or ["none"]
+            say(f"bags found: {len(found)}")
+
+        @self._back.on_click
+        async def _(_: Any) -> None:
+            self.open(None)
+
+    def open(self, recording: Recording | None) -> None:
+        """Show a recording from its first goal on, with its controls, or the running stack again."""
+        for control in self._controls:
+            control.remove()
+        self._controls = []
+        self.player = None if recording is None else Player(recording)
+        self._folder.visible = self._back.visible = recording is not None
+        if recording is not None:
+            name = bag_directory(recording.path).name
+            if name not in self._choice.options:
+                self._choice.options = [name, *self._names()]
+            self._choice.value = name
+        if self.player is not None:
+            self.player.seek(self.player.recording.first_goal)
+            with self._folder:
+                self._add_controls(self.player)
+
+    def follow(self) -> None:
+        """Update the controls to the player's position."""
+        player = self.player
+        if player is None:
+            return
+        time = round(player.time, 3)
+        if self._slider.value != time:
+            self._slider.value = time
+            self._event.content = player.last_event() or _NOTHING
+        label = "Pause" if player.playing else "Play"
+        if self._play.label != label:
+            self._play.label = label
+
+    def _names(self) -> list[str]:
+        return sorted((file.parent.name for file in self._bags.glob("*/*.mcap")), reverse=True)
+
+    async def _open_by_name(self, name: str) -> None:
+        if name not in self._names():
+            self._say(f"there is no bag '{name}' in {self._bags}")
+            return
+        self._say(f"opening {name} ...")
+        try:
+            self.open(await asyncio.to_thread(self._open_bag, self._bags / name))
+        except ContactReachError as error:
+            self._say(str(error))
+            return
+        self._say(f"{name} is open")
+
+    def _add_controls(self, player: Player) -> None:
+        gui, recording = self._gui, player.recording
+        duration = max(round(recording.duration, 3), 0.001)
+        marked = [event for kind in _LABELS for event in recording.events if event.kind == kind][:_MARKS]
+        marks = tuple((min(round(event.time, 3), duration), _LABELS[event.kind]) for event in marked)
+        self._slider: Any = gui.add_slider("Time (s)", 0.0, duration, 0.001, round(player.time, 3), marks=marks)
+        self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+        speed = gui.add_dropdown("Speed (s per s)", SPEEDS, initial_value="1")
+        step = gui.add_button_group("Step", tuple(_STEPS))
+        jump = gui.add_button("Next contact", icon=viser.Icon.PLAYER_SKIP_FORWARD)
+        self._event = gui.add_markdown(player.last_event() or _NOTHING)
+        lines = [f"- {event.time:.2f} s: {event.text}" for event in recording.events[:_MARKS]]
+        if len(recording.events) > _MARKS:
+            lines.append(f"- and {len(recording.events) - _MARKS} more")
+        table = gui.add_markdown("**Events**\n\n" + ("\n".join(lines) or "none"))
+        self._controls = [self._slider, self._play, speed, step, jump, self._event, table]
+
+        @self._slider.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:
+                player.seek(float(event.target.value))
+
+        @self._play.on_click
+        async def _(_: Any) -> None:
+            player.toggle()
+
+        @speed.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            player.speed = float(event.target.value)
+
+        @step.on_click
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            player.step(_STEPS[event.target.value])
+
+        @jump.on_click
+        async def _(_: Any) -> None:
+            if not player.jump():
+                self._say("no later contact")

@@ -1,0 +1,1 @@
+"""The surroundings of an arm: scenes, obstacles and goals (numpy only)."""

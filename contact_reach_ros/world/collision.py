@@ -1,0 +1,148 @@
+"""How near the arm is to rigid bodies and to itself."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.capsules import (
+    pair_distances,
+    segment_distances,
+    self_pairs,
+    shape_name,
+    shape_radii,
+    shape_segments,
+    shapes,
+)
+from contact_reach_ros.arm.inverse_kinematics import is_attainable
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.rigid import Environment, Plane, RigidBody
+
+GOAL_CLEARANCE = 0.005
+"""Least distance of the hand from rigid bodies at a goal, m: nearer, the planner's margin would keep it away."""
+_SAMPLES, _ROUNDS = 17, 3
+
+
+class Nearest(NamedTuple):
+    """Two things that are nearest to each other, one of them a link."""
+
+    distance: float
+    """Between their surfaces, m; negative where they overlap."""
+    link: str
+    other: str
+    """A rigid body or another link."""
+
+    def __str__(self) -> str:
+        if self.distance < 0.0:
+            return f"{self.link} lies {-1000 * self.distance:.1f} mm deep in {self.other}"
+        return f"{self.link} is {1000 * self.distance:.1f} mm away from {self.other}"
+
+
+def nearest(arm: Arm, q: Array, environment: Environment) -> list[Nearest]:
+    """In each of the postures `q` (N, n), rad: of all pairs of arm and bodies, and of the arm and itself, the nearest.
+
+    The list is empty if there is nothing that could touch.
+    """
+    pairs = self_pairs(arm)
+    columns = [pair_distances(arm, q, np.array(pairs))] if pairs else []
+    names = [(shape_name(arm, second), shape_name(arm, first)) for first, second in pairs]
+    starts, ends = shape_segments(arm, q)
+    # The base does not move: the bodies that it stands on or beside are no concern of it.
+    moving, radii = slice(1, None), shape_radii(arm)[1:]
+    for body in environment:
+        columns.append(body_distances(body, starts[:, moving], ends[:, moving]) - radii)
+        names += [(shape_name(arm, shape), f"the {body.name}") for shape in range(1, len(shapes(arm)))]
+    if not columns:
+        return []
+    distances = np.concatenate(columns, axis=1)
+    which = distances.argmin(axis=1)
+    return [Nearest(float(row[index]), *names[index]) for row, index in zip(distances, which, strict=True)]
+
+
+def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
+    """Distances (...) of segments from `starts` to `ends`, (..., 3) each, from a body's surface, m; negative inside.
+
+    The distance from a convex body is convex along a segment: the least of some samples, then of closer ones around it.
+    From a plane it is that of an end.
+    """
+    if isinstance(body, Plane):
+        return np.minimum(body.distances(starts), body.distances(ends))
+    low, high = np.zeros(starts.shape[:-1]), np.ones(starts.shape[:-1])
+    grid = np.linspace(0.0, 1.0, _SAMPLES)
+    for _ in range(_ROUNDS):
+        shares = low[..., None] + grid * (high - low)[..., None]
+        points = starts[..., None, :] + shares[..., None] * (ends - starts)[..., None, :]
+        distances = body.distances(points)
+        best = np.take_along_axis(shares, distances.argmin(axis=-1)[..., None], axis=-1)[..., 0]
+        step = (high - low) / (_SAMPLES - 1)
+        low, high = np.maximum(best - step, 0.0), np.minimum(best + step, 1.0)
+    return distances.min(axis=-1)
+
+
+def check_goal(arm: Arm, goal: Target, environment: Environment, q: Array) -> None:
+    """Refuse a goal that no posture attains, or at which the hand would be in a rigid body or in the arm's base.
+
+    This is the rule for every goal: those of the planner's node, of `Stack` and of scenes. `q`: the present posture
+    (n,), rad.
+
+    Raises
+    ------
+    InputError
+        With what is in the way, and what to change.
+    """
+    check_hand(arm, goal, environment)
+    if not is_attainable(arm, goal.position, goal.rotation, q):
+        held = goal.rotation is not None
+        remedy = "choose another position, or another orientation" if held else "choose another position"
+        raise InputError(
+            f"goal: position = {np.round(goal.position, 3).tolist()} m; no posture within the joint limits has the "
+            f"flange there{' in this orientation' if held else ''}: {remedy}"
+        )
+
+
+def check_hand(arm: Arm, goal: Target, environment: Environment) -> None:
+    """Refuse a goal at which the hand would be in a rigid body or in the arm's base.
+
+    The hand is what the last link carries or, where the goal leaves the orientation free, the ball around the flange
+    that this fills in every orientation.
+
+    Raises
+    ------
+    InputError
+        With the body, how deep the hand would be in it and how far to move the goal.
+    """
+    starts, ends, radii = _hand(arm, goal)
+    base = arm.base_capsule
+    foot = np.array([base.start] * len(radii), float), np.array([base.end] * len(radii), float)
+    distances = [(segment_distances((starts, ends), foot) - radii - base.radius).min()]
+    distances += [(body_distances(body, starts, ends) - radii).min() for body in environment]
+    names = [arm.base_frame, *(f"the {body.name}" for body in environment)]
+    index = int(np.argmin(distances))
+    distance = float(distances[index])
+    if distance < GOAL_CLEARANCE:
+        there = Nearest(distance, arm.link_names[-1], names[index])
+        raise InputError(
+            f"goal: position = {np.round(goal.position, 3).tolist()} m; there {there}; expected at least "
+            f"{1000 * GOAL_CLEARANCE:g} mm between them: move the goal by {1000 * (GOAL_CLEARANCE - distance):.1f} mm "
+            "or turn the hand"
+        )
+
+
+def _hand(arm: Arm, goal: Target) -> tuple[Array, Array, Array]:
+    """Starts and ends (C, 3) and radii (C,) of what a goal places, m."""
+    capsules = [capsule for capsule in arm.capsules if capsule.link == arm.n]
+    tip = np.array(arm.tip_offset)
+    starts, ends = (
+        np.array([tip, *(capsule.start for capsule in capsules)]),
+        np.array([tip, *(c.end for c in capsules)]),
+    )
+    radii = np.array([0.0, *(capsule.radius for capsule in capsules)])
+    # What every orientation has in common.
+    radii[0] = max(0.0, (radii - segment_distances((starts, ends), (tip, tip)))[1:].max(initial=0.0))
+    if goal.rotation is None:
+        return goal.position[None], goal.position[None], radii[:1]
+    return goal.position + (starts - tip) @ goal.rotation.T, goal.position + (ends - tip) @ goal.rotation.T, radii

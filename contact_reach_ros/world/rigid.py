@@ -1,0 +1,122 @@
+"""Rigid bodies around the arm, which it must not touch: planes with everything behind them, and blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.arrays import Array, checked_array
+from contact_reach_ros.errors import InputError
+
+Vector = Sequence[float] | Array
+"""Becomes a tuple, so that bodies can be compared."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane and everything behind it: a floor, a wall, a ceiling.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, or the normal has no direction.
+    """
+
+    name: str
+    """In messages to the user, such as 'floor'."""
+    point: Vector
+    """Anywhere on the plane, m, base frame."""
+    normal: Vector = (0.0, 0.0, 1.0)
+    """Direction in which the arm is; it is made a unit vector."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", _checked(self.name, "point", self.point, 3))
+        normal = np.array(_checked(self.name, "normal", self.normal, 3))
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            raise InputError(f"{self.name}: normal = {list(self.normal)}; expected a vector that points to the arm")
+        object.__setattr__(self, "normal", tuple((normal / length).tolist()))
+
+    @property
+    def offset(self) -> float:
+        """Distance of the plane from the origin along its normal, m."""
+        return float(np.dot(self.normal, self.point))
+
+    def distances(self, points: Array) -> Array:
+        """Distances (...) of points (..., 3) from the surface, m; negative inside."""
+        return points @ np.array(self.normal) - self.offset
+
+
+@dataclass(frozen=True)
+class Block:
+    """A rigid box: a table top, a shelf, a pedestal.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, a side is not positive or the quaternion has not unit length.
+    """
+
+    name: str
+    """In messages to the user, such as 'table'."""
+    center: Vector
+    """m, base frame."""
+    size: Vector
+    """Lengths of its sides along its own axes, m."""
+    orientation: Vector = (0.0, 0.0, 0.0, 1.0)
+    """Of its axes in the base frame, unit quaternion x, y, z, w."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", _checked(self.name, "center", self.center, 3))
+        object.__setattr__(self, "size", _checked(self.name, "size", self.size, 3))
+        if min(self.size) <= 0.0:
+            raise InputError(f"{self.name}: size = {list(self.size)}; expected positive lengths in m")
+        quaternion = np.array(_checked(self.name, "orientation", self.orientation, 4))
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > 0.01:
+            raise InputError(
+                f"{self.name}: orientation = {list(self.orientation)}; expected a unit quaternion x, y, z, w"
+            )
+        object.__setattr__(self, "orientation", tuple((quaternion / length).tolist()))
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) its axes in the base frame, one a column."""
+        return Rotation.from_quat(self.orientation).as_matrix()
+
+    @property
+    def half(self) -> Array:
+        """(3,) half of its size, m."""
+        return 0.5 * np.array(self.size)
+
+    def distances(self, points: Array) -> Array:
+        """Distances (...) of points (..., 3) from the surface, m; negative inside."""
+        beyond = np.abs((points - np.array(self.center)) @ self.axes) - self.half
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return outside + np.minimum(beyond.max(axis=-1), 0.0)
+
+
+RigidBody = Plane | Block
+Environment = tuple[RigidBody, ...]
+"""Everything rigid around the arm."""
+
+
+_SLAB = (3.0, 3.0, 0.02)
+"""Size of what stands for a plane in pictures, m."""
+
+
+def slab(body: RigidBody) -> Block:
+    """What shows a body: the block itself, or a slab around the plane's point nearest to the base, under the plane."""
+    if isinstance(body, Block):
+        return body
+    normal = np.array(body.normal)
+    turn, _ = Rotation.align_vectors(normal[None], [[0.0, 0.0, 1.0]])
+    center = (body.offset - 0.5 * _SLAB[2]) * normal
+    return Block(body.name, center, _SLAB, turn.as_quat())
+
+
+def _checked(body: str, name: str, values: object, count: int) -> tuple[float, ...]:
+    return tuple(checked_array(f"{body}: {name}", values, (count,)).tolist())

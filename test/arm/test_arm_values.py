@@ -1,0 +1,102 @@
+"""The arm as a value: what makes two of them equal, and what they answer."""
+
+import copy
+import dataclasses
+import os
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+from six_axis import SIX_AXIS
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
+from contact_reach_ros.errors import SettingsError
+
+
+def pickled(arm: Arm) -> Arm:
+    return pickle.loads(pickle.dumps(arm))
+
+
+@pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, dataclasses.replace, pickled])
+def test_copies_are_equal_and_the_same_key(make):
+    copied = make(ARM)
+    assert copied == ARM and hash(copied) == hash(ARM) and copied.digest == ARM.digest
+    assert {ARM: "known"}[copied] == "known"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"name": "other"},
+        {"tip_offset": (0.0, 0.0, 0.046)},
+        {"joints": (dataclasses.replace(ARM.joints[0], upper=3.0), *ARM.joints[1:])},
+        {"capsules": ARM.capsules[:-1]},
+        {"inertia_sets": {"nominal": ARM.inertias()}},
+        {"reach": 0.8},
+        {"home": (0.1, *ARM.home[1:])},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_whatever_models_are_built_from_makes_another_arm(changes):
+    other = dataclasses.replace(ARM, **changes)
+    assert other != ARM and other.digest != ARM.digest
+    assert len({ARM: 1, other: 2}) == 2
+
+
+def test_default_thresholds_are_settings_and_make_no_other_arm():
+    assert dataclasses.replace(ARM, defaults={}) == ARM
+
+
+def test_an_arm_equals_nothing_else():
+    assert ARM not in (ARM.digest, ARM.name, None, SIX_AXIS)
+
+
+def test_the_digest_is_the_same_in_every_process():
+    code = "from contact_reach_ros.arms import load_arm; print(load_arm().digest)"
+    environment = {**os.environ, "PYTHONHASHSEED": "1"}
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert found.stdout.strip() == ARM.digest
+
+
+@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
+def test_arrays_have_a_value_for_each_joint_and_cannot_be_changed(arm):
+    for values in (arm.lower, arm.upper, arm.velocity_limits, arm.torque_limits):
+        assert values.shape == (arm.n,)
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0.0
+    assert len(arm.joint_names) == len(arm.link_names) == len(arm.home) == arm.n
+    assert (arm.lower < arm.upper).all()
+    assert ((arm.lower <= arm.home) & (arm.home <= arm.upper)).all()
+
+
+@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
+def test_contact_links_are_those_with_capsules_once_each_from_base_to_tip(arm):
+    with_capsules = {arm.link_names[capsule.link - 1] for capsule in arm.capsules}
+    assert arm.contact_links == tuple(name for name in arm.link_names if name in with_capsules)
+
+
+def test_defaults_that_an_arm_does_not_list_are_zero():
+    assert ARM.default("torque_thresholds") == ARM.defaults["torque_thresholds"]
+    assert ARM.default("viscous_friction") == (0.0,) * ARM.n
+
+
+class TestLoadArm:
+    def test_it_gives_the_same_object_each_time(self):
+        assert load_arm() is load_arm(DEFAULT_ARM)
+        assert load_arm(ARM.name) is ARM
+
+    @pytest.mark.parametrize("name", ["iiwa7", "", "IIWA14", "__init__", "../arms/iiwa14"])
+    def test_an_unknown_name_is_refused_and_the_known_ones_are_listed(self, name):
+        with pytest.raises(SettingsError) as raised:
+            load_arm(name)
+        assert str(raised.value).startswith(f"arm '{name}' is unknown; expected one of ")
+        assert DEFAULT_ARM in str(raised.value)
+
+
+def test_the_arrays_agree_with_the_joints():
+    np.testing.assert_array_equal(ARM.upper, [joint.upper for joint in ARM.joints])
+    np.testing.assert_array_equal(ARM.torque_limits, [joint.torque_limit for joint in ARM.joints])

@@ -1,0 +1,47 @@
+"""Postures at a goal."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME
+
+from contact_reach_ros.arm.inverse_kinematics import solve_ik
+from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
+
+LIMITS = np.array(ARM.upper)
+ROTATIONS, ORIGINS = link_frames(ARM, HOME)
+POSITION = ORIGINS[-1] + np.array([0.05, 0.2, -0.1])
+
+
+def seeds(count: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-LIMITS, LIMITS, (count, 7))
+
+
+def test_frames_of_many_postures_are_those_of_each():
+    q = seeds(5)
+    axes, origins = link_frames_of_many(ARM, q)
+    for index, posture in enumerate(q):
+        rotations, expected = link_frames(ARM, posture)
+        np.testing.assert_allclose(origins[:, :, index], expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(axes[..., index].transpose(0, 2, 1), rotations, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("rotation", [ROTATIONS[-1], None])
+def test_solutions_are_at_the_goal_and_within_the_limits(rotation):
+    found = solve_ik(ARM, POSITION, rotation, seeds(200), 0.1)
+    assert len(found) > 50
+    assert (np.abs(found) <= LIMITS - 0.1 + 1e-12).all()
+    for q in found:
+        rotations, origins = link_frames(ARM, q)
+        assert np.linalg.norm(origins[-1] - POSITION) < 1e-4
+        if rotation is not None:
+            np.testing.assert_allclose(rotations[-1], rotation, rtol=0, atol=2e-3)
+
+
+def test_solutions_cover_the_redundancy():
+    found = solve_ik(ARM, POSITION, ROTATIONS[-1], seeds(200), 0.1)
+    elbows = np.array([link_frames(ARM, q)[1][3] for q in found])
+    assert np.ptp(elbows, axis=0).max() > 0.2
+
+
+def test_out_of_reach_there_are_none():
+    assert len(solve_ik(ARM, np.array([1.5, 0.0, 0.3]), None, seeds(50), 0.1)) == 0

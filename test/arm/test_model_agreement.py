@@ -1,0 +1,87 @@
+"""Pinocchio, MuJoCo and Brax read one MJCF, and must see one robot."""
+
+import warnings
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from arm_simulation import ARM, random_states
+
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.model import RobotModel
+
+STATES = 1000
+TOLERANCE = 1e-9
+
+
+class MujocoModel:
+    """The same quantities as `RobotModel`, from MuJoCo."""
+
+    def __init__(self, inertia_set: str) -> None:
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(ARM, inertia_set))
+        self.data = mujoco.MjData(self.model)
+        self.flange = self.model.site("flange").id
+
+    def update(self, q: np.ndarray, v: np.ndarray) -> None:
+        data = self.data
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(self.model, data)
+        self.mass_matrix = np.zeros((7, 7))
+        mujoco.mj_fullM(self.model, data, self.mass_matrix)
+        self.jacobian = np.zeros((6, 7))
+        mujoco.mj_jacSite(self.model, data, self.jacobian[:3], self.jacobian[3:], self.flange)
+        self.bias = data.qfrc_bias
+        self.position = data.site_xpos[self.flange]
+        self.rotation = data.site_xmat[self.flange].reshape(3, 3)
+
+
+@pytest.mark.parametrize("inertia_set", tuple(ARM.inertia_sets))
+def test_pinocchio_agrees_with_mujoco(inertia_set):
+    pinocchio, other = RobotModel(ARM, inertia_set), MujocoModel(inertia_set)
+    for q, v in zip(*random_states(STATES), strict=True):
+        pinocchio.update(q, v)
+        other.update(q, v)
+        for name in ("mass_matrix", "bias", "jacobian", "position", "rotation"):
+            np.testing.assert_allclose(
+                getattr(pinocchio, name), getattr(other, name), rtol=0, atol=TOLERANCE, err_msg=name
+            )
+
+
+def test_pinocchio_agrees_with_brax():
+    from brax import kinematics, math
+    from brax.generalized import dynamics, mass
+    from brax.generalized.base import State
+    from brax.io import mjcf
+
+    def evaluate(q, v):
+        links, velocities = kinematics.forward(system, q, v)
+        state = dynamics.transform_com(system, State.init(q, v, links, velocities))
+        last = links.take(-1)
+        flange = last.pos + math.rotate(np.array(ARM.tip_offset), last.rot)
+        rotation = math.quat_to_3x3(last.rot)
+        return mass.matrix(system, state), dynamics.inverse(system, state), flange, rotation
+
+    positions, velocities = random_states(STATES)
+    with jax.enable_x64(True), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Brax says on loading that it is no longer developed.
+        system = mjcf.loads(build_mjcf(ARM))
+        # It runs once: compiling takes longer than running.
+        compiled = jax.jit(jax.vmap(evaluate), compiler_options={"xla_backend_optimization_level": 0})
+        results = [np.asarray(result) for result in compiled(positions, velocities)]
+    model = RobotModel(ARM)
+    for index, (q, v) in enumerate(zip(positions, velocities, strict=True)):
+        model.update(q, v)
+        expected = (model.mass_matrix, model.bias, model.position, model.rotation)
+        for result, value in zip(results, expected, strict=True):
+            np.testing.assert_allclose(result[index], value, rtol=0, atol=TOLERANCE)
+
+
+def test_pinocchio_agrees_with_the_table():
+    model = RobotModel(ARM)
+    for q, v in zip(*random_states(100), strict=True):
+        model.update(q, v)
+        rotations, origins = link_frames(ARM, q)
+        np.testing.assert_allclose(model.position, origins[-1], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(model.rotation, rotations[-1], rtol=0, atol=1e-12)

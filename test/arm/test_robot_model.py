@@ -1,0 +1,131 @@
+"""Derivatives of the Pinocchio model against finite differences, and what `update` promises."""
+
+import gc
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import ARM, HOME, REST, random_states
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SettingsError
+
+STEP = 1e-6
+
+
+@pytest.fixture(scope="module")
+def model() -> RobotModel:
+    return RobotModel(ARM)
+
+
+def finite_difference_twist(model: RobotModel, q: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Change of the flange pose along a change of the joints, central difference."""
+    ahead, ahead_rotation = model.tip_pose(q + STEP * change)
+    behind, behind_rotation = model.tip_pose(q - STEP * change)
+    return np.concatenate([ahead - behind, pin.log3(ahead_rotation @ behind_rotation.T)]) / (2 * STEP)
+
+
+def test_jacobian_is_the_derivative_of_the_tip_pose(model):
+    for q, v in zip(*random_states(50), strict=True):
+        model.update(q, v)
+        jacobian = np.array([finite_difference_twist(model, q, column) for column in np.eye(ARM.n)]).T
+        np.testing.assert_allclose(model.jacobian, jacobian, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(model.twist, finite_difference_twist(model, q, v), rtol=0, atol=1e-8)
+
+
+def test_drift_is_the_derivative_of_the_twist_at_constant_joint_velocity(model):
+    for q, v in zip(*random_states(50), strict=True):
+        model.update(q + STEP * v, v)
+        ahead = model.twist
+        model.update(q - STEP * v, v)
+        behind = model.twist
+        model.update(q, v)
+        np.testing.assert_allclose(model.drift, (ahead - behind) / (2 * STEP), rtol=0, atol=1e-7)
+
+
+def test_gravity_is_the_bias_at_rest(model):
+    for q, v in zip(*random_states(20), strict=True):
+        model.update(q, REST)
+        at_rest = model.bias.copy()
+        model.update(q, v)
+        np.testing.assert_allclose(model.gravity, at_rest, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(model.gravity_at(q), at_rest, rtol=0, atol=1e-11)
+
+
+def test_mass_matrix_is_symmetric_and_positive_definite(model):
+    for q, v in zip(*random_states(100), strict=True):
+        model.update(q, v)
+        np.testing.assert_array_equal(model.mass_matrix, model.mass_matrix.T)
+        assert np.linalg.eigvalsh(model.mass_matrix)[0] >= ARM.joints[0].armature
+
+
+def test_smallest_mobility_is_the_least_acceleration_along_a_unit_wrench(model):
+    random = np.random.default_rng(0)
+    for q, v in zip(*random_states(10), strict=True):
+        model.update(q, v)
+        wrenches = random.standard_normal((6, 1000))
+        wrenches /= np.linalg.norm(wrenches, axis=0)
+        accelerations = model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T @ wrenches)
+        shares = (wrenches * accelerations).sum(axis=0)
+        assert 0.0 < model.smallest_mobility() <= shares.min()
+    model.update(np.zeros(ARM.n), REST)
+    assert model.smallest_mobility() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_coriolis_matrix_gives_bias_and_derivative_of_the_mass_matrix(model):
+    for q, v in zip(*random_states(20), strict=True):
+        model.update(q + STEP * v, v)
+        ahead = model.mass_matrix.copy()
+        model.update(q - STEP * v, v)
+        behind = model.mass_matrix.copy()
+        model.update(q, v)
+        coriolis = model.coriolis_matrix(q, v)
+        np.testing.assert_allclose(coriolis @ v + model.gravity, model.bias, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(coriolis + coriolis.T, (ahead - behind) / (2 * STEP), rtol=0, atol=1e-7)
+
+
+def test_parts_alone_are_those_of_the_whole_update(model):
+    parts = RobotModel(ARM)
+    for q, v in zip(*random_states(20), strict=True):
+        model.update(q, v)
+        parts.update_dynamics(q)
+        np.testing.assert_allclose(parts.mass_matrix, model.mass_matrix, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(parts.gravity, model.gravity, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(parts.jacobian_at(q), model.jacobian, rtol=0, atol=1e-12)
+
+
+def test_looking_elsewhere_leaves_the_attributes_alone(model):
+    model.update(HOME, 0.1 * np.ones(7))
+    names = ("mass_matrix", "bias", "gravity", "position", "rotation", "jacobian", "twist", "drift")
+    before = {name: getattr(model, name).copy() for name in names}
+    model.gravity_at(REST)
+    model.tip_pose(REST)
+    model.coriolis_matrix(HOME, 0.1 * np.ones(7))
+    for name in names:
+        np.testing.assert_array_equal(getattr(model, name), before[name], err_msg=name)
+
+
+def test_tip_pose_outlives_the_call(model):
+    poses = [model.tip_pose(q) for q in random_states(50)[0]]
+    copies = [(position.copy(), rotation.copy()) for position, rotation in poses]
+    gc.collect()
+    for q in random_states(50, seed=1)[0]:
+        model.tip_pose(q)
+    for (position, rotation), (position_before, rotation_before) in zip(poses, copies, strict=True):
+        np.testing.assert_array_equal(position, position_before)
+        np.testing.assert_array_equal(rotation, rotation_before)
+
+
+def test_gravity_torques_of_the_inertia_sets_differ_as_documented():
+    # From the data sheet's comparison of both sets: up to 10.8 Nm on A2 and 5.3 Nm on A4, rms 6.4 and 2.8 Nm.
+    nominal, alternative = RobotModel(ARM, "nominal"), RobotModel(ARM, "alternative")
+    positions = random_states(5000)[0]
+    difference = np.array([nominal.gravity_at(q) - alternative.gravity_at(q) for q in positions])
+    largest, rms = np.abs(difference).max(axis=0), np.sqrt(np.mean(difference**2, axis=0))
+    np.testing.assert_allclose(largest[[1, 3]], [10.8, 5.3], atol=0.3)
+    np.testing.assert_allclose(rms[[1, 3]], [6.4, 2.8], atol=0.3)
+
+
+def test_unknown_inertia_set_lists_the_known_ones():
+    with pytest.raises(SettingsError, match=r"'light'.*nominal, alternative"):
+        RobotModel(ARM, "light")

@@ -1,0 +1,88 @@
+"""The URDF describes the same robot as the MJCF."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import ARM, random_states
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.urdf import build_urdf, roll_pitch_yaw
+from contact_reach_ros.errors import SettingsError
+
+
+def rotation_from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    return rotation_about((0, 0, 1), yaw) @ rotation_about((0, 1, 0), pitch) @ rotation_about((1, 0, 0), roll)
+
+
+@pytest.mark.parametrize("inertia_set", tuple(ARM.inertia_sets))
+def test_urdf_agrees_with_mjcf(inertia_set):
+    model = pin.buildModelFromXML(build_urdf(ARM, inertia_set))
+    model.armature[:] = ARM.joints[0].armature  # URDF cannot say it.
+    data = model.createData()
+    frames = [model.getFrameId(name) for name in (*ARM.link_names, ARM.tip_frame)]
+    from_mjcf = RobotModel(ARM, inertia_set)
+    for q, v in zip(*random_states(200), strict=True):
+        from_mjcf.update(q, v)
+        pin.computeAllTerms(model, data, q, v)
+        pin.updateFramePlacements(model, data)
+        np.testing.assert_allclose(data.M, from_mjcf.mass_matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(data.nle, from_mjcf.bias, rtol=0, atol=1e-9)
+        for frame, rotation, origin in zip(frames, *link_frames(ARM, q), strict=True):
+            np.testing.assert_allclose(data.oMf[frame].translation, origin, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(data.oMf[frame].rotation, rotation, rtol=0, atol=1e-9)
+
+
+def test_limits_and_names_are_those_of_the_table():
+    model = pin.buildModelFromXML(build_urdf(ARM))
+    assert list(model.names)[1:] == list(ARM.joint_names)
+    np.testing.assert_allclose(model.upperPositionLimit, ARM.upper)
+    np.testing.assert_allclose(model.lowerPositionLimit, -np.array(ARM.upper))
+    np.testing.assert_allclose(model.velocityLimit, ARM.velocity_limits)
+    np.testing.assert_allclose(model.effortLimit, ARM.torque_limits)
+
+
+def test_collision_shapes_are_the_capsules():
+    robot = ElementTree.fromstring(build_urdf(ARM))
+    capsules = {ARM.link_names[capsule.link - 1]: capsule for capsule in ARM.capsules}
+    capsules[ARM.base_frame] = ARM.base_capsule
+    for link in robot.findall("link"):
+        shapes = link.findall("collision")
+        if link.get("name") not in capsules:
+            assert not shapes
+            continue
+        capsule = capsules[link.get("name")]
+        ends = []
+        for shape in shapes:
+            origin = shape.find("origin")
+            position = np.array(origin.get("xyz").split(), float)
+            cylinder = shape.find("geometry/cylinder")
+            if cylinder is None:
+                assert float(shape.find("geometry/sphere").get("radius")) == capsule.radius
+                ends.append(position)
+            else:
+                assert float(cylinder.get("radius")) == capsule.radius
+                axis = rotation_from_angles(*map(float, origin.get("rpy").split()))[:, 2]
+                half = 0.5 * float(cylinder.get("length")) * axis
+                np.testing.assert_allclose(position - half, capsule.start, atol=1e-12)
+                np.testing.assert_allclose(position + half, capsule.end, atol=1e-12)
+        np.testing.assert_array_equal(ends, [capsule.start, capsule.end])
+
+
+angles = st.floats(-3.1, 3.1)
+
+
+@given(angles, st.one_of(angles, st.sampled_from([np.pi / 2, -np.pi / 2])), angles)
+def test_roll_pitch_yaw_gives_the_rotation_back(roll, pitch, yaw):
+    rotation = rotation_from_angles(roll, pitch, yaw)
+    again = rotation_from_angles(*roll_pitch_yaw(rotation))
+    np.testing.assert_allclose(again, rotation, rtol=0, atol=1e-7)
+
+
+def test_unknown_inertia_set_is_refused():
+    with pytest.raises(SettingsError, match="nominal, alternative"):
+        build_urdf(ARM, "none")

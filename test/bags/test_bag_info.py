@@ -1,0 +1,88 @@
+import json
+from pathlib import Path
+
+import pytest
+from rclpy.serialization import serialize_message
+from rich.console import Console
+from std_msgs.msg import String
+
+from contact_reach_ros.bags.info import bag_info, read_info
+from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.cli import main
+from contact_reach_ros.resources import share_directory
+
+MS = 1_000_000
+BEST_EFFORT = OfferedQos(reliability="best_effort")
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """1 kHz with a gap of 0.5 s, one message that is late, and a topic of two messages."""
+    stream = RecordedTopic("/stream", "std_msgs/msg/String", (BEST_EFFORT,))
+    rare = RecordedTopic("/rare", "std_msgs/msg/String")
+    lost = {"messages_lost": "3", "messages_lost/stream": "3", "scene": "ball"}
+    with BagWriter(tmp_path / "bag", [stream, rare], custom_data=lost) as writer:
+        data = serialize_message(String(data="x"))
+        times = [*range(0, 500), *range(1000, 1500)]
+        times[200], times[201] = times[201], times[200]
+        for time in times:
+            writer.write("/stream", data, time * MS)
+        writer.write("/rare", data, 100 * MS)
+        writer.write("/rare", data, 300 * MS)
+    return tmp_path / "bag"
+
+
+def test_rates_gaps_order_and_lost_messages(bag: Path) -> None:
+    rare, stream = read_info(bag).topics
+    assert (stream.name, stream.message_count, stream.gaps, stream.out_of_order, stream.lost) == (
+        "/stream", 1000, 1, 1, 3
+    )  # fmt: skip
+    assert stream.longest_gap_s == pytest.approx(0.501)
+    assert stream.rate_hz == pytest.approx(999 / 1.499)
+    assert stream.qos == "best effort"
+    assert (rare.gaps, rare.lost, rare.qos) == (None, 0, "not known")
+    assert rare.rate_hz == pytest.approx(5.0)
+
+
+def test_rates_and_gaps_of_a_lockstep_run_are_on_the_robots_clock() -> None:
+    info = read_info(share_directory() / "bags" / "sample")
+    assert info.robot_duration_s is not None and info.robot_duration_s < 0.5 * info.duration_s
+    rates = {topic.name: (topic.rate_hz, topic.gaps) for topic in info.topics}
+    for name, rate in (("joint_states", 1000.0), ("effort_controller/commands", 1000.0), ("sim/contacts", 200.0)):
+        assert rates[f"/{name}"] == (pytest.approx(rate, rel=0.01), 0)
+
+
+def test_command_prints_a_table_and_writes_json(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bag", "info", str(bag), "--json", str(tmp_path / "info.json")])
+    assert ended.value.code == 0
+    assert "1002 messages" in capsys.readouterr().out
+    content = json.loads((tmp_path / "info.json").read_text())
+    assert [topic["name"] for topic in content["topics"]] == ["/rare", "/stream"]
+    assert content["custom_data"]["scene"] == "ball"
+
+
+def test_cut_bag_is_shown_with_a_note(bag: Path, tmp_path: Path) -> None:
+    (bag / "metadata.yaml").unlink()
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-20])
+    console = Console(file=(tmp_path / "out").open("w"), width=200)
+    bag_info(bag, None, console)
+    console.file.close()
+    text = (tmp_path / "out").read_text()
+    assert "/stream" in text
+    assert "note: metadata.yaml is missing" in text
+    assert "is cut or damaged" in text
+
+
+@pytest.mark.parametrize("make", [lambda path: None, lambda path: path.touch(), lambda path: path.write_text("text")])
+def test_no_bag_at_all_is_one_line(tmp_path: Path, make, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "it.mcap"
+    make(path)
+    for command in ("info", "repair"):
+        with pytest.raises(SystemExit) as ended:
+            main(["bag", command, str(path)])
+        assert ended.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "it.mcap" in line

@@ -1,0 +1,340 @@
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import START_NS, STEP_NS, SampleBag
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import IndexType, Writer
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.errors import BagError
+
+
+def test_summary(shared_sample: SampleBag) -> None:
+    summary = BagReader(shared_sample.directory).summary
+    assert {name: topic.type for name, topic in summary.topics.items()} == shared_sample.topics
+    assert {topic.message_count for topic in summary.topics.values()} == {len(shared_sample.written) // 5}
+    assert summary.message_count == len(shared_sample.written)
+    assert summary.start_ns == START_NS
+    assert summary.duration == pytest.approx((len(shared_sample.written) - 1) * STEP_NS * 1e-9)
+    assert summary.custom_data == {"scene": "ball", "seed": "7"}
+    assert summary.notes == ()
+
+
+@pytest.mark.parametrize("single_file", [False, True])
+def test_raw_messages_are_what_was_written(shared_sample: SampleBag, single_file: bool) -> None:
+    reader = BagReader(shared_sample.file if single_file else shared_sample.directory)
+    assert reader.summary.custom_data == {"scene": "ball", "seed": "7"}
+    read = [(raw.topic, raw.log_time_ns, raw.publish_time_ns, raw.data) for raw in reader.raw_messages()]
+    assert read == [(topic, received, sent, data) for topic, received, sent, _, data in shared_sample.written]
+
+
+def test_decoded_messages_by_topic(shared_sample: SampleBag) -> None:
+    reader = BagReader(shared_sample.directory)
+    read = list(reader.messages(["/goal_pose", "/joint_states"]))
+    written = [entry for entry in shared_sample.written if entry[0] in ("/goal_pose", "/joint_states")]
+    assert len(read) == len(written)
+    for item, (topic, received, _, message, _) in zip(read, written, strict=True):
+        assert (item.topic, item.log_time_ns) == (topic, received)
+        assert item.message.header.stamp.nanosec == message.header.stamp.nanosec
+        if topic == "/goal_pose":
+            assert item.message.pose.position.z == message.pose.position.z
+        else:
+            assert item.message.name == message.name
+            np.testing.assert_array_equal(item.message.position, message.position)
+
+
+def test_messages_come_by_time_of_reception(tmp_path: Path) -> None:
+    times = [5, 3, 9, 1, 7]
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "std_msgs/msg/String")]) as writer:
+        for time in times:
+            writer.write("/a", serialize_message(String(data=str(time))), time)
+    assert [int(item.message.data) for item in BagReader(tmp_path / "bag").messages()] == sorted(times)
+
+
+def test_bytes_behind_the_end_of_a_message_are_ignored(tmp_path: Path) -> None:
+    """The middleware's own serialisation leaves some where sequences of doubles are empty."""
+    message = JointState(name=["a", "bc"], position=[1.0, 2.0])
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "sensor_msgs/msg/JointState")]) as writer:
+        writer.write("/a", serialize_message(message) + bytes(4), 1)
+    (read,) = BagReader(tmp_path / "bag").messages()
+    assert list(read.message.position) == [1.0, 2.0]
+    assert len(read.message.effort) == 0
+
+
+def test_type_is_read_by_the_definition_in_the_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    messages = tmp_path / "share" / "arm_msgs" / "msg"
+    messages.mkdir(parents=True)
+    (messages / "Gain.msg").write_text("string name\nfloat64[] values\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    name, values = b"kp\0", np.array([880.0, 100.0])
+    data = b"\0\1\0\0" + len(name).to_bytes(4, "little") + name + b"\0" + (2).to_bytes(4, "little") + values.tobytes()
+    # The values begin at a multiple of eight behind the header.
+    data = data[:16] + bytes(-(len(data[:16]) - 4) % 8) + data[16:]
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/gain", "arm_msgs/msg/Gain")]) as writer:
+        writer.write("/gain", data, 1)
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    (read,) = BagReader(tmp_path / "bag").messages()
+    assert read.message.name == "kp"
+    np.testing.assert_array_equal(read.message.values, values)
+
+
+def test_unknown_topic_is_named_with_those_that_exist(shared_sample: SampleBag) -> None:
+    with pytest.raises(BagError, match=r"no topic '/joint_state'; it has .*/joint_states"):
+        next(BagReader(shared_sample.directory).messages(["/joint_state"]))
+
+
+def test_message_that_is_none_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "sensor_msgs/msg/JointState")]) as writer:
+        writer.write("/a", b"\0\1\0\0\1\0", 12345)
+        writer.write("/a", serialize_message(JointState(name=["a"], position=[1.0])), 12346)
+    reader = BagReader(tmp_path / "bag")
+    assert len(list(reader.raw_messages())) == 2
+    assert [item.message.name for item in reader.messages()] == [["a"]]
+    (note,) = reader.notes
+    assert "topic '/a': 1 messages are no sensor_msgs/msg/JointState" in note
+    assert "received at 12345 ns" in note
+
+
+def test_missing_bag(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="nothing_here' does not exist"):
+        BagReader(tmp_path / "nothing_here")
+
+
+def test_empty_file(tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    path.touch()
+    with pytest.raises(BagError, match=r"bag\.mcap: is empty"):
+        BagReader(path)
+
+
+def test_file_of_another_kind(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("this is no recording")
+    with pytest.raises(BagError, match=r"notes\.txt: is no mcap file"):
+        BagReader(path)
+
+
+def test_directory_of_another_kind(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"neither metadata\.yaml nor an mcap file"):
+        BagReader(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["", "- 1\n", "a: [", "other: {}\n", "rosbag2_bagfile_information: 3\n"])
+def test_metadata_of_another_kind(sample: SampleBag, content: str) -> None:
+    (sample.directory / "metadata.yaml").write_text(content)
+    reader = BagReader(sample.directory)
+    assert len(list(reader.messages())) == len(sample.written)
+    assert reader.summary.custom_data["seed"] == "7"
+    assert "metadata.yaml" in reader.notes[0]
+    sample.file.unlink()
+    with pytest.raises(BagError, match=r"metadata\.yaml"):
+        BagReader(sample.directory)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("storage_identifier", "sqlite3", "stored as sqlite3, expected mcap"),
+        ("compression_mode", "file", "compressed by file"),
+        ("relative_file_paths", [], "names no file"),
+        ("relative_file_paths", ["gone_0.mcap"], r"gone_0\.mcap: cannot be opened: No such file"),
+    ],
+)
+def test_bag_that_is_stored_otherwise(sample: SampleBag, key: str, value: object, message: str) -> None:
+    path = sample.directory / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["rosbag2_bagfile_information"][key] = value
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(BagError, match=message):
+        BagReader(sample.directory)
+
+
+def test_bag_in_several_files(tmp_path: Path) -> None:
+    first, second = SampleBag(tmp_path / "first", 40), SampleBag(tmp_path / "second", 60)
+    path = first.directory / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["rosbag2_bagfile_information"]["relative_file_paths"].append(second.file.name)
+    path.write_text(yaml.safe_dump(content))
+    shutil.copy(second.file, first.directory)
+    reader = BagReader(first.directory)
+    assert reader.summary.message_count == 100
+    assert len(list(reader.messages())) == 100
+
+
+def test_directory_without_metadata_is_read_with_a_note(sample: SampleBag) -> None:
+    (sample.directory / "metadata.yaml").unlink()
+    reader = BagReader(sample.directory)
+    assert len(list(reader.messages())) == len(sample.written)
+    assert reader.summary.custom_data["seed"] == "7"
+    assert len(reader.summary.notes) == 1
+    assert "metadata.yaml is missing" in reader.summary.notes[0]
+
+
+def test_file_without_index_is_read(tmp_path: Path) -> None:
+    """Other writers may leave out index, summary and chunks."""
+    path = tmp_path / "plain.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(
+            stream,
+            index_types=IndexType.NONE,
+            repeat_channels=False,
+            repeat_schemas=False,
+            use_chunking=False,
+            use_statistics=False,
+            use_summary_offsets=False,
+        )
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        channel = writer.register_channel("/text", "cdr", schema)
+        for time in range(3):
+            writer.add_message(channel, time, serialize_message(String(data=str(time))), time)
+        writer.finish()
+    reader = BagReader(path)
+    assert reader.summary.notes == ()
+    assert [item.message.data for item in reader.messages()] == ["0", "1", "2"]
+
+
+def chunk_ends(path: Path) -> list[int]:
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return [chunk.chunk_start_offset + chunk.chunk_length for chunk in summary.chunk_indexes]
+
+
+@settings(max_examples=60)
+@given(fraction=st.floats(0.0, 1.0, exclude_max=True))
+def test_cut_file_is_readable_up_to_the_cut(
+    shared_sample: SampleBag, tmp_path_factory: pytest.TempPathFactory, fraction: float
+) -> None:
+    whole = shared_sample.file.read_bytes()
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    length = int(fraction * len(whole))
+    path.write_bytes(whole[:length])
+    if length < 8:
+        with pytest.raises(BagError):
+            BagReader(path)
+        return
+    reader = BagReader(path)
+    read = [(raw.topic, raw.log_time_ns, raw.data) for raw in reader.raw_messages()]
+    expected = [(topic, received, data) for topic, received, _, _, data in shared_sample.written]
+    assert read == expected[: len(read)]
+    assert reader.summary.message_count == len(read)
+    assert f"of {length}" in reader.summary.notes[0]
+    # The fixture writes a chunk for every 40 messages, and none of those that are whole may be given up.
+    whole_chunks = [end for end in chunk_ends(shared_sample.file) if end <= length]
+    assert len(read) == 40 * len(whole_chunks)
+
+
+def test_damaged_chunk_is_left_out_and_the_rest_read(sample: SampleBag) -> None:
+    content = bytearray(sample.file.read_bytes())
+    first_end, second_end = chunk_ends(sample.file)[:2]
+    content[(first_end + second_end) // 2 + 200] ^= 255
+    for whole in (True, False):
+        sample.file.write_bytes(content if whole else content[:-100])
+        reader = BagReader(sample.directory)
+        read = [raw.log_time_ns for raw in reader.raw_messages()]
+        assert read == [entry[1] for number, entry in enumerate(sample.written) if not 40 <= number < 80]
+        assert any("1 chunks are damaged" in note for note in reader.notes)
+
+
+def test_topic_that_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: Path) -> None:
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="")
+        text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        unknown = writer.register_schema("arm_msgs/msg/Gain", "ros2msg", b"arm_msgs/Missing gain\n")
+        other = writer.register_schema("arm_msgs/msg/Other", "protobuf", b"\1")
+        channels = [
+            writer.register_channel("/gain", "cdr", unknown),
+            writer.register_channel("/text", "cdr", text),
+            writer.register_channel("/other", "cdr", other),
+            writer.register_channel("/json", "json", text),
+        ]
+        for time in range(8):
+            data = serialize_message(String(data=str(time)))
+            writer.add_message(channels[time % 4], time, data, time)
+        writer.finish()
+    reader = BagReader(path)
+    assert [item.message.data for item in reader.messages()] == ["1", "5"]
+    notes = "\n".join(reader.notes)
+    assert "profile '', expected 'ros2'" in notes
+    for topic, reason in {
+        "/gain": "no clear definition",
+        "/other": "'protobuf'",
+        "/json": "serialised as json",
+    }.items():
+        assert f"topic '{topic}' is left out" in notes
+        assert reason in notes
+
+
+def test_reception_times_with_and_without_index(shared_sample: SampleBag, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(shared_sample.file.read_bytes()[:-10])
+    expected = [received for topic, received, *_ in shared_sample.written if topic == "/goal_pose"]
+    for path in (shared_sample.directory, cut):
+        assert BagReader(path).reception_times("/goal_pose").tolist() == expected
+
+
+def test_overlapping_chunks_come_by_time_of_reception(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    times = random.permutation(500)
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "std_msgs/msg/String")]) as writer:
+        for number, time in enumerate(times):
+            writer.write("/a", serialize_message(String(data=str(time))), int(time))
+            if number % 30 == 29:
+                writer.flush()
+    reader = BagReader(tmp_path / "bag")
+    assert [raw.log_time_ns for raw in reader.raw_messages()] == list(range(500))
+    assert reader.reception_times("/a").tolist() == times.tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "definition"),
+    [
+        ("3arm_msgs/msg/Gain", "float64 gain\n"),
+        ("arm_msgs/msg/Gain", f"3arm_msgs/Part part\n{80 * '='}\nMSG: 3arm_msgs/Part\nfloat64 gain\n"),
+        ("arm_msgs/msg/Gain", "arm_msgs/Gain gain\n"),
+        ("arm_msgs/msg/Gain:\n    raise OSError\nclass A", "float64 gain\n"),
+    ],
+    ids=["name", "part's name", "itself", "code"],
+)
+def test_definition_that_is_none_leaves_its_topic_out(tmp_path: Path, name: str, definition: str) -> None:
+    path = tmp_path / "strange.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(name, "ros2msg", definition.encode())
+        writer.add_message(writer.register_channel("/gain", "cdr", schema), 0, b"\0\1\0\0" + bytes(8), 0)
+        writer.finish()
+    reader = BagReader(path)
+    assert list(reader.messages()) == []
+    assert "topic '/gain' is left out" in "\n".join(reader.notes)
+    assert "no clear definition" in "\n".join(reader.notes)
+
+
+@settings(max_examples=30)
+@given(position=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
+def test_damaged_file_gives_messages_or_an_error_that_names_it(
+    shared_sample: SampleBag, tmp_path_factory: pytest.TempPathFactory, position: float, flip: int
+) -> None:
+    content = bytearray(shared_sample.file.read_bytes())
+    content[int(position * len(content))] ^= flip
+    path = tmp_path_factory.mktemp("damaged") / "damaged.mcap"
+    path.write_bytes(content)
+    try:
+        read = list(BagReader(path).messages())
+    except BagError as error:
+        assert "damaged.mcap" in str(error)
+    else:
+        assert len(read) <= len(shared_sample.written)

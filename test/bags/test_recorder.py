@@ -1,0 +1,290 @@
+"""The recorder as users start it: a process of its own, ended by a signal."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_domains import fresh_domain
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.repair import repair_bag
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.nodes.recorder import RecorderNode
+
+PATIENCE = 60.0
+"""How long a test waits for another process before it fails, s."""
+
+RELIABLE = QoSProfile(depth=1000)
+LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Recorder:
+    """A recorder process on a domain of its own, and a node beside it that publishes."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.domain = fresh_domain()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=self.domain)
+        self.node: Node = rclpy.create_node("publisher", context=self._context)
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self, *arguments: str) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "contact_reach_ros.nodes.recorder",
+            "--ros-args",
+            "-p",
+            f"bag:={self.directory}",
+        ]
+        for argument in arguments:
+            command += ["-p", argument]
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(self.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        self.process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+
+    def end(self, number: int = signal.SIGINT) -> tuple[int, str]:
+        """Exit code and output."""
+        assert self.process is not None
+        self.process.send_signal(number)
+        return self.wait()
+
+    def wait(self) -> tuple[int, str]:
+        assert self.process is not None
+        output, _ = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, output
+
+    def until(self, holds: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not holds():
+            assert time.monotonic() < deadline, f"still waiting for {what}"
+            assert self.process is None or self.process.poll() is None, self.wait()[1]
+            time.sleep(0.01)
+
+    def publisher(self, message_class: type, topic: str, qos: QoSProfile, wait: bool = True) -> Publisher:
+        """A publisher that the recorder already listens to."""
+        publisher = self.node.create_publisher(message_class, topic, qos)
+        if wait:
+            self.until(publisher.get_subscription_count, f"a subscription to {topic}")
+        return publisher
+
+    def close(self) -> None:
+        if self.process is not None and self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+@pytest.fixture
+def recorder(tmp_path: Path) -> Iterator[Recorder]:
+    made = Recorder(tmp_path / "bag")
+    yield made
+    made.close()
+
+
+def acknowledged(*publishers: Publisher) -> None:
+    """All messages have reached the recorder."""
+    for publisher in publishers:
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+
+
+def custom_data(directory: Path) -> dict[str, str]:
+    content = yaml.safe_load((directory / "metadata.yaml").read_text())
+    return content["rosbag2_bagfile_information"]["custom_data"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> None:
+    latched = recorder.publisher(String, "robot_description", LATCHED, wait=False)
+    latched.publish(String(data="<robot/>"))
+    parameters = recorder.directory.with_name("parameters.yaml")
+    parameters.write_text("planner: {}\n# γ\n")
+    recorder.start("custom_data:=[scene=ball, 'note=a=b']", f"files:=[parameter_file={parameters}]")
+    states = recorder.publisher(JointState, "joint_states", RELIABLE)
+    commands = recorder.publisher(Float64MultiArray, "effort_controller/commands", RELIABLE)
+    recorder.until(latched.get_subscription_count, "a subscription to the latched topic")
+    unasked = recorder.publisher(String, "chatter", RELIABLE, wait=False)
+    unasked.publish(String(data="not of the stack"))
+    for count in range(600):
+        states.publish(JointState(name=["lbr_A1"], position=[float(count)], velocity=[0.0], effort=[0.0]))
+        commands.publish(Float64MultiArray(data=[float(-count)]))
+        if count == 300:
+            # A topic that appears while the recording runs.
+            goals = recorder.publisher(PoseStamped, "goal_pose", RELIABLE)
+            goals.publish(PoseStamped())
+    acknowledged(latched, states, commands, goals)
+    exit_code, output = recorder.end(number)
+    assert exit_code == 0, output
+    assert "Traceback" not in output
+    assert str(recorder.directory) in output
+    # Its own diagnostics, once a second, come on top of the 1202.
+    assert re.search(r"recorded 1[23]\d\d messages \(0 lost\)", output)
+
+    reader = BagReader(recorder.directory)
+    assert reader.summary.notes == ()
+    counts = {name: topic.message_count for name, topic in reader.topics().items()}
+    counts.pop("/diagnostics", None)
+    assert counts == {
+        "/robot_description": 1,
+        "/joint_states": 600,
+        "/effort_controller/commands": 600,
+        "/goal_pose": 1,
+        # Its own.
+        "/settings": 1,
+    }
+    positions = [item.message.position[0] for item in reader.messages(["/joint_states"])]
+    assert positions == [float(count) for count in range(600)]
+    (description,) = reader.messages(["/robot_description"])
+    assert description.message.data == "<robot/>"
+    for raw in reader.raw_messages():
+        assert 0 < raw.publish_time_ns <= raw.log_time_ns
+    kept = custom_data(recorder.directory)
+    assert {key: kept[key] for key in ("scene", "note", "messages_lost", "parameter_file")} == {
+        "scene": "ball",
+        "note": "a=b",
+        "messages_lost": "0",
+        "parameter_file": "planner: {}\n# γ\n",
+    }
+    assert yaml.safe_load(kept["versions"])["rmw"] == rclpy.get_rmw_implementation_identifier()
+    assert re.fullmatch("[0-9a-f]{40}(-dirty)?", kept.get("git_revision", "0" * 40))
+
+
+def test_offered_qos_is_kept(recorder: Recorder) -> None:
+    recorder.start("topics:=[latched, stream]")
+    recorder.publisher(String, "latched", LATCHED)
+    recorder.publisher(String, "stream", BEST_EFFORT)
+    assert recorder.end()[0] == 0
+    content = yaml.safe_load((recorder.directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    offered = {
+        entry["topic_metadata"]["name"]: entry["topic_metadata"]["offered_qos_profiles"][0]
+        for entry in content["topics_with_message_count"]
+    }
+    assert (offered["/latched"]["durability"], offered["/latched"]["reliability"]) == ("transient_local", "reliable")
+    assert (offered["/stream"]["durability"], offered["/stream"]["reliability"]) == ("volatile", "best_effort")
+
+
+def test_publisher_that_offers_less_is_heard_as_well(recorder: Recorder) -> None:
+    recorder.start("topics:=[text]")
+    reliable = recorder.publisher(String, "text", RELIABLE)
+    reliable.publish(String(data="reliable"))
+    acknowledged(reliable)
+    best_effort = recorder.publisher(String, "text", BEST_EFFORT)
+    # Best effort may lose single messages; some of several get through.
+    for _ in range(20):
+        best_effort.publish(String(data="best effort"))
+    exit_code, output = recorder.end()
+    assert exit_code == 0, output
+    assert {item.message.data for item in BagReader(recorder.directory).messages()} == {"reliable", "best effort"}
+
+
+def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
+    recorder.start("topics:=[text]", "custom_data:=[seed=5]")
+    texts = recorder.publisher(String, "text", RELIABLE)
+    for count in range(50):
+        texts.publish(String(data=str(count)))
+    acknowledged(texts)
+
+    def flushed() -> int:
+        try:
+            return BagReader(recorder.directory).summary.message_count
+        except BagError:
+            return 0
+
+    recorder.until(lambda: flushed() == 50, "the messages in the file")
+    recorder.end(signal.SIGKILL)
+    reader = BagReader(recorder.directory)
+    assert [item.message.data for item in reader.messages()] == [str(count) for count in range(50)]
+    assert reader.summary.custom_data["seed"] == "5"
+    assert len(reader.summary.notes) == 2
+    repaired = BagReader(repair_bag(recorder.directory).bag)
+    assert [item.message.data for item in repaired.messages()] == [str(count) for count in range(50)]
+    assert repaired.notes == ()
+
+
+def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: free)
+    rclpy.init(
+        args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]", "-p", "storage.min_free_mb:=1.0"],
+        domain_id=fresh_domain(),
+    )
+    try:
+        node = RecorderNode()
+        node.trigger_configure()
+        node.trigger_activate()
+        node.turn()
+        assert node.diagnosis()[0] == ""
+        free = free._replace(free=900_000)
+        deadline = time.monotonic() + PATIENCE
+        while not node.diagnosis()[0] and time.monotonic() < deadline:
+            node.turn()
+        assert "not recording: 1 MB are free" in node.diagnosis()[0]
+        # The stack goes on.
+        node.turn()
+        node.close()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert BagReader(tmp_path / "bag").notes == ()
+
+
+def test_existing_bag_is_refused(recorder: Recorder) -> None:
+    recorder.directory.mkdir()
+    recorder.start()
+    exit_code, output = recorder.wait()
+    assert exit_code == 1
+    assert "exists and is not overwritten" in output
+    assert "Traceback" not in output
+    assert list(recorder.directory.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("storage.compression:=gzip", "expected one of none, zstd"),
+        ("custom_data:=[seed]", "entry 'seed': expected key=value"),
+        ("files:=[a=/no/such/file]", "parameter files, entry 'a': /no/such/file cannot be read"),
+        ("storage.min_free_mb:=1e15", "is not begun: "),
+        ("storage.split_s:=-1.0", "storage.split_s"),
+        ("topics:=['joint_states:JointState']", "expected package/msg/Type"),
+        ("bag:=5", "bag"),
+    ],
+)
+def test_refused_parameter_is_named(recorder: Recorder, argument: str, message: str) -> None:
+    recorder.start(argument)
+    exit_code, output = recorder.wait()
+    assert exit_code in (1, 2)
+    assert message in output
+    assert "Traceback" not in output
+    assert not recorder.directory.exists()
+
+
+def test_topic_of_another_type_is_not_recorded(recorder: Recorder) -> None:
+    recorder.start("topics:=['state:sensor_msgs/msg/JointState', text]")
+    recorder.publisher(String, "state", RELIABLE, wait=False)
+    recorder.publisher(String, "text", RELIABLE)
+    exit_code, output = recorder.end()
+    assert exit_code == 0
+    assert "topic '/state' has the type std_msgs/msg/String, expected sensor_msgs/msg/JointState" in output
+    assert list(BagReader(recorder.directory).topics()) == ["/text"]

@@ -1,0 +1,55 @@
+import shutil
+from pathlib import Path
+
+import pytest
+from conftest import SampleBag
+from rosbags.rosbag2 import Reader
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.repair import repair_bag
+from contact_reach_ros.errors import BagError
+
+
+def killed(sample: SampleBag, lost_bytes: int) -> None:
+    """As a recorder leaves the bag that is killed: without metadata, and without the end of the file."""
+    (sample.directory / "metadata.yaml").unlink()
+    sample.file.write_bytes(sample.file.read_bytes()[:-lost_bytes])
+
+
+def test_repaired_bag_has_all_that_was_written_and_is_complete(sample: SampleBag) -> None:
+    killed(sample, 50)
+    before = sample.file.read_bytes()
+    repair = repair_bag(sample.directory)
+    assert repair.bag == sample.directory.with_name("sample_repaired")
+    assert repair.message_count == len(sample.written)
+    assert any("is cut or damaged" in note for note in repair.notes)
+    assert sample.file.read_bytes() == before
+    whole = BagReader(repair.bag)
+    assert whole.notes == ()
+    assert whole.summary.custom_data == {"scene": "ball", "seed": "7", "repaired_from": "sample"}
+    read = [(raw.topic, raw.log_time_ns, raw.publish_time_ns, raw.data, raw.sequence) for raw in whole.raw_messages()]
+    assert read == [(topic, log, sent, data, n) for n, (topic, log, sent, _, data) in enumerate(sample.written)]
+    assert whole.topics()["/goal_pose"].offered_qos[0].durability == "transient_local"
+    with Reader(repair.bag) as reader:
+        assert {topic: about.msgtype for topic, about in reader.topics.items()} == sample.topics
+        assert len(list(reader.messages())) == len(sample.written)
+
+
+def test_types_are_taken_from_the_bag(sample: SampleBag, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They need not be installed where a bag is repaired."""
+    monkeypatch.setattr("contact_reach_ros.bags.message_types.MessageTypes.definition", None)
+    assert repair_bag(sample.directory).topic_count == 5
+
+
+def test_second_repair_has_a_name_of_its_own_and_nothing_is_overwritten(sample: SampleBag) -> None:
+    killed(sample, 1000)
+    first, second = repair_bag(sample.directory).bag, repair_bag(sample.directory).bag
+    assert (first.name, second.name) == ("sample_repaired", "sample_repaired_2")
+    with pytest.raises(BagError, match="exists and is not overwritten"):
+        repair_bag(sample.directory, first)
+
+
+def test_one_file_of_a_bag_is_enough(sample: SampleBag, tmp_path: Path) -> None:
+    alone = tmp_path / "alone.mcap"
+    shutil.copy(sample.file, alone)
+    assert repair_bag(alone).bag == tmp_path / "alone_repaired"

@@ -1,0 +1,64 @@
+"""Planner and controller have to mean the same arm, rate and gains."""
+
+import dataclasses
+
+import pytest
+from arm_simulation import ARM
+from six_axis import SIX_AXIS
+
+import contact_reach_ros as cr
+from contact_reach_ros.control.agreement import differences, disagreement, plan_basis
+from contact_reach_ros.control.settings import ImpedanceSettings
+
+GAINS = ImpedanceSettings()
+OWN = {**plan_basis(ARM, GAINS), "state_rate": 1000.0, "supervision.hold_limit": 5.0}
+
+
+def test_the_same_settings_agree_whatever_else_differs():
+    assert disagreement(OWN, {**OWN, "supervision.hold_limit": 1.0, "planning.seed": 3}) == ""
+
+
+def test_what_the_planner_does_not_report_is_not_compared():
+    assert disagreement(OWN, {}) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "own"),
+    [
+        ("impedance.task_stiffness", 500.0, "880.0"),
+        ("impedance.null_damping", 2.0, "1.0"),
+        ("state_rate", 200.0, "1000.0"),
+        ("robot", "other", ARM.name),
+    ],
+)
+def test_a_difference_is_named_with_both_values(name, value, own):
+    found = disagreement(OWN, {**OWN, name: value})
+    assert found == f"{name} = {value} in the planner, {own} in the controller"
+
+
+def test_arms_of_one_name_are_told_apart_by_their_digest():
+    other = plan_basis(dataclasses.replace(SIX_AXIS, name=ARM.name), GAINS)
+    assert "robot digest" in disagreement(OWN, other)
+
+
+def test_a_stack_refuses_a_planner_for_other_gains():
+    class Core:
+        basis = plan_basis(ARM, ImpedanceSettings(task_damping=50.0))
+
+        def plan(self, *_):
+            raise NotImplementedError
+
+        def reset(self):
+            pass
+
+    scene = cr.load_scene("free", arm=ARM, seed=0)
+    with pytest.raises(cr.ContactReachError, match=r"impedance.task_damping = 50.0 in the planner, 100.0 in the contr"):
+        cr.Stack(scene, planner=Core())
+
+
+def test_lists_are_compared_as_messages_carry_them():
+    own = {"momentum.viscous_friction": (0.0, 1.0), "safety.debounce": 3}
+    same, other = {"momentum.viscous_friction": [0.0, 1.0]}, {"momentum.viscous_friction": [0.0, 2.0]}
+    assert differences(own, same, "observer", own) == ""
+    found = differences(own, other, "observer", own)
+    assert found == "momentum.viscous_friction = [0.0, 2.0] in the observer, (0.0, 1.0) in the controller"

@@ -1,0 +1,233 @@
+"""The watchdog before a drive that has none: commands pass, silence brings harmless torques, then a latched stop."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, offer_plan
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.adapter_settings import AdapterSettings
+from contact_reach_ros.control.command_guard import CommandGuard, Phase
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.simulation.drive import Drive
+from contact_reach_ros.simulation.settings import WatchdogSettings
+from contact_reach_ros.stop_reasons import StopCode
+
+GRAVITY = RobotModel(ARM).gravity_at(HOME)
+FLOATING = AdapterSettings(gravity_compensation=False)
+
+
+class Bench:
+    """A guard with an arm that stands still, ticked at 1 kHz."""
+
+    def __init__(self, settings=AdapterSettings()):  # noqa: B008
+        self.guard = CommandGuard(ARM, settings)
+        self.now_ns = 5_000_000_000
+
+    def see(self, velocity=REST):
+        self.guard.see(JointState(self.now_ns, HOME, np.asarray(velocity), None), self.now_ns)
+
+    def command(self, torque=GRAVITY):
+        return self.guard.command(torque, self.now_ns)
+
+    def tick(self, count=1, velocity=REST, states=True):
+        """What the guard itself sends in each tick."""
+        sent = []
+        for _ in range(count):
+            self.now_ns += TICK_NS
+            if states:
+                self.see(velocity)
+            sent.append(self.guard.watch(self.now_ns))
+        return sent
+
+
+@pytest.fixture
+def bench():
+    made = Bench()
+    made.see()
+    return made
+
+
+def test_nothing_is_sent_before_the_first_command(bench):
+    assert bench.tick(500) == [None] * 500
+    assert bench.guard.phase is Phase.WAITING and not bench.guard.stop_reason
+
+
+def test_commands_pass_at_once_as_they_are(bench):
+    for _ in range(50):
+        np.testing.assert_array_equal(bench.command(2.0 * GRAVITY), 2.0 * GRAVITY)
+        assert bench.tick(20) == [None] * 20
+
+
+def test_silence_brings_the_harmless_torque_and_then_a_latched_stop(bench):
+    bench.command()
+    sent = bench.tick(150)
+    assert [torque is None for torque in sent] == [True] * 20 + [False] * 130
+    np.testing.assert_allclose(sent[-1], GRAVITY)
+    assert bench.guard.stop_reason == "no command for 102 ms"
+    assert bench.guard.stop_reason.code is StopCode.NO_COMMAND
+    assert bench.command() is None
+    assert bench.tick()[0] is not None
+
+
+def test_a_pause_of_the_guard_itself_is_not_yet_silence_of_the_commands(bench):
+    bench.command()
+    bench.now_ns += 500 * TICK_NS
+    assert bench.tick()[0] is not None
+    assert not bench.guard.stop_reason
+    bench.tick(90)
+    assert bench.guard.stop_reason
+
+
+@pytest.mark.parametrize(
+    ("torque", "message"),
+    [
+        (np.zeros(6), "adapter/commands: data has 6 values; expected 7"),
+        (np.full(7, np.nan), "expected finite torques"),
+        (1.01 * TORQUE_LIMITS, "expected at most"),
+    ],
+)
+def test_a_command_that_is_none_is_refused_and_counts_as_silence(bench, torque, message):
+    bench.command()
+    for _ in range(150):
+        with pytest.raises(InputError, match=message):
+            bench.command(torque)
+        bench.tick()
+    assert bench.guard.stop_reason
+
+
+def test_nothing_passes_before_the_first_joint_state():
+    bench = Bench()
+    with pytest.raises(InputError, match="no joint state yet"):
+        bench.command()
+    assert bench.guard.phase is Phase.WAITING
+
+
+@pytest.mark.parametrize(
+    ("settings", "carried"),
+    [(AdapterSettings(), GRAVITY), (FLOATING, REST), (dataclasses.replace(FLOATING, on_silence="zero"), REST)],
+    ids=["raw", "carries itself", "damps itself"],
+)
+def test_harmless_torques_damp_and_carry_only_where_they_must(settings, carried):
+    bench = Bench(settings)
+    bench.see()
+    bench.command(carried)
+    velocity = np.array([0.3, 0, 0, 0, 0, 0, 0])
+    torque = bench.tick(80, velocity)[-1]
+    expected = carried[0] - (settings.on_silence == "damping") * 20.0 * velocity[0]
+    # Beside damping there are the Coriolis torques, which are small here.
+    np.testing.assert_allclose(torque[0], expected, atol=0.1)
+    # By an old velocity it would be driven.
+    np.testing.assert_allclose(bench.tick(80, states=False)[-1], carried, atol=1e-9)
+
+
+def test_harmless_torques_begin_where_the_commands_ended(bench):
+    command = GRAVITY + 0.3 * TORQUE_LIMITS
+    bench.command(command)
+    first = bench.tick(21)[-1]
+    assert 0.0 < np.abs(first - command).max() <= 4.0 + 1e-9
+
+
+def test_an_impossible_velocity_leaves_a_finite_torque(bench):
+    bench.command()
+    torque = bench.tick(60, velocity=np.full(7, 1e200))[-1]
+    np.testing.assert_allclose(torque, GRAVITY)
+
+
+@pytest.mark.parametrize("silence", [50, 200])
+def test_after_a_silence_commands_come_back_by_and_by(bench, silence):
+    bench.command()
+    bench.tick(silence)
+    if bench.guard.stop_reason:
+        bench.guard.reset(bench.now_ns)
+        assert bench.guard.phase is Phase.HARMLESS
+        # However long they take to come.
+        assert all(torque is not None for torque in bench.tick(300)) and not bench.guard.stop_reason
+    command = GRAVITY + 10.0
+    passed = []
+    for _ in range(502):
+        passed.append(bench.command(command))
+        assert bench.tick() == [None]
+    np.testing.assert_allclose(passed[0], GRAVITY, atol=1e-9)
+    assert np.abs(np.diff(passed, axis=0)).max() <= 10.0 / 500 + 1e-9
+    np.testing.assert_array_equal(passed[-1], command)
+
+
+def test_a_stop_is_reset_only_at_rest_and_in_sight(bench):
+    bench.command()
+    bench.guard.stop("button")
+    bench.guard.stop("another")
+    assert bench.guard.stop_reason == "button" and bench.guard.phase is Phase.HARMLESS
+    bench.tick(velocity=np.full(7, 0.1))
+    with pytest.raises(InputError, match=r"0\.100 rad/s; reset needs at most 0\.05"):
+        bench.guard.reset(bench.now_ns)
+    bench.tick(200, states=False)
+    with pytest.raises(InputError, match="joint_states are silent"):
+        bench.guard.reset(bench.now_ns)
+    assert bench.guard.stop_reason == "button"
+    bench.tick()
+    bench.guard.reset(bench.now_ns)
+    assert not bench.guard.stop_reason
+
+
+def test_a_stop_before_the_first_command_sends_nothing(bench):
+    bench.guard.stop("button")
+    assert bench.command() is None
+    assert bench.tick(50) == [None] * 50
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"hold_after": 0.1}, "expected less than stop_after"),
+        ({"on_silence": "zero"}, "would drop an arm that does not carry itself"),
+    ],
+)
+def test_settings_that_harm_are_refused(values, message):
+    with pytest.raises(SettingsError, match=message):
+        AdapterSettings(**values)
+
+
+def test_commands_that_come_more_seldom_than_silence_is_noticed_are_refused():
+    with pytest.raises(SettingsError, match=r"at least two periods of the joint states, 0\.04 s"):
+        CommandGuard(ARM, AdapterSettings(), period=0.02)
+
+
+def displacement_after_silence(is_guarded):
+    """How far the joints move, rad, in half a second after a moving controller ended; their speed then, rad/s."""
+    plant = ideal_plant()
+    drive = Drive(plant, WatchdogSettings(enabled=False, open_after=0.0, speed_share=0.0))
+    controller, guard = Controller(ARM, UNWATCHED), CommandGuard(ARM, AdapterSettings())
+    ended = None
+    for tick in range(1, 900):
+        now_ns, reading = tick * TICK_NS, plant.read()
+        state = JointState(now_ns, reading.position, reading.velocity, None)
+        guard.see(state, now_ns)
+        sent = None
+        if tick < 400:
+            sent = guard.command(controller.update(state, now_ns), now_ns)
+            if tick == 1:
+                position, rotation = controller.model.tip_pose(HOME)
+                there = Reference(position + np.array([0.0, 0.2, 0.0]), rotation, HOME)
+                offer_plan(controller, [there], 2 * TICK_NS, (10_000 * TICK_NS,), now_ns)
+        elif is_guarded:
+            sent = guard.watch(now_ns)
+        if tick == 400:
+            ended, speed = plant.data.qpos.copy(), np.abs(plant.data.qvel).max()
+            assert speed > 0.2, "the arm does not move: the test shows nothing"
+        if sent is not None:
+            drive.command(sent, now_ns)
+        drive.tick(now_ns)
+    return np.abs(plant.data.qpos - ended).max(), np.abs(plant.data.qvel).max()
+
+
+def test_a_drive_without_a_watchdog_goes_on_and_with_the_guard_the_arm_comes_to_rest():
+    runaway, fast = displacement_after_silence(is_guarded=False)
+    caught, slow = displacement_after_silence(is_guarded=True)
+    assert runaway > 0.5 and fast > 0.5
+    assert caught < 0.2 and slow < SupervisionSettings().reset_velocity

@@ -1,0 +1,189 @@
+"""The controller watches itself: an observer that is late leaves nothing unwatched, and stops nothing by that."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, REST, TICK_NS
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.observer import Observer
+from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.world.scene import Scene
+
+SETTINGS = SupervisionSettings()
+PAUSE_AT = 1000
+"""Tick from which the observer is silent."""
+
+
+def make_observer(**options) -> Observer:
+    return Observer(ARM, ObserverSettings(), ContactBudget(), **options)
+
+
+def make_controller(watch_itself: bool, torque_source: str = "measured") -> Controller:
+    controller = Controller(ARM, ControllerSettings(supervision=SupervisionSettings(watch_itself=watch_itself)))
+    settings = ObserverSettings(torque_source=torque_source)
+    controller.watch_with(Observer(ARM, settings, ContactBudget(), locates=False))
+    return controller
+
+
+def stopped_after(controller: Controller, silent_ms: int, push: float = 0.0) -> tuple[float, str]:
+    """Ticks from the pause of the observer's reports to the stop, infinite without one, and the reason.
+
+    `push`: force on the elbow from 50 ms after its beginning, N.
+    """
+    robot, observer = SimulatedRobot(Scene("watch", ARM, 0, HOME, np.zeros(3))), make_observer()
+    elbow = robot.plant.model.body("lbr_link_4").id
+    for tick in range(1, PAUSE_AT + 700):
+        (state,) = robot.read()
+        report = observer.update(state)
+        if report.due and not PAUSE_AT <= tick < PAUSE_AT + silent_ms:
+            controller.hear(report.verdict, tick * TICK_NS)
+        if tick == PAUSE_AT + 50:
+            robot.plant.data.xfrc_applied[elbow, 1] = push
+        torque = controller.update(state, tick * TICK_NS)
+        controller.watch(state, torque, tick * TICK_NS)
+        if torque is not None:
+            robot.command(torque, tick * TICK_NS)
+        robot.step(tick * TICK_NS)
+        if controller.stop_reason:
+            return tick - PAUSE_AT, controller.stop_reason
+    assert controller.mode is Mode.HOLDING
+    return np.inf, ""
+
+
+@pytest.mark.parametrize("source", ["measured", "commanded"])
+def test_a_pause_of_the_observer_does_not_stop_the_arm(source):
+    assert stopped_after(make_controller(True, source), 200) == (np.inf, "")
+
+
+def test_without_its_own_watch_it_does():
+    after, reason = stopped_after(make_controller(False), 200)
+    assert reason.startswith("observer silent for ")
+    assert after <= 1000 * SETTINGS.observer_timeout + 1
+
+
+def test_a_push_during_the_pause_is_seen_as_soon_as_by_the_observer():
+    heard, expected = stopped_after(make_controller(False), 0, push=100.0)
+    assert "external torque" in expected
+    after, reason = stopped_after(make_controller(True), 200, push=100.0)
+    assert after <= heard < 100 and reason == expected
+
+
+def test_an_observer_that_is_silent_for_too_long_stops_the_arm():
+    after, reason = stopped_after(make_controller(True), 10_000)
+    assert reason.startswith("observer silent for ")
+    assert 1000 * (SETTINGS.observer_patience - 0.01) <= after <= 1000 * SETTINGS.observer_patience + 1
+
+
+class Watcher:
+    """Reports what the test wants, and latches a reason as an observer does."""
+
+    due = True
+
+    def __init__(self) -> None:
+        self.verdict = Verdict()
+        self.is_pushed = False
+        self.resets = 0
+
+    def update(self, state):
+        return self
+
+    def command(self, torque):
+        pass
+
+    def report(self):
+        return self
+
+    def reset(self):
+        if self.is_pushed:
+            raise InputError("free the arm")
+        self.resets += 1
+        self.verdict = self.verdict._replace(reason="")
+
+
+class TestVerdicts:
+    """The stub's verdict of a state counts from the next tick on."""
+
+    @pytest.fixture
+    def watcher(self) -> Watcher:
+        return Watcher()
+
+    @pytest.fixture
+    def controller(self, watcher) -> Controller:
+        """Has seen, and answered, the state of tick 1."""
+        made = Controller(ARM, ControllerSettings())
+        made.watch_with(watcher)
+        made.hear(Verdict(), TICK_NS)
+        self.update(made, 1)
+        return made
+
+    def update(self, controller, tick):
+        state = JointState(tick * TICK_NS, HOME, REST, None)
+        torque = controller.update(state, state.stamp_ns)
+        controller.watch(state, torque, state.stamp_ns)
+        return torque
+
+    def test_its_doubt_keeps_the_arm_from_being_started(self, watcher):
+        watcher.verdict = Verdict(doubt="no torque")
+        controller = Controller(ARM, ControllerSettings())
+        controller.watch_with(watcher)
+        controller.hear(Verdict(), TICK_NS)
+        assert self.update(controller, 1) is None and "own watch has seen nothing" in controller.not_vouched
+        assert self.update(controller, 2) is None and "no torque" in controller.not_vouched
+        watcher.verdict = Verdict()
+        self.update(controller, 3)
+        assert self.update(controller, 4) is not None
+
+    @pytest.mark.parametrize("shown", [True, False])
+    def test_a_watch_that_doubts_or_is_shown_nothing_ends_the_patience(self, controller, watcher, shown):
+        watcher.verdict = Verdict(doubt="500 Hz" if shown else "")
+        for tick in range(2, 60):
+            state = JointState(tick * TICK_NS, HOME, REST, None)
+            controller.update(state, state.stamp_ns)
+            if shown:
+                controller.watch(state, None, state.stamp_ns)
+        assert controller.stop_reason.startswith("observer silent for 5")
+
+    def test_pauses_of_the_controller_itself_do_not_make_its_watch_old(self, controller):
+        for tick in (2, 3, 60, 120, 180):
+            self.update(controller, tick)
+        assert not controller.stop_reason
+
+    def test_its_distrust_ends_all_commands(self, controller, watcher):
+        watcher.verdict = Verdict("encoder stuck", "encoder stuck")
+        self.update(controller, 2)
+        assert controller.mode is Mode.SILENT
+        assert self.update(controller, 3) is None
+
+    def test_a_reset_releases_it_unless_the_arm_is_pushed(self, controller, watcher):
+        self.update(controller, 2)
+        watcher.verdict, watcher.is_pushed = Verdict("too much torque"), True
+        self.update(controller, 3)
+        with pytest.raises(InputError, match="free the arm"):
+            controller.reset(3 * TICK_NS)
+        assert controller.stop_reason == "too much torque"
+        watcher.is_pushed = False
+        controller.reset(3 * TICK_NS)
+        assert controller.mode is Mode.HOLDING and watcher.resets == 1
+
+    def test_before_the_start_it_latches_nothing(self, watcher):
+        watcher.verdict = Verdict("pushed by hand")
+        controller = Controller(ARM, ControllerSettings())
+        controller.watch_with(watcher)
+        controller.hear(Verdict(), TICK_NS)
+        assert [self.update(controller, tick) is None for tick in range(1, 5)] == [True, True, False, False]
+        assert not controller.stop_reason
+
+    @pytest.mark.parametrize("settings", [{"watch_itself": False}, {"require_observer": False}, {"shadow": True}])
+    def test_settings_that_want_none_have_none(self, watcher, settings):
+        controller = Controller(ARM, ControllerSettings(supervision=SupervisionSettings(**settings)))
+        controller.watch_with(watcher)
+        controller.hear(Verdict(), TICK_NS)
+        watcher.verdict = Verdict("too much torque")
+        assert all(self.update(controller, tick) is not None for tick in range(1, 4)) and not controller.stop_reason

@@ -1,0 +1,83 @@
+"""Gains that one period of delay would make unstable are refused or reduced."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, UNWATCHED, ClosedLoop, ideal_plant
+from six_axis import SIX_AXIS
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.stability import check_gains, lightness, spectral_radius, stable_damping
+from contact_reach_ros.errors import SettingsError
+
+GAINS = ImpedanceSettings()
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 100.0, 880.0, 2500.0])
+@pytest.mark.parametrize("damping", [10.0, 100.0, 300.0])
+@pytest.mark.parametrize("period", [0.001, 0.005, 0.01])
+def test_the_radius_tells_whether_a_late_spring_and_damper_come_to_rest(stiffness, damping, period):
+    position, speed, force = 1.0, 1.0, 0.0
+    for _ in range(20000):
+        acting, force = force, -stiffness * position - damping * speed
+        position, speed = position + period * speed + 0.5 * period**2 * acting, speed + period * acting
+        if abs(speed) > 1e6:
+            break
+    radius = spectral_radius(stiffness, damping, period)
+    # Without a spring the mass rests anywhere: one eigenvalue is 1.
+    assert (abs(speed) < 1e-3) == (radius < 1.0 or (stiffness == 0.0 and radius < 1.0 + 1e-9))
+
+
+@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=["iiwa14", "six axes"])
+@pytest.mark.parametrize("rate", [125.0, 200.0, 500.0, 1000.0])
+def test_the_papers_gains_are_stable_from_125_hz_on(arm, rate):
+    check_gains(arm, GAINS, 1.0 / rate)
+
+
+@pytest.mark.parametrize(
+    ("gains", "rate", "message"),
+    [
+        (
+            ImpedanceSettings(null_stiffness=15.0, null_damping=0.7),
+            100.0,
+            "task_stiffness = 880 and task_damping = 100 are not stable at 100 Hz with one period of delay",
+        ),
+        (ImpedanceSettings(task_damping=300.0), 200.0, "task_damping = 300 are not stable at 200 Hz"),
+        (ImpedanceSettings(null_damping=20.0), 1000.0, "null_damping = 20 are not stable at 1000 Hz"),
+    ],
+)
+def test_gains_that_are_not_are_refused_with_the_largest_that_would_be(gains, rate, message):
+    with pytest.raises(SettingsError, match=message) as refused:
+        Controller(ARM, ControllerSettings(gains), 1.0 / rate)
+    law = "task" if "task" in message else "null"
+    words = str(refused.value).split("expected at most ")[1].split()
+    stable = {f"{law}_stiffness": float(words[0]), f"{law}_damping": float(words[2])}
+    check_gains(ARM, ImpedanceSettings(**{**vars(gains), **stable}), 1.0 / rate)
+
+
+def test_at_1_khz_the_damping_of_a_stop_is_what_was_set():
+    wanted = stop_damping(ARM, SupervisionSettings())
+    np.testing.assert_array_equal(stable_damping(wanted, lightness(ARM).mobility, 0.001), wanted)
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.005, 0.01])
+def test_a_compliant_stop_is_damped_in_every_posture_at_every_rate(period):
+    wanted, model = stop_damping(ARM, SupervisionSettings()), RobotModel(ARM)
+    for q in np.random.default_rng(7).uniform(ARM.lower, ARM.upper, (300, ARM.n)):
+        model.update(q, np.zeros(ARM.n))
+        damping = stable_damping(wanted, np.linalg.inv(model.mass_matrix).diagonal(), period)
+        fastest = np.linalg.eigvals(np.linalg.solve(model.mass_matrix, np.diag(damping))).real.max()
+        assert fastest * period < 0.9
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.005])
+def test_a_stopped_arm_comes_to_rest_at_every_rate_although_its_commands_come_late(period):
+    loop = ClosedLoop(ideal_plant(), UNWATCHED, late=1, period=period)
+    loop.finish(0.6)
+    loop.plant.data.qvel[: ARM.n] = 0.3
+    loop.controller.stop("test")
+    loop.finish(1.5)
+    assert np.abs(loop.v).max() < 0.05
+    assert np.abs(loop.q - HOME).max() < 0.6

@@ -1,0 +1,81 @@
+"""Pictures show the arm where it is, with each OpenGL library."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.drawing.camera import frame
+from contact_reach_ros.drawing.offscreen import BACKENDS
+from contact_reach_ros.drawing.parts import arm_shapes, floor
+from contact_reach_ros.drawing.renderer import find_renderer, render
+from contact_reach_ros.drawing.shapes import corners
+from contact_reach_ros.drawing.view import Ghost, View
+from contact_reach_ros.errors import RenderingError
+
+ARM = load_arm()
+HOME = np.array(ARM.home)
+TURNED = HOME + np.array([1.0, 0, 0, 0, 0, 0, 0])
+CAMERA = frame([*arm_shapes(ARM, HOME), *arm_shapes(ARM, TURNED)], 160, 120)
+
+
+def changed(first, second):
+    return np.abs(first.astype(int) - second).max(axis=2) > 20
+
+
+@pytest.mark.parametrize("renderer", BACKENDS)
+def test_the_arm_is_seen_and_moves_with_its_joints(renderer):
+    shapes = [[], arm_shapes(ARM, HOME), arm_shapes(ARM, TURNED)]
+    views = [View(each, CAMERA, floor()) for each in shapes]
+    views.append(View(arm_shapes(ARM, HOME), CAMERA, floor(), [Ghost(arm_shapes(ARM, TURNED), 0.5)]))
+    try:
+        assert find_renderer(renderer) == renderer
+    except RenderingError as error:
+        assert f"'{renderer}'" in str(error)
+        pytest.skip(str(error))
+    empty, home, turned, ghost = render(views, renderer)
+    assert empty.shape == (120, 160, 3)
+    assert changed(empty, home).mean() > 0.05
+    assert changed(home, turned).mean() > 0.03
+    # Where only the ghost is, all but what the solid arm puts in shadow.
+    alone = changed(empty, turned) & ~changed(empty, home)
+    expected = 0.5 * empty[alone] + 0.5 * turned[alone]
+    assert np.median(np.abs(ghost[alone] - expected)) < 3
+
+
+def test_the_first_renderer_that_works_is_taken(monkeypatch):
+    def only_osmesa(views, backend):
+        if backend != "osmesa":
+            raise RenderingError(f"no {backend}")
+        return []
+
+    monkeypatch.setattr("contact_reach_ros.drawing.renderer.render_offscreen", only_osmesa)
+    assert find_renderer() == "osmesa"
+    with pytest.raises(RenderingError, match="no egl"):
+        find_renderer("egl")
+
+
+def test_without_opengl_one_learns_what_to_install(monkeypatch, tmp_path):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho 'ImportError: no such library' >&2\nexit 3\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(python))
+    with pytest.raises(RenderingError, match=r"'egl'.*no such library.*libegl1; .*'osmesa'.*libosmesa6"):
+        find_renderer()
+
+
+def test_an_unknown_renderer_is_refused_with_those_there_are():
+    with pytest.raises(RenderingError, match=r"'opengl' is unknown.*egl.*osmesa"):
+        find_renderer("opengl")
+
+
+@pytest.mark.parametrize("direction", [(0.75, -1.0, 0.5), (-1.0, 0.2, 0.1)])
+def test_the_camera_sees_all_shapes_and_comes_as_near_as_it_can(direction):
+    shapes = arm_shapes(ARM, HOME)
+    camera = frame(shapes, 300, 200, direction, margin=0.0)
+    pixels, depths = camera.project(np.concatenate([corners(shape) for shape in shapes]))
+    share = pixels / [300, 200]
+    assert (depths > 0).all()
+    assert share.min() > -1e-9 and share.max() < 1 + 1e-9
+    assert np.ptp(share, axis=0).max() == pytest.approx(1.0)

@@ -1,0 +1,71 @@
+"""The programs in examples/ and in the documentation run as a user runs them."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+ARGUMENTS = {"sweep.py": ["--scenes", "ball", "--seeds", "2"]}
+EXPECTED = {
+    "plan_once.py": r"solver steps in .*wrote plan\.png",
+    "closed_loop.py": r"mm from the goal after \d",
+    "own_simulator.py": r"10\.0 mm from the goal after .*springs were loaded with [1-9]",
+    "own_cost_term.py": r"weight 0: reached.*weight 1: reached",
+    "own_solver.py": r"reached: True",
+    "sweep.py": r"ball +2 +2 ",
+}
+"""What each prints."""
+LONG = ("closed_loop.py", "own_solver.py", "sweep.py")
+
+
+def run(program: str, directory: Path, arguments: list[str]) -> str:
+    """What a program prints."""
+    command = [sys.executable, "-c", program, *arguments]
+    result = subprocess.run(command, cwd=directory, capture_output=True, text=True, timeout=600)
+    assert result.returncode == 0, f"{result.stdout}\n{result.stderr}"
+    return result.stdout
+
+
+def blocks(page: str, language: str = "python") -> list[str]:
+    """The code blocks of a page."""
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+
+
+def test_every_example_is_run_and_short_and_explains_itself():
+    files = sorted(EXAMPLES.glob("*.py"))
+    assert [file.name for file in files] == sorted(EXPECTED)
+    for file in files:
+        text = file.read_text()
+        assert len(text.splitlines()) < 60, file
+        assert ast.get_docstring(ast.parse(text)), file
+        assert file.name in (ROOT / "docs" / "library.md").read_text()
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in EXPECTED]
+)
+def test_example(name, tmp_path):
+    printed = run((EXAMPLES / name).read_text(), tmp_path, ARGUMENTS.get(name, []))
+    assert re.search(EXPECTED[name], printed, re.DOTALL), printed
+    if name == "plan_once.py":
+        assert (tmp_path / "plan.png").stat().st_size > 10_000
+    if name == "own_cost_term.py":
+        without, with_it = (int(height) for height in re.findall(r"at most (\d+) mm above", printed))
+        assert with_it > without + 30
+
+
+def test_program_of_the_library_page_reaches_its_goal(tmp_path):
+    program = blocks("docs/library.md")[0]
+    assert program in blocks("README.md")
+    *_, last = run(program, tmp_path, []).splitlines()
+    assert last.startswith("True ")
+
+
+def test_blocks_of_the_page_on_extending_run(tmp_path):
+    (tmp_path / "my_scene.yaml").write_text(blocks("docs/extending.md", "yaml")[0])
+    run("\n".join(blocks("docs/extending.md")), tmp_path, [])

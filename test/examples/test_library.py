@@ -1,0 +1,185 @@
+"""`Stack` as a user of the library meets it: wrong uses are refused in words, and stops are released."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import contact_reach_ros as cr
+from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.stop_reasons import StopCode
+
+ARM = cr.load_arm("iiwa14")
+NEAR = [0.5, 0.2, 0.3]
+
+
+@pytest.fixture(scope="module")
+def scene() -> cr.Scene:
+    return cr.load_scene("ball", arm=ARM, seed=0)
+
+
+class NoPlans:
+    """Takes the place of the solver where none is needed: compiling it would take longer than the test."""
+
+    def warm_up(self, progress):
+        raise AssertionError("wrong uses are refused before anything is compiled")
+
+    def reset(self):
+        pass
+
+    def reseed(self, seed):
+        pass
+
+    def history(self):
+        return None
+
+    def go_on_from(self, history):
+        pass
+
+    def plan(self, q, v, state_ns, effect_ns, goal, spheres):
+        raise AssertionError("no plan is asked for")
+
+
+@pytest.fixture
+def stack(scene) -> cr.Stack:
+    return cr.Stack(scene, planner=NoPlans())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "bal"}, "scene 'bal' is unknown; expected one of ball, "),
+        ({"arm": "iiwa14"}, "arm = 'iiwa14': expected an Arm, from load_arm"),
+        ({"seed": -1}, "seed = -1: expected an integer from 0 on"),
+        ({"target": [0.5, 0.2]}, "expected three finite numbers"),
+        ({"target": [np.nan, 0.0, 0.0]}, "expected three finite numbers"),
+        ({"target": [5.0, 0.0, 0.0]}, "the arm reaches 0.85 m"),
+    ],
+)
+def test_scenes_that_cannot_be_loaded(arguments, message):
+    with pytest.raises(cr.ContactReachError, match=message):
+        cr.load_scene(**{"name": "ball", **arguments})
+
+
+def test_unknown_arm_lists_those_there_are():
+    with pytest.raises(cr.ContactReachError, match="arm 'ur5' is unknown; expected one of iiwa14"):
+        cr.load_arm("ur5")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scene": "ball"}, "scene is of type str; expected Scene"),
+        ({"planning": {"population": 3}}, "planning is of type dict; expected PlanningSettings"),
+        ({"controller": cr.ImpedanceSettings()}, "expected ControllerSettings or Controller"),
+        ({"observer": cr.ContactBudget()}, "expected ObserverSettings or Observer"),
+        ({"planner": cr.PlanningSettings()}, "planner is of type PlanningSettings; expected Planner or PlanningCore"),
+        ({"robot": "iiwa14"}, "robot is of type str; expected Robot"),
+        ({"seed": 1.5}, "seed = 1.5: expected an integer"),
+        ({"period": 0.0015}, "period = 1.5 ms: the simulated robot has a whole number of milliseconds"),
+    ],
+)
+def test_stacks_that_cannot_be_made(scene, arguments, message):
+    with pytest.raises(cr.ContactReachError, match=message):
+        cr.Stack(**{"scene": scene, **arguments})
+
+
+def test_settings_take_numbers_and_arrays_of_numpy():
+    settings = cr.PlanningSettings(goal_weight=np.float32(2.0), horizon=np.int64(4), reference_posture=np.zeros(ARM.n))
+    assert settings == cr.PlanningSettings(goal_weight=2.0, horizon=4, reference_posture=(0.0,) * ARM.n)
+    assert type(settings.horizon) is int and type(settings.goal_weight) is float
+    for wrong in ({"horizon": np.float64(3.5)}, {"goal_weight": np.zeros(2)}, {"horizon": np.bool_(True)}):
+        with pytest.raises(cr.ContactReachError, match="expected a"):
+            cr.PlanningSettings(**wrong)
+
+
+def test_planner_has_its_settings(scene):
+    planner = cr.make_planner(ARM, 1, core=NoPlans())
+    assert cr.Stack(scene, planner=planner).planner is planner
+    with pytest.raises(cr.ContactReachError, match="planner is a Planner with settings of its own"):
+        cr.Stack(scene, planner=planner, planning=cr.PlanningSettings())
+
+
+def test_controller_and_observer_of_the_user_are_used(scene):
+    controller = cr.Controller(ARM, cr.ControllerSettings())
+    observer = cr.Observer(ARM, cr.ObserverSettings(), cr.ContactBudget())
+    stack = cr.Stack(scene, controller=controller, observer=observer, planner=NoPlans())
+    assert (stack.controller, stack.observer) == (controller, observer)
+
+
+@pytest.mark.parametrize(
+    ("position", "others", "message"),
+    [
+        ([5.0, 0.0, 0.0], {}, "goal: position is 5.013 m from the shoulder .* the arm reaches 0.85 m"),
+        ([0.0, 0.0, 0.2], {}, "goal: position = .* lies inside the base"),
+        ([0.5, 0.2], {}, "expected three numbers x, y, z in m"),
+        ("here", {}, "goal: position = 'here'; expected three numbers"),
+        ([np.nan, 0.0, 0.0], {}, "expected finite numbers in m"),
+        (NEAR, {"orientation": "up"}, "orientation = 'up'; expected 'hold', 'free' or a unit quaternion"),
+        (NEAR, {"orientation": np.eye(3)}, "expected 'hold', 'free' or a unit quaternion"),
+        (NEAR, {"orientation": [0.0, 0.0, 1.0, 1.0]}, "expected a unit quaternion"),
+        (NEAR, {"frame": "world"}, "frame 'world' is unknown; expected 'lbr_link_0'"),
+        (NEAR, {"tolerance": -1.0}, "tolerance = -1.0; expected a positive distance"),
+    ],
+)
+def test_goals_that_are_refused(stack, position, others, message):
+    for method in (stack.plan, stack.run):
+        with pytest.raises(cr.ContactReachError, match=message) as raised:
+            method(cr.Goal(position, **others))
+        assert "\n" not in str(raised.value)
+
+
+def test_what_is_no_goal_is_refused(stack):
+    for method in (stack.plan, stack.run, stack.command):
+        with pytest.raises(cr.ContactReachError, match="goal is of type list; expected Goal"):
+            method(NEAR)
+    with pytest.raises(cr.ContactReachError, match="timeout = 0: expected a positive time"):
+        stack.run(cr.Goal(NEAR), timeout=0)
+
+
+def test_stop_is_kept_until_the_arm_rests_and_is_reset(stack):
+    stack.settle()
+    stack.stop("lunch")
+    assert stack.stop_reason == "lunch" and stack.stop_reason.code is StopCode.REQUEST
+    stack.step()
+    assert stack.controller.mode is Mode.STOPPED
+    stack.reset()
+    assert stack.stop_reason == "" and stack.controller.mode is Mode.HOLDING
+    before = stack.tip_position
+    for _ in range(500):
+        stack.step()
+    assert stack.stop_reason == "" and np.linalg.norm(stack.tip_position - before) < 2e-3
+
+
+def test_reset_releases_the_observer_and_refuses_what_it_cannot_release(stack):
+    stack.settle()
+    stack.observer.stop("pushed")
+    stack.step()
+    stack.step()
+    assert stack.stop_reason == "pushed"
+    stack.reset()
+    stack.step()
+    assert stack.stop_reason == ""
+    stack.robot.drive.stop("too fast")
+    with pytest.raises(cr.ContactReachError, match=r"the robot stopped the arm \(too fast\): reset the robot first"):
+        stack.reset()
+
+
+def test_planning_once_leaves_the_stack_as_it_was(scene):
+    small = cr.PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
+    core = cr.make_planner(ARM, 1, planning=small).core
+    plans, ahead = [], []
+    for looks_ahead in (False, True):
+        stack = cr.Stack(scene, planner=core)
+        stack.warm_up()
+        stack.command(cr.Goal(scene.target))
+        for step in range(100):
+            if looks_ahead and step % 50 == 20:
+                ahead.append(stack.plan(cr.Goal([0.5, -0.2, 0.4])))
+            plan = stack.step().plan
+            if plan is not None:
+                plans.append(dataclasses.replace(plan, number=0, solve_s=0.0))
+    assert len(ahead) == 2 and len(plans) % 2 == 0
+    for plan, again in zip(plans[: len(plans) // 2], plans[len(plans) // 2 :], strict=True):
+        np.testing.assert_array_equal(plan.positions, again.positions)
+        assert plan.cost == again.cost

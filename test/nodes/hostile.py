@@ -1,0 +1,126 @@
+"""Messages that are well-typed and absurd, made from the definition of any type."""
+
+import array
+import re
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+
+_NOT_UTF8 = "NOT_UTF8"
+"""Replaced in the serialised message by as many bytes that are no text."""
+
+_TIMES = {"builtin_interfaces/Time": Time, "builtin_interfaces/Duration": Duration}
+
+_FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-320, 1e300, -1e300, float("inf"), float("-inf"), float("nan"))
+_TEXTS = (
+    "",
+    " ",
+    "nan",
+    "-1e999 0 0",
+    "observer",
+    "controller",
+    "lbr_A1",
+    "lbr_link_0",
+    "contact link",
+    "stop code",
+    "obstacles",
+    "edges",
+    "rest",
+    "fixed",
+    "arm",
+    "payload mass=3; payload mass",
+    "push link='",
+    "\N{SNOWMAN}\n\t%s {0}",
+    "../" * 40,
+    "a" * 300,
+    "a" * 10_000,
+    _NOT_UTF8,
+)
+_COUNTS, _COPIES = (0, 1, 2, 7, 3000), (0, 1, 2, 7, 100)
+"""Of numbers or texts in a list, and of messages."""
+
+
+@st.composite
+def hostile(draw, valid):
+    """A serialised message like `valid`, of whose fields one, a few, or all are absurd."""
+    message = _copy(valid)
+    _spoil(draw, message)
+    return serialize_message(message).replace(_NOT_UTF8.encode(), b"\xff\xfe\xc0\x80\xed\xa0\x80\xff")
+
+
+def _copy(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def _spoil(draw, message):
+    """Put absurd values into some of the fields, at any depth."""
+    fields = list(_fields(message))
+    places = st.integers(0, len(fields) - 1)
+    chosen = draw(places.map(lambda place: {place}) | st.sets(places, max_size=5) | st.just(set(range(len(fields)))))
+    for place in sorted(chosen):
+        owner, name, kind = fields[place]
+        value = getattr(owner, name)
+        setattr(owner, name, _absurd_list(draw, kind, value) if _is_list(kind) else _absurd(draw, kind))
+
+
+def _fields(message):
+    """Owner, name and type of all times and fields that are no messages, at any depth; of lists also the whole."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if _is_list(kind):
+            yield message, name, kind
+            for entry in value if "/" in kind else ():
+                yield from _fields(entry)
+        elif "/" in kind and kind not in _TIMES:
+            yield from _fields(value)
+        else:
+            yield message, name, kind
+
+
+def _is_list(kind):
+    return kind.startswith("sequence") or kind.endswith("]")
+
+
+def _absurd(draw, kind):
+    if kind.startswith(("float", "double")):
+        value = draw(st.sampled_from(_FLOATS) | st.floats())
+        limit = 3e38 if kind == "float" else np.inf
+        return value if not np.isfinite(value) else float(np.clip(value, -limit, limit))
+    if kind in _TIMES:
+        return _TIMES[kind](sec=_absurd(draw, "int32"), nanosec=_absurd(draw, "uint32"))
+    if kind in ("octet", "byte"):
+        return bytes([draw(st.integers(0, 255))])
+    if kind == "boolean":
+        return draw(st.booleans())
+    whole = re.fullmatch(r"(u?)int(\d+)", kind)
+    if whole:
+        bits = int(whole[2])
+        low, high = (0, 2**bits - 1) if whole[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        return draw(st.sampled_from([low, 0, 1, high]) | st.integers(low, high))
+    return draw(st.sampled_from(_TEXTS) | st.text(max_size=20).map(_sendable))
+
+
+def _absurd_list(draw, kind, value):
+    """Another number of values, of which the first ones are absurd."""
+    element = re.sub(r"sequence<(.*?)(, \d+)?>|(.*)\[\d+\]", r"\1\3", kind)
+    fixed = re.search(r"\[(\d+)\]$", kind)
+    if "/" in element:
+        count = draw(st.sampled_from(_COPIES))
+        if not len(value):
+            return []
+        one = _copy(value[0])
+        _spoil(draw, one)
+        return [one] * count
+    count = int(fixed[1]) if fixed else draw(st.sampled_from(_COUNTS))
+    few = [_absurd(draw, element) for _ in range(min(count, 3))]
+    values = (few * (count // 3 + 1))[:count] if few else []
+    if isinstance(value, array.array):
+        return array.array(value.typecode, values)
+    return np.array(values, value.dtype) if isinstance(value, np.ndarray) else values
+
+
+def _sendable(text):
+    # A text of a message ends at its first zero; surrogates cannot be encoded.
+    return text.replace("\0", "").encode(errors="ignore").decode()

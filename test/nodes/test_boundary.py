@@ -1,0 +1,169 @@
+"""What a fault of a node's own program leads to, and what its lifecycle and its parameters permit."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import rclpy
+from arm_simulation import HOME, REST, TICK_NS
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from stack_helpers import UNWATCHED, environment
+from trajectory_msgs.msg import JointTrajectory
+
+from contact_reach_ros.arms import iiwa14
+from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.serialized import JointStateWriter, read_command
+from contact_reach_ros.nodes.controller import ControllerNode
+from contact_reach_ros.nodes.observer import ObserverNode
+from contact_reach_ros.ros.boundary import INTERNAL, Boundary
+from contact_reach_ros.stop_reasons import StopCode
+
+
+class Publisher:
+    """Keeps what is published."""
+
+    def __init__(self):
+        self.messages = []
+
+    def publish(self, message):
+        self.messages.append(message)
+
+
+@contextmanager
+def active(node_class):
+    """An active node with its boundary, and a function that gives it joint states of an arm at rest."""
+    rclpy.init(args=UNWATCHED, domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        node = node_class()
+        node.boundary.protect(node)
+        node.trigger_configure()
+        node.trigger_activate()
+        writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity", "effort"])
+        ticks = iter(range(1, 10_000))
+
+        def give(count=1):
+            for _ in range(count):
+                tick = next(ticks)
+                # As encoders tell an arm at rest.
+                node.inbox.give(
+                    topics.JOINT_STATES, writer.write(tick * TICK_NS, HOME + 1e-5 * (tick % 2), REST, np.zeros(7))
+                )
+                node.inbox.run_tasks()
+
+        yield node, give
+    finally:
+        rclpy.shutdown()
+
+
+@pytest.fixture
+def controller():
+    with active(ControllerNode) as (node, give):
+        node._look_around()
+        node.commands = []
+        node._write_commands = node.commands.append
+        give(5)
+        assert len(node.commands) == 5
+        yield node, give
+
+
+def change_state(node, **transition):
+    (service,) = (service for service in node.services if service.srv_type is ChangeState)
+    request = ChangeState.Request(transition=Transition(**transition))
+    return service.callback(request, ChangeState.Response()).success
+
+
+def test_a_fault_in_reading_references_stops_the_arm_compliantly(controller, monkeypatch):
+    node, give = controller
+    reported = []
+    monkeypatch.setattr(node.boundary, "_report", reported.append)
+    monkeypatch.setattr("contact_reach_ros.nodes.controller.posture_knots", lambda *_: 1 / 0)
+    for _ in range(3):
+        node.inbox.give(topics.REFERENCE_POSTURE, serialize_message(JointTrajectory()))
+        give()
+    assert node.refused == {INTERNAL: 3}
+    # Its traceback once.
+    (report,) = reported
+    assert "ZeroDivisionError" in report and "references" in report
+    assert node._controller.mode is Mode.STOPPED
+    assert node._controller.stop_reason.code is StopCode.INTERNAL
+    assert str(node._controller.stop_reason) == "internal error in handling references: ZeroDivisionError; see the log"
+    # The compliant stop is commanded like any other.
+    assert len(node.commands) == 8 and np.isfinite(read_command(node.commands[-1])).all()
+
+
+def test_a_fault_in_the_tick_stops_the_arm_and_commands_nothing_for_that_state(controller, monkeypatch):
+    node, give = controller
+    with monkeypatch.context() as patch:
+        patch.setattr(node._controller, "tick", lambda *_: 1 / 0)
+        give(2)
+    assert len(node.commands) == 5 and node.refused == {INTERNAL: 2}
+    give(2)
+    assert len(node.commands) == 7 and node._controller.mode is Mode.STOPPED
+
+
+def test_a_fault_in_the_observer_stops_the_arm(monkeypatch):
+    with active(ObserverNode) as (node, give):
+        node._safety = Publisher()
+        give(2)
+        with monkeypatch.context() as patch:
+            patch.setattr(node._observer.momentum, "update", lambda *_: 1 / 0)
+            give()
+        give()
+        message = node._safety.messages[-1]
+        assert message.level == DiagnosticStatus.ERROR
+        assert message.message.startswith("internal error in handling joint states")
+        assert {entry.key: entry.value for entry in message.values}["stop code"] == StopCode.INTERNAL.value
+
+
+@pytest.mark.parametrize("transition", [Transition.TRANSITION_ACTIVE_SHUTDOWN, Transition.TRANSITION_DEACTIVATE])
+def test_a_node_that_was_shut_down_or_deactivated_does_nothing_any_more(controller, transition):
+    node, _ = controller
+    assert change_state(node, id=transition)
+    assert not node.running
+
+
+def test_a_transition_that_fails_says_why_and_the_node_is_not_active(controller, monkeypatch):
+    node, _ = controller
+    assert change_state(node, label="deactivate")
+
+    def fail(*_):
+        raise InputError("no such arm")
+
+    monkeypatch.setattr(node, "_look_around", fail)
+    assert not change_state(node, id=Transition.TRANSITION_ACTIVATE)
+    assert node.refused == {"transitions": 1} and not node.running
+    monkeypatch.undo()
+    assert change_state(node, id=Transition.TRANSITION_ACTIVATE)
+    assert node.running
+
+
+def test_parameters_are_set_at_the_start_only(controller):
+    node, _ = controller
+    for name, value in (("use_sim_time", True), ("cpus", "0"), ("autostart", False)):
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful and name in result.reason
+    assert node.get_parameter("use_sim_time").value is False
+
+
+def test_a_message_that_would_take_long_to_read_is_refused_unread(controller):
+    node, give = controller
+    node.inbox.give(topics.REFERENCE_POSTURE, serialize_message(JointTrajectory(joint_names=["a" * 100_000])))
+    assert node.refused == {"references": 1}
+    (line,) = node.boundary.last_refusals()
+    assert "bytes; expected at most 65536" in line
+    give()
+    assert not node._controller.stop_reason
+
+
+def test_what_is_logged_of_a_refusal_is_short():
+    boundary = Boundary()
+    for size in (10, 100_000):
+        boundary.refuse("goals", InputError("a" * size))
+    (line,) = boundary.last_refusals()
+    assert boundary.refused == {"goals": 2} and len(line) < 600

@@ -1,0 +1,75 @@
+"""Demo and bring-up notice a stack in their ROS domain, and leave it alone."""
+
+import os
+import subprocess
+
+import pytest
+import rclpy
+from sensor_msgs.msg import JointState
+from stack_helpers import environment, module, running, wait_for
+
+from contact_reach_ros.bringup import bringup
+from contact_reach_ros.messages import topics
+from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.running import running as running_parts
+
+
+@pytest.fixture
+def node():
+    rclpy.init()
+    yield rclpy.create_node("demo")
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def other():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield lambda name: rclpy.create_node(name, context=context)
+    rclpy.shutdown(context=context)
+
+
+def test_nodes_that_are_to_be_started_are_found(node, other):
+    _robot = other("planner")
+    wait_for(lambda: running_parts(node, ["planner", "controller"]) == ["/planner"], 10, "the planner is found")
+    assert running_parts(node, ["planner"], own=["planner"]) == []
+    assert running_parts(node, ["driver", "controller"]) == []
+
+
+def test_a_robots_driver_of_any_name_is_found_where_one_is_to_be_started(node, other):
+    robot = other("robot")
+    _publisher = robot.create_publisher(JointState, "joint_states", qos_profile(topics.JOINT_STATES.qos))
+    found = ["/robot (on joint_states)"]
+    wait_for(lambda: running_parts(node, ["driver", "controller"]) == found, 10, "the robot's driver is found")
+    assert running_parts(node, ["controller"]) == []
+
+
+def test_beside_a_stack_nothing_is_started(tmp_path):
+    """A process of the package is found without discovery."""
+    env = environment()
+    domain = int(env["ROS_DOMAIN_ID"])
+    with running(module("nodes.observer"), env, tmp_path / "observer.txt"):
+        for command in ([*module("cli"), "demo"], module("bringup.bringup")):
+            result = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+            assert result.returncode == 2
+            assert f"already running in ROS domain {domain}: /observer" in result.stderr
+            assert f"export ROS_DOMAIN_ID={domain + 1}" in result.stderr
+            assert "summary" not in result.stdout + result.stderr
+    assert os.listdir(tmp_path) == ["observer.txt"]
+
+
+def test_a_file_whose_parameters_bring_up_would_not_pass_on_is_refused(tmp_path, capsys):
+    file = tmp_path / "own.yaml"
+    file.write_text("bringup: {ros__parameters: {seed: 3}}\nplanner: {ros__parameters: {period: 0.1}}\n")
+    assert bringup.run_bringup(["bringup", "--ros-args", "--params-file", str(file)]) == 2
+    assert f"for planner; give the nodes' file as -p parameters:={file}" in capsys.readouterr().err
+
+
+def test_wrong_parameters_are_named_before_anything_starts(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("plannner: {ros__parameters: {period: 0.1}}\n")
+    command = [*module("cli"), "demo", "--parameters", str(file)]
+    result = subprocess.run(command, env=environment(), cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == f"contact-reach: {file}: unknown node 'plannner'; did you mean 'planner'?\n"
+    assert os.listdir(tmp_path) == ["own.yaml"]

@@ -1,0 +1,348 @@
+"""The observer as one object: which states it takes, in which order, and when its reports are due."""
+
+import math
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, REST, TICK_NS
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
+from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.observer.settings import COMMANDED, CommandedSettings, ObserverSettings
+from contact_reach_ros.observer.sight import PATIENCE, TAKEN_OVER
+from contact_reach_ros.stop_reasons import StopCode
+
+BUDGET = ContactBudget().resolve(ARM)
+GRAVITY = RobotModel(ARM).gravity_at(HOME)
+UNKNOWN = np.full(ARM.n, math.nan)
+HANDED_OVER = round(1000 * BUDGET.handover_time) + 10
+HARD = np.where(np.arange(ARM.n) == 1, 60.0, 0.0)
+SOFT = np.where(np.arange(ARM.n) == 3, 6.0, 0.0)
+
+
+class Watched:
+    """An arm at rest whose brakes open at once, and its observer."""
+
+    def __init__(self, period_ms: int = 1, **settings) -> None:
+        self.observer = Observer(ARM, ObserverSettings(**settings), BUDGET, 0.001 * period_ms)
+        self.period_ms = period_ms
+        self.tick = 0
+        self._random = np.random.default_rng(0)
+
+    def state(self, external: np.ndarray = REST, **changes) -> JointState:
+        """The next state, with an external torque that the brakes of no joint take up."""
+        self.tick += self.period_ms
+        q = HOME + 1e-6 * self._random.standard_normal(ARM.n)
+        return JointState(self.tick * TICK_NS, q, REST, GRAVITY - external)._replace(**changes)
+
+    def run(self, count: int, external: np.ndarray = REST) -> list[SafetyReport]:
+        return [self.observer.update(self.state(external)) for _ in range(count)]
+
+
+@pytest.fixture
+def watched() -> Watched:
+    """After the hand-over, with nothing that touches the arm."""
+    watched = Watched()
+    watched.run(HANDED_OVER)
+    return watched
+
+
+class TestOrder:
+    @pytest.mark.parametrize(("back", "repeated", "older"), [(0, 1, 0), (1, 0, 1), (1000, 0, 1)])
+    def test_a_state_that_comes_again_or_late_changes_nothing(self, watched, back, repeated, older):
+        observer, residual = watched.observer, watched.observer.momentum.residual.copy()
+        again = JointState((watched.tick - back) * TICK_NS, HOME, REST, GRAVITY - HARD)
+        assert observer.update(again) is None
+        np.testing.assert_array_equal(observer.momentum.residual, residual)
+        assert (observer.updates, observer.momentum.gaps) == (HANDED_OVER, 0)
+        assert (observer.order.repeated, observer.order.older) == (repeated, older)
+
+    def test_what_is_refused_does_not_count_as_come(self, watched):
+        bad = watched.state(q=np.full(ARM.n, math.nan))
+        with pytest.raises(InputError):
+            watched.observer.update(bad)
+        assert watched.observer.update(bad._replace(q=HOME)) is not None
+
+    def test_after_a_clock_was_set_back_states_are_taken_again(self, watched):
+        watched.tick -= 3_600_000
+        reports = watched.run(20)
+        missed = [number for number, report in enumerate(reports) if report is None]
+        assert missed == list(range(len(missed))) and 0 < len(missed) < 10
+
+    def test_the_report_is_about_the_state(self, watched):
+        state = watched.state()
+        report = watched.observer.update(state)
+        assert report.stamp_ns == state.stamp_ns
+        assert (report.level, report.reason, report.distrust, report.contact) == (SafetyLevel.FREE, "", "", None)
+
+
+class TestDue:
+    def test_the_first_report_is_news_and_the_first_that_vouches_for_the_arm(self):
+        first, second, third = Watched().run(3)
+        assert first.has_news and first.due and first.doubt and first.age == math.inf
+        assert second.due and not second.doubt and second.age == 0.0
+        assert not third.due
+
+    @pytest.mark.parametrize("period_ms", [1, 2, 5, 10, 20])
+    def test_a_sign_of_life_is_due_every_ten_milliseconds(self, period_ms):
+        watched = Watched(period_ms)
+        reports = watched.run(100)
+        every = max(1, round(1000 * HEARTBEAT) // period_ms)
+        beats = [number for number, report in enumerate(reports, 1) if report.is_heartbeat]
+        assert beats == list(range(every, 101, every))
+        # Nothing else is due but the first, which is news, and the second, which vouches for the arm.
+        assert [number for number, report in enumerate(reports, 1) if report.due] == sorted({1, 2, *beats})
+
+    def test_contact_and_stop_are_news_once(self, watched):
+        reports = watched.run(100, SOFT)
+        assert [report.level for report in reports if report.has_news] == [SafetyLevel.CONTACT]
+        reports = watched.run(200, HARD)
+        assert [report.level for report in reports if report.has_news] == [SafetyLevel.COLLISION]
+        assert "external torque on lbr_A2" in reports[-1].reason
+
+    def test_a_stop_from_outside_is_news_in_the_next_report(self, watched):
+        watched.observer.stop("operator")
+        first, second = watched.run(2)
+        assert (first.level, first.reason, first.has_news) == (SafetyLevel.COLLISION, "operator", True)
+        assert not second.has_news
+
+    def test_a_reset_is_news_too(self, watched):
+        watched.observer.stop("operator")
+        watched.run(1)
+        watched.observer.reset()
+        (report,) = watched.run(1)
+        assert (report.level, report.reason, report.has_news) == (SafetyLevel.FREE, "", True)
+
+    def test_the_contact_is_located_at_each_sign_of_life_and_forgotten_with_its_end(self, watched):
+        reports = watched.run(100, SOFT)
+        contacts = {id(report.contact): report.contact for report in reports if report.contact is not None}
+        assert 9 <= len(contacts) <= 10
+        for contact in contacts.values():
+            # As messages carry it.
+            np.testing.assert_array_equal(contact.force, np.round(contact.force, 1))
+            np.testing.assert_array_equal(contact.position, np.round(contact.position, 3))
+        assert watched.run(300)[-1].contact is None
+
+    def test_a_reset_is_refused_while_the_arm_is_pushed(self, watched):
+        watched.run(100, HARD)
+        with pytest.raises(InputError, match="free the arm"):
+            watched.observer.reset()
+        assert watched.run(1, HARD)[0].level is SafetyLevel.COLLISION
+
+
+class TestTorque:
+    """Either all joints' torques are known, or none."""
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    @pytest.mark.parametrize("joint", range(ARM.n))
+    def test_torques_of_some_joints_only_leave_the_residual_and_soon_make_it_blind(self, watched, joint, value):
+        torque = np.where(np.arange(ARM.n) == joint, value, GRAVITY)
+        momentum = watched.observer.momentum
+        residual, known_for = momentum.residual.copy(), momentum.known_for
+        reports = [watched.observer.update(watched.state(torque=torque)) for _ in range(PATIENCE)]
+        np.testing.assert_array_equal(momentum.residual, residual)
+        # The hand-over does not begin again.
+        assert (momentum.known_for, momentum.refused) == (known_for, PATIENCE)
+        assert [report.level for report in reports] == [SafetyLevel.FREE] * (PATIENCE - 1) + [SafetyLevel.BLIND]
+        assert reports[-1].due and reports[-1].reason == reports[-1].doubt
+        assert f"blind: joint_states carry no finite effort for {ARM.joint_names[joint]}" in reports[-1].reason
+        assert reports[-1].reason.code is StopCode.BLIND
+        assert reports[-1].age == pytest.approx(0.001 * PATIENCE)
+        assert watched.run(2)[-1].level is SafetyLevel.FREE
+
+    def test_infinite_torques_of_all_joints_are_no_closed_brakes(self, watched):
+        for _ in range(PATIENCE):
+            report = watched.observer.update(watched.state(torque=np.full(ARM.n, math.inf)))
+        assert "no finite effort for" in report.reason
+
+    def test_nothing_at_all_is_unknown_and_keeps_the_residual(self, watched):
+        watched.run(60, SOFT)
+        residual = watched.observer.momentum.residual.copy()
+        report = watched.observer.update(watched.state(torque=UNKNOWN))
+        np.testing.assert_array_equal(report.residual, residual)
+        assert report.known_for == 0.0
+        assert watched.run(5)[-1].known_for == pytest.approx(0.005)
+
+    def test_joint_states_without_efforts_make_it_blind_and_the_message_says_what_to_do(self, watched):
+        for _ in range(PATIENCE):
+            report = watched.observer.update(watched.state(torque=None))
+        assert "blind: joint_states carry no effort: let the driver fill it, or set torque_source" in report.reason
+
+    def test_brakes_may_hide_the_torques_of_an_arm_at_rest_for_ever(self, watched):
+        for _ in range(1000):
+            report = watched.observer.update(watched.state(torque=UNKNOWN))
+        assert (report.level, report.reason, report.doubt) == (SafetyLevel.FREE, "", "")
+        assert not report.verdict.torque_known
+
+    def test_a_moving_arm_without_torques_is_given_to_its_drive_for_a_while_only(self, watched):
+        speed = np.where(np.arange(ARM.n) == 2, 0.3, 0.0)
+        reports = []
+        for _ in range(TAKEN_OVER):
+            q = HOME + 0.001 * speed * (len(reports) + 1)
+            reports.append(watched.observer.update(watched.state(torque=UNKNOWN, q=q, v=speed)))
+        assert [report.level for report in reports] == [SafetyLevel.FREE] * (TAKEN_OVER - 1) + [SafetyLevel.BLIND]
+        assert f"no torque is known while {ARM.joint_names[2]} moves with 0.30 rad/s" in reports[-1].reason
+
+    @pytest.mark.filterwarnings("ignore::RuntimeWarning")
+    @pytest.mark.parametrize("field", ["q", "v"])
+    def test_states_that_are_not_finite_are_refused(self, watched, field):
+        bad = REST.copy()
+        bad[[0, 1]] = math.inf, -math.inf
+        with pytest.raises(InputError, match="position and velocity must be finite"):
+            watched.observer.update(watched.state(**{field: bad}))
+
+
+class TestCommandedSource:
+    """What acts is the command since the last state, whatever joint states report."""
+
+    def run(self, watched: Watched, count: int, command: np.ndarray | None, torque: np.ndarray | None) -> SafetyReport:
+        for _ in range(count):
+            if command is not None:
+                watched.observer.command(command)
+            report = watched.observer.update(watched.state(torque=torque))
+        return report
+
+    @pytest.mark.parametrize("reported", [None, UNKNOWN, GRAVITY + 100.0], ids=["nothing", "unknown", "nonsense"])
+    def test_reported_torques_are_not_looked_at(self, reported):
+        watched = Watched(torque_source=COMMANDED)
+        report = self.run(watched, 500, GRAVITY - SOFT, reported)
+        np.testing.assert_allclose(report.residual, SOFT, atol=0.1)
+        assert report.known_for == pytest.approx(0.499)
+
+    def test_a_lost_command_is_no_hand_over_but_several_in_a_row_are(self):
+        watched = Watched(torque_source=COMMANDED)
+        known_for = self.run(watched, 100, GRAVITY - SOFT, None).known_for
+        residual = watched.observer.momentum.residual.copy()
+        report = self.run(watched, CommandedSettings().lost, None, None)
+        assert report.known_for == known_for
+        np.testing.assert_array_equal(report.residual, residual)
+        assert self.run(watched, 1, GRAVITY - SOFT, None).known_for > known_for
+        for _ in range(20):
+            self.run(watched, 1, None, None)
+            report = self.run(watched, 1, GRAVITY - SOFT, None)
+        np.testing.assert_allclose(report.residual, SOFT, atol=0.2)
+        assert self.run(watched, CommandedSettings().lost + 1, None, None).known_for == 0.0
+
+    def test_thresholds_are_wider_and_the_hand_over_lasts_until_the_brakes_are_open(self):
+        settings = CommandedSettings(threshold_factor=2.0, handover_time=1.0)
+        watched = Watched(torque_source=COMMANDED, commanded=settings)
+        budget = watched.observer.monitor.budget
+        assert budget.contact_thresholds == tuple(2.0 * np.array(BUDGET.contact_thresholds))
+        assert budget.torque_thresholds == BUDGET.torque_thresholds
+        weight = np.where(np.arange(ARM.n) == 1, 7.0, 0.0)
+        self.run(watched, 500, GRAVITY, None)
+        # The brakes open, and what the model lacks shows.
+        assert self.run(watched, 700, GRAVITY - weight, None).level is SafetyLevel.FREE
+        touch = 1.5 * budget.contact_thresholds[3] * np.eye(ARM.n)[3]
+        assert self.run(watched, 100, GRAVITY - weight - 0.5 * touch, None).level is SafetyLevel.FREE
+        assert self.run(watched, 100, GRAVITY - weight - touch, None).level is SafetyLevel.CONTACT
+
+    def test_before_the_first_command_nothing_is_known(self):
+        report = self.run(Watched(torque_source=COMMANDED), 100, None, GRAVITY)
+        assert report.known_for == 0.0
+        np.testing.assert_array_equal(report.residual, 0)
+
+    @pytest.mark.parametrize(
+        ("command", "expected"),
+        [
+            (np.zeros(ARM.n - 1), f"data has {ARM.n - 1} values; expected {ARM.n}"),
+            (UNKNOWN, "expected finite torques"),
+            # Their sum is not infinite.
+            (np.array([-math.inf, math.inf, *REST[2:]]), "finite torques"),
+        ],
+        ids=["too few", "unknown", "infinite"],
+    )
+    @pytest.mark.filterwarnings("ignore::RuntimeWarning")
+    def test_commands_that_cannot_act_are_refused(self, command, expected):
+        watched = Watched(torque_source=COMMANDED)
+        watched.observer.command(GRAVITY)
+        with pytest.raises(InputError, match=f"effort_controller/commands: .*{expected}"):
+            watched.observer.command(command)
+        watched.observer.update(watched.state(torque=None))
+        self.run(watched, 1, GRAVITY, None)
+        assert watched.observer.momentum.known_for == pytest.approx(0.001)
+
+
+def test_two_observers_of_the_same_states_agree_bit_for_bit():
+    first, second = Watched(), Watched()
+    for external, count in ((REST, HANDED_OVER), (SOFT, 100), (REST, 200), (HARD, 50)):
+        for one, other in zip(first.run(count, external), second.run(count, external), strict=True):
+            np.testing.assert_array_equal(one.residual, other.residual)
+            assert (one.level, one.reason, one.due) == (other.level, other.reason, other.due)
+
+
+def test_it_resumes_from_a_residual_for_recordings_that_begin_late(watched):
+    watched.run(100, SOFT)
+    late = Watched()
+    late.tick = watched.tick
+    late.observer.update(late.state())
+    late.observer.resume(watched.observer.momentum.residual)
+    np.testing.assert_array_equal(late.observer.report().residual, watched.observer.momentum.residual)
+    np.testing.assert_allclose(late.run(1, SOFT)[0].residual, watched.run(1, SOFT)[0].residual, rtol=0, atol=1e-2)
+
+
+@pytest.mark.parametrize("period_ms", [1, 5])
+def test_a_push_within_the_budget_is_a_contact_and_a_hard_one_a_stop_at_every_rate(period_ms):
+    watched = Watched(period_ms)
+    watched.run(HANDED_OVER // period_ms + 1)
+    assert watched.run(100 // period_ms, SOFT)[-1].level is SafetyLevel.CONTACT
+    assert watched.run(500 // period_ms)[-1].level is SafetyLevel.FREE
+    assert watched.run(100 // period_ms, HARD)[-1].level is SafetyLevel.COLLISION
+
+
+def test_a_frozen_encoder_is_distrusted_at_200_hz():
+    watched = Watched(5)
+    watched.run(HANDED_OVER // 5 + 1)
+    frozen = [watched.observer.update(watched.state(SOFT, q=HOME)) for _ in range(100)]
+    assert "has not changed for" in frozen[-1].distrust
+    assert frozen[-1].reason and frozen[-1].level is SafetyLevel.COLLISION
+
+
+@pytest.mark.parametrize("period_ms", [4, 5, 20, 50])
+def test_states_that_come_too_seldom_make_it_blind_and_the_rate_is_named(period_ms):
+    """Three periods of the nominal rate are the longest step over which an external torque can be had."""
+    watched = Watched()
+    watched.period_ms = period_ms
+    reports = watched.run(200)
+    assert reports[0].doubt and not reports[0].reason
+    for report in reports[PATIENCE:]:
+        assert report.level is SafetyLevel.BLIND
+        assert (
+            f"joint states come at {1000 / period_ms:.0f} Hz, expected 1000 Hz: set the parameter state_rate"
+            in report.reason
+        )
+
+
+def test_another_rate_that_can_be_watched_keeps_the_arm_from_being_started_but_does_not_stop_it():
+    watched = Watched()
+    watched.period_ms = 2
+    assert not watched.run(40)[-1].doubt
+    report = watched.run(40)[-1]
+    assert report.level is SafetyLevel.FREE and not report.reason
+    assert "joint states come at 500 Hz, expected 1000 Hz" in report.doubt
+
+
+def test_single_long_gaps_are_no_blindness(watched):
+    for _ in range(50):
+        watched.tick += 30
+        assert not watched.run(3)[-1].reason
+
+
+def test_stamps_that_stop_make_it_blind_and_ones_that_go_on_make_it_see(watched):
+    state = watched.state()
+    watched.observer.update(state)
+    reports = [watched.observer.update(state) for _ in range(4 * PATIENCE)]
+    assert reports[:-1] == [None] * (4 * PATIENCE - 1)
+    assert reports[-1].due and "the stamps of joint_states do not advance" in reports[-1].reason
+    assert not watched.run(1)[0].reason
+
+
+def test_a_first_state_that_is_repeated_until_everybody_has_it_is_no_blindness():
+    watched = Watched()
+    state = watched.state()
+    assert watched.observer.update(state) is not None
+    assert all(watched.observer.update(state) is None for _ in range(100))

@@ -1,0 +1,30 @@
+"""The time that a plan is begun before its effect follows the slowest of the last plans, within bounds."""
+
+from contact_reach_ros.planning.latency import LatencyEstimate
+
+MS = 1_000_000
+
+
+def test_it_is_the_slowest_of_the_last_plans_but_never_less_than_wanted() -> None:
+    latency = LatencyEstimate(40 * MS)
+    assert latency() == 40 * MS
+    latency.add(30 * MS)
+    assert latency() == 40 * MS
+    latency.add(90 * MS)
+    latency.add(50 * MS)
+    assert latency() == 90 * MS
+    for _ in range(7):
+        latency.add(50 * MS)
+    assert latency() == 50 * MS
+
+
+def test_one_plan_that_takes_very_long_does_not_delay_the_next_ones_as_much() -> None:
+    latency = LatencyEstimate(40 * MS)
+    latency.add(5_000 * MS)
+    assert latency() == 250 * MS
+
+
+def test_in_lockstep_it_is_always_the_same() -> None:
+    latency = LatencyEstimate(40 * MS, fixed=True)
+    latency.add(90 * MS)
+    assert latency() == 40 * MS

@@ -1,0 +1,399 @@
+"""When plans are requested, and what for; the core that makes them only takes notes."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, REST, TICK_NS
+from plans import make_plan
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.observer.location import Contact
+from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.planning.planner import Planner, ReplanningSettings, Request
+from contact_reach_ros.planning.unexpected_contact import (
+    REPLAN,
+    RETREAT,
+    ContactReaction,
+    UnexpectedContactSettings,
+)
+from contact_reach_ros.world.rigid import Block
+from contact_reach_ros.world.spheres import Spheres
+from contact_reach_ros.world.task import FREE, Goal
+
+SETTINGS = ReplanningSettings(period=0.03, latency=0.04, require_obstacles=False)
+GOAL = Goal([0.5, 0.1, 0.3])
+OTHER_GOAL = Goal([0.4, -0.2, 0.4], FREE)
+BEYOND = Goal([5.0, 0.0, 0.0])
+TIP, ROTATION = RobotModel(ARM).tip_pose(HOME)
+
+
+class Core:
+    """Plans to stay at home, and counts how often it was reset."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple] = []
+        self.resets = 0
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def plan(self, *request):
+        self.asked.append(request)
+        return make_plan(TIP[None], ROTATION[None], HOME[None], effect_ns=request[3])
+
+
+def make(
+    core: Core | None = None, reaction: str = RETREAT, settings: ReplanningSettings = SETTINGS, **others
+) -> Planner:
+    reacting = ContactReaction(ARM, UnexpectedContactSettings(reaction=reaction), 1000.0, True)
+    return Planner(ARM, core, reacting, settings, **others)
+
+
+def state(tick: int, q: np.ndarray = HOME) -> JointState:
+    return JointState(tick * TICK_NS, q, REST, None)
+
+
+def report(reason: str = "", contact: Contact | None = None) -> SafetyReport:
+    level = SafetyLevel.COLLISION if reason else SafetyLevel.CONTACT if contact else SafetyLevel.FREE
+    return SafetyReport(0, level, reason, "", "", REST, 0.0, 1.0, contact, (), False, True)
+
+
+def touch(force: float = 10.0) -> Contact:
+    return Contact(ARM.link_names[-1], TIP - 0.02 * ROTATION[:, 2], force * ROTATION[:, 0], 0.0)
+
+
+def requests(planner: Planner, first: int, last: int) -> dict[int, Request]:
+    """What is requested for the states of the ticks from first to last, by tick."""
+    made = {tick: planner.request(state(tick)) for tick in range(first, last + 1)}
+    return {tick: request for tick, request in made.items() if request is not None}
+
+
+@pytest.fixture
+def core() -> Core:
+    return Core()
+
+
+@pytest.fixture
+def planner(core) -> Planner:
+    """With a goal, after the first request at tick 0."""
+    planner = make(core)
+    planner.command(GOAL)
+    assert list(requests(planner, 0, 0)) == [0]
+    return planner
+
+
+class TestRequests:
+    def test_without_a_goal_nothing_is_requested(self):
+        assert requests(make(), 0, 100) == {}
+
+    def test_one_is_made_at_once_and_then_whenever_the_period_is_over(self, planner):
+        assert list(requests(planner, 1, 100)) == [30, 60, 90]
+
+    def test_after_a_pause_the_period_counts_from_the_next_state(self, planner):
+        assert list(requests(planner, 75, 140)) == [75, 105, 135]
+
+    def test_it_is_all_that_a_plan_depends_on(self, planner):
+        spheres = Spheres(TIP[None] + 1.0, TIP[None] + 1.0, np.array([0.1]), np.array([100.0]), np.array([30.0]))
+        planner.see(spheres)
+        given = JointState(30 * TICK_NS, HOME + 0.01, REST + 0.1, None)
+        request = planner.request(given)
+        assert request.q is given.q and request.v is given.v
+        assert (request.state_ns, request.effect_ns) == (30 * TICK_NS, 70 * TICK_NS)
+        np.testing.assert_array_equal(request.goal.position, GOAL.position)
+        assert request.spheres is spheres
+
+    def test_the_latency_may_be_one_that_is_measured(self):
+        measured = iter([5, 7])
+        planner = make(latency=lambda: next(measured) * TICK_NS)
+        planner.command(GOAL)
+        made = requests(planner, 0, 59)
+        assert {tick: request.effect_ns // TICK_NS - tick for tick, request in made.items()} == {0: 5, 30: 7}
+
+    @pytest.mark.parametrize("field", ["q", "v"])
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    def test_a_state_that_is_not_finite_is_refused_and_forgotten(self, planner, field, value):
+        before = planner.state
+        bad = state(30)._replace(**{field: np.where(np.arange(ARM.n) == 2, value, 0.0)})
+        with pytest.raises(InputError, match="joint_states: position and velocity must be finite"):
+            planner.request(bad)
+        assert planner.state is before
+        assert planner.request(state(30)) is not None
+
+
+class TestGoals:
+    def test_before_the_first_state_it_waits_and_then_holds_the_orientation_of_that(self):
+        planner = make()
+        planner.command(GOAL)
+        assert planner.goal is None
+        turned = HOME + 0.3
+        request = planner.request(state(0, turned))
+        np.testing.assert_allclose(request.goal.rotation, RobotModel(ARM).tip_pose(turned)[1], atol=1e-12)
+        assert request.goal is planner.goal
+
+    def test_the_last_of_several_that_wait_counts(self):
+        planner = make()
+        planner.command(GOAL)
+        planner.command(OTHER_GOAL)
+        np.testing.assert_array_equal(planner.request(state(0)).goal.position, OTHER_GOAL.position)
+
+    def test_another_one_replaces_it_from_the_next_request_on(self, planner):
+        planner.command(OTHER_GOAL)
+        (request,) = requests(planner, 1, 30).values()
+        np.testing.assert_array_equal(request.goal.position, OTHER_GOAL.position)
+        assert request.goal.rotation is None
+
+    @pytest.mark.parametrize(
+        "goal",
+        [BEYOND, Goal([math.nan, 0.0, 0.5]), Goal([0.5, 0, 0.3], frame="world"), Goal([0.5, 0, 0.3], np.ones(4))],
+    )
+    def test_one_that_is_refused_leaves_the_one_before(self, planner, goal):
+        before = planner.goal
+        with pytest.raises(InputError, match=r"^goal: "):
+            planner.command(goal)
+        assert planner.goal is before
+        assert list(requests(planner, 1, 60)) == [30, 60]
+
+    def test_one_that_waited_and_is_refused_is_raised_with_the_first_state(self):
+        planner = make()
+        planner.command(BEYOND)
+        with pytest.raises(InputError, match="goal: position is "):
+            planner.request(state(0))
+        assert requests(planner, 1, 60) == {}
+
+    def test_or_given_to_whoever_wants_to_know(self):
+        refused = []
+        planner = make(refuse=lambda what, error: refused.append((what, str(error))))
+        planner.command(BEYOND)
+        assert requests(planner, 0, 60) == {}
+        ((what, why),) = refused
+        assert what == "goals" and why.startswith("goal: position is ")
+
+
+class TestWithdrawal:
+    def test_it_forgets_goal_and_plans(self, planner, core):
+        planner.solve(planner.request(state(30)))
+        planner.withdraw()
+        assert planner.goal is None and planner.plan is None
+        assert core.resets == 1
+        assert requests(planner, 31, 200) == {}
+
+    def test_a_stop_withdraws_the_goal_and_only_another_one_leads_to_plans(self, planner, core):
+        planner.hear(report())
+        assert planner.goal is not None
+        planner.hear(report("pushed"))
+        assert planner.goal is None and core.resets == 1
+        planner.hear(report())
+        assert requests(planner, 1, 100) == {}
+        planner.command(OTHER_GOAL)
+        assert list(requests(planner, 101, 140)) == [101, 131]
+
+    def test_a_goal_that_waits_is_withdrawn_too(self):
+        planner = make()
+        planner.command(GOAL)
+        planner.hear(report("pushed"))
+        assert requests(planner, 0, 100) == {}
+
+
+class TestPause:
+    @pytest.mark.parametrize(("pause_ms", "stays"), [(100, True), (1999, True), (2100, False), (5000, False)])
+    def test_after_a_long_one_the_arm_goes_on_only_when_asked_again(self, planner, pause_ms, stays):
+        noted = []
+        planner._note = lambda what, error: noted.append((what, str(error)))
+        planner.request(state(10))
+        assert planner.goal is not None
+        planner.request(state(10 + pause_ms))
+        assert (planner.goal is not None) == stays
+        assert stays or noted == [
+            ("goals", f"joint states paused for {pause_ms / 1000:.1f} s: send the goal again to go on")
+        ]
+
+
+class TestContacts:
+    def test_an_unexpected_one_leads_to_a_request_at_once(self, planner):
+        assert list(requests(planner, 1, 40)) == [30]
+        assert not planner.touched(touch())
+        assert planner.request(state(45)) is None
+        assert not planner.touched(touch())
+        assert planner.request(state(52)) is None
+        assert planner.touched(touch())
+        request = planner.request(state(53))
+        assert request is not None
+        # Back where the tip came from, and from then on as often as before.
+        np.testing.assert_allclose(request.goal.position, TIP, atol=1e-12)
+        assert list(requests(planner, 54, 100)) == [83]
+
+    def test_a_report_that_tells_of_one_does_the_same(self, planner):
+        for tick in (10, 21):
+            planner.request(state(tick))
+            planner.hear(report(contact=touch()))
+        assert planner.due_ns == 21 * TICK_NS
+        assert planner.reaction.reason
+
+    def test_what_was_touched_is_planned_around_where_that_is_asked_for(self, core):
+        planner = make(core, REPLAN)
+        planner.command(GOAL)
+        planner.request(state(0))
+        for tick in (5, 16):
+            planner.request(state(tick))
+            planner.touched(touch())
+        request = planner.request(state(17))
+        assert len(request.spheres) == 1
+        np.testing.assert_array_equal(request.goal.position, GOAL.position)
+
+    def test_without_a_goal_or_a_state_it_changes_nothing(self):
+        planner = make()
+        assert not planner.touched(touch())
+        planner.request(state(0))
+        assert not planner.touched(touch())
+        assert not planner.reaction.reason
+
+    def test_another_goal_ends_the_retreat(self, planner):
+        for tick in (10, 21):
+            planner.request(state(tick))
+            planner.touched(touch())
+        planner.command(GOAL)
+        assert not planner.reaction.reason
+        np.testing.assert_array_equal(planner.request(state(60)).goal.position, GOAL.position)
+
+
+class TestObstacles:
+    """Where they are has to be known, and not too old."""
+
+    def requiring(self, **others) -> Planner:
+        return make(settings=dataclasses.replace(SETTINGS, require_obstacles=True, max_obstacle_age=0.2), **others)
+
+    def test_before_the_first_ones_goals_are_refused_with_the_remedy(self):
+        planner = self.requiring()
+        planner.request(state(0))
+        with pytest.raises(InputError, match=r"^obstacles: none received yet; .* set require_obstacles to false"):
+            planner.command(GOAL)
+        assert planner.goal is None and requests(planner, 1, 100) == {}
+
+    def test_a_message_without_any_declares_the_scene_empty(self):
+        planner = self.requiring()
+        planner.request(state(0))
+        planner.see(Spheres.none())
+        planner.command(GOAL)
+        assert list(requests(planner, 1, 60)) == [1, 31]
+
+    def test_a_goal_that_waited_is_taken_and_planned_for_once_they_are_known(self):
+        refused = []
+        planner = self.requiring(refuse=lambda *what: refused.append(what))
+        planner.command(GOAL)
+        assert requests(planner, 0, 59) == {}
+        # As often as a plan was due.
+        assert [what for what, _ in refused] == ["plans", "plans"]
+        planner.see(Spheres.none())
+        assert list(requests(planner, 60, 100)) == [60, 90]
+
+    def test_goals_and_plans_are_refused_while_they_are_stale(self):
+        refused = []
+        planner = self.requiring(refuse=lambda what, error: refused.append((what, str(error))))
+        planner.see(Spheres.none(), 0)
+        planner.command(GOAL)
+        assert list(requests(planner, 0, 320)) == [0, 30, 60, 90, 120, 150, 180]
+        assert [what for what, _ in refused] == 4 * ["plans"]
+        assert refused[0][1].startswith("obstacles: last seen 0.210 s ago; expected max_obstacle_age, 0.2 s, at most")
+        before = planner.goal
+        with pytest.raises(InputError, match=r"^obstacles: last seen 0.320 s ago"):
+            planner.command(OTHER_GOAL)
+        assert planner.goal is before
+        planner.see(Spheres.none(), 321 * TICK_NS)
+        assert list(requests(planner, 322, 400)) == [330, 360, 390]
+
+    def test_their_age_counts_from_when_they_were_seen_not_from_when_that_was_known(self):
+        planner = self.requiring()
+        planner.request(state(1000))
+        planner.see(Spheres.none(), 790 * TICK_NS)
+        with pytest.raises(InputError, match=r"last seen 0.210 s ago"):
+            planner.command(GOAL)
+
+    @pytest.mark.parametrize("ahead", [None, 10_000])
+    def test_nothing_is_seen_in_the_future(self, ahead):
+        planner = self.requiring()
+        planner.see(Spheres.none(), ahead and ahead * TICK_NS)
+        planner.request(state(1000))
+        planner.command(GOAL)
+        assert list(requests(planner, 1001, 1200)) == [1001, 1031, 1061, 1091, 1121, 1151, 1181]
+        with pytest.raises(InputError, match=r"last seen 0.211 s ago"):
+            requests(planner, 1201, 1300)
+
+    def test_a_clock_that_was_set_back_keeps_nothing_fresh(self):
+        planner = self.requiring()
+        planner.request(state(1000))
+        planner.see(Spheres.none())
+        requests(planner, 500, 700)
+        planner.command(GOAL)
+        with pytest.raises(InputError, match=r"last seen 0.201 s ago"):
+            planner.request(state(701))
+
+    def test_a_scene_that_is_declared_empty_does_not_age_until_something_is_seen(self):
+        planner = make(settings=dataclasses.replace(SETTINGS, max_obstacle_age=0.2))
+        planner.command(GOAL)
+        assert len(requests(planner, 0, 1000)) == 34
+        planner.see(Spheres.none())
+        with pytest.raises(InputError, match="last seen"):
+            requests(planner, 1001, 1300)
+
+    def test_without_a_limit_they_never_age(self):
+        planner = make(settings=dataclasses.replace(SETTINGS, require_obstacles=True, max_obstacle_age=0.0))
+        planner.see(Spheres.none(), 0)
+        planner.command(GOAL)
+        assert list(requests(planner, 10**6, 10**6 + 30)) == [10**6, 10**6 + 30]
+
+
+class TestPlans:
+    def test_the_core_is_asked_for_what_was_requested(self, planner, core):
+        request = planner.request(state(30))
+        plan = planner.solve(request)
+        assert core.asked == [tuple(request)]
+        assert planner.plan is plan and plan.effect_ns == request.effect_ns
+
+    def test_without_a_core_only_requests_can_be_made(self):
+        planner = make(None)
+        planner.command(GOAL)
+        request = planner.request(state(0))
+        assert request is not None
+        with pytest.raises(PlanningError, match="no core"):
+            planner.solve(request)
+        planner.withdraw()
+        assert planner.goal is None
+
+
+class TestRigidBodies:
+    TABLE = Block("table", (0.5, 0.1, 0.15), (0.3, 0.3, 0.3))
+
+    def test_a_goal_in_one_is_refused_and_the_one_before_stays(self):
+        planner = make()
+        planner.see(Spheres.none((self.TABLE,)))
+        planner.request(state(0))
+        planner.command(OTHER_GOAL)
+        before = planner.goal
+        with pytest.raises(InputError, match=r"there lbr_link_7 lies 45\.0 mm deep in the table"):
+            planner.command(GOAL)
+        assert planner.goal is before
+
+    def test_one_that_waits_for_a_state_is_refused_then(self):
+        refused = []
+        planner = make(refuse=lambda what, error: refused.append((what, str(error))))
+        planner.see(Spheres.none((self.TABLE,)))
+        planner.command(GOAL)
+        assert planner.request(state(0)) is None
+        assert [what for what, _ in refused] == ["goals"] and "deep in the table" in refused[0][1]
+
+    def test_requests_have_them_also_after_an_unexpected_contact(self):
+        for reaction in (RETREAT, REPLAN):
+            planner = make(reaction=reaction)
+            planner.see(Spheres.none((self.TABLE,)))
+            planner.request(state(0))
+            planner.command(OTHER_GOAL)
+            for tick in range(1, 60):
+                planner.hear(report(contact=touch()))
+                planner.request(state(tick))
+            (request, *_) = requests(planner, 60, 120).values()
+            assert planner.reaction.reason and request.spheres.environment == (self.TABLE,)

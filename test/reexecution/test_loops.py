@@ -1,0 +1,173 @@
+"""Re-execution of the bag that comes with the package: identical as it is, exact about what differs when it is not."""
+
+import json
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.cli import main
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.messages.intake import BATCH, COLUMNS, IntakeLog, Taken
+from contact_reach_ros.reexecution.inputs import RecordedInputs
+from contact_reach_ros.reexecution.loops import _ObserverLoop, reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.settings import ChangedSettings
+from contact_reach_ros.resources import share_directory
+
+SAMPLE = share_directory() / "bags" / "sample"
+
+
+@pytest.fixture(scope="module")
+def sample() -> RecordedInputs:
+    return RecordedInputs(BagReader(SAMPLE))
+
+
+def changed(directory: Path, change: Callable[[int, RawMessage], RawMessage | None]) -> RecordedInputs:
+    """The sample with other messages: `change` gets the number of each within its topic."""
+    reader = BagReader(SAMPLE)
+    counts: dict[str, int] = {}
+    with BagWriter(directory, [RecordedTopic(name, topic.type) for name, topic in reader.topics().items()]) as writer:
+        for raw in reader.raw_messages():
+            counts[raw.topic] = counts.get(raw.topic, 0) + 1
+            kept = change(counts[raw.topic], raw)
+            if kept is not None:
+                writer.write(kept.topic, kept.data, kept.log_time_ns, kept.publish_time_ns, kept.sequence)
+    return RecordedInputs(BagReader(directory))
+
+
+def test_torques_and_residuals_are_identical(sample: RecordedInputs) -> None:
+    for found in (reexecute_controller(sample), reexecute_observer(sample)):
+        assert found.compared > 3000
+        assert found.largest_difference <= 1e-9
+        assert found.first_difference is None
+        assert found.notes == ()
+
+
+def test_the_first_difference_is_named(tmp_path: Path) -> None:
+    def change(number: int, raw: RawMessage) -> RawMessage:
+        if raw.topic != "/effort_controller/commands" or number < 2000:
+            return raw
+        # A3 is the third of the seven numbers behind the header.
+        data = bytearray(raw.data)
+        (torque,) = struct.unpack_from("<d", data, 20 + 2 * 8)
+        struct.pack_into("<d", data, 20 + 2 * 8, torque + 1e-6)
+        return raw._replace(data=bytes(data))
+
+    inputs = changed(tmp_path / "bag", change)
+    first = reexecute_controller(inputs).first_difference
+    assert first is not None
+    assert first.tick == int(inputs.columns["effort_controller/commands"].sequence[1999])
+    assert first.field == "effort_controller/commands of lbr_A3"
+    assert float(first.recorded) - float(first.reexecuted) == pytest.approx(1e-6, rel=1e-3)
+
+
+def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
+    def change(number: int, raw: RawMessage) -> RawMessage | None:
+        return None if raw.topic == "/joint_states" and 1500 <= number < 1550 else raw
+
+    inputs = changed(tmp_path / "bag", change)
+    for found in (reexecute_controller(inputs), reexecute_observer(inputs)):
+        assert found.first_difference is None
+        assert found.compared > 3000
+        assert any(note.startswith("50 messages that the") for note in found.notes)
+
+
+def test_other_settings_have_other_results(sample: RecordedInputs, tmp_path: Path) -> None:
+    file = tmp_path / "other.yaml"
+    file.write_text("controller: {ros__parameters: {limits: {torque_share: 0.05}}}\nmodel: {ros__parameters: {}}\n")
+    found = reexecute_controller(sample, ChangedSettings(file))
+    assert np.abs(found.values[:, 1]).max() == pytest.approx(0.05 * 320.0)
+    assert np.nanmax(np.abs(found.recorded[:, 1])) > 40.0
+    assert found.first_difference is None and found.compared == 0
+
+
+def test_stops_from_outside_have_the_recorded_reasons(sample: RecordedInputs) -> None:
+    loop = _ObserverLoop(sample, ChangedSettings())
+    loop.recorded_reasons = ["stop service called", "2 publishers on /joint_states", "stop service called"]
+    for reason in loop.recorded_reasons:
+        assert loop.next_stop() == reason
+        loop.note_reason(reason)
+    # The same one again, with nothing in between, is recorded once.
+    assert loop.next_stop() == "stop service called"
+
+
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
+    def without(topic: str) -> Callable[[int, RawMessage], RawMessage | None]:
+        return lambda _, raw: None if raw.topic == topic else raw
+
+    with pytest.raises(BagError, match="lacks the settings of the controller"):
+        reexecute_controller(changed(tmp_path / "settings", without("/settings")))
+    with pytest.raises(BagError, match="lacks intake/observer"):
+        reexecute_observer(changed(tmp_path / "intake", without("/intake/observer")))
+    with pytest.raises(BagError, match="no joint states"):
+        changed(tmp_path / "states", without("/joint_states"))
+
+
+def test_the_command_tells_by_its_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = tmp_path / "report.json"
+    with pytest.raises(SystemExit) as ended:
+        main(["reexecute", str(SAMPLE), "--json", str(report)])
+    assert ended.value.code == 0
+    found = json.loads(report.read_text())
+    assert found["controller"]["identical"] and found["observer"]["identical"]
+    assert found["reexecution_realtime_factor"] > 0.0
+    (tmp_path / "no_bag").mkdir()
+    with pytest.raises(SystemExit) as ended:
+        main(["reexecute", str(tmp_path / "no_bag")])
+    assert ended.value.code == 2
+    assert "is no bag" in capsys.readouterr().err
+
+
+def rows(batches: list[bytes]) -> Iterator[list[int]]:
+    for batch in batches:
+        (count,) = struct.unpack_from("<I", batch, 12)
+        assert len(batch) == 20 + 8 * count
+        yield list(struct.unpack_from(f"<{count}q", batch, 20))
+
+
+def test_intake_comes_in_numbered_batches() -> None:
+    batches: list[bytes] = []
+    log = IntakeLog(batches.append)
+    for number in range(BATCH + 2):
+        log.add(Taken.JOINT_STATES, 1000 + number, 2000 + number)
+        log.outputs += 1
+        log.publish_full()
+    assert len(batches) == 1
+    log.flush()
+    log.flush()
+    first, second = rows(batches)
+    width = len(COLUMNS)
+    assert first[0] == 0 and len(first) == 1 + width * BATCH
+    assert second == [BATCH, 1, 1000 + BATCH, 2000 + BATCH, BATCH, 1, 1001 + BATCH, 2001 + BATCH, BATCH + 1]
+
+
+def test_a_full_batch_waits_for_a_good_moment_but_nothing_is_lost() -> None:
+    batches: list[bytes] = []
+    log = IntakeLog(batches.append)
+    for number in range(BATCH):
+        log.add(Taken.JOINT_STATES, number, number)
+    assert not batches
+    for number in range(BATCH, 3 * BATCH):
+        log.add(Taken.JOINT_STATES, number, number)
+    log.flush()
+    firsts, sent = [], []
+    for first, *values in rows(batches):
+        firsts.append(first)
+        sent += values[1 :: len(COLUMNS)]
+    assert firsts[0] == 0 and len(firsts) == 3
+    assert sent == list(range(3 * BATCH))
+
+
+def test_rows_after_a_gap_are_left_out(tmp_path: Path) -> None:
+    def change(number: int, raw: RawMessage) -> RawMessage | None:
+        return None if raw.topic == "/intake/controller" and number == 3 else raw
+
+    found = reexecute_controller(changed(tmp_path / "bag", change))
+    assert 100 < found.compared < 3 * BATCH
+    assert found.first_difference is None
+    assert any("come after a gap" in note for note in found.notes)

@@ -1,0 +1,128 @@
+"""Recorded settings are those of this version, or nothing is re-executed with them."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.errors import BagError, SettingsError
+from contact_reach_ros.node_settings import SECTIONS as DECLARED
+from contact_reach_ros.reexecution.inputs import RecordedInputs
+from contact_reach_ros.reexecution.loops import reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.plans import RecordedPlans
+from contact_reach_ros.reexecution.settings import RENAMED, SECTIONS, ChangedSettings, recorded_sections
+from contact_reach_ros.resources import share_directory
+
+SAMPLE = share_directory() / "bags" / "sample"
+RUNS = {"controller": reexecute_controller, "observer": reexecute_observer, "planner": RecordedPlans}
+SECTIONS_OF_NODES = [(node, prefix) for node, sections in SECTIONS.items() for prefix in sections]
+
+
+def full(prefix: str, name: str) -> str:
+    return f"{prefix}.{name}" if prefix else name
+
+
+@pytest.fixture
+def sample() -> RecordedInputs:
+    return RecordedInputs(BagReader(SAMPLE))
+
+
+def test_every_section_that_a_node_declares_is_known() -> None:
+    for node, sections in SECTIONS.items():
+        assert DECLARED[node].items() <= sections.items()
+
+
+@pytest.mark.parametrize(("node", "prefix"), SECTIONS_OF_NODES)
+def test_values_are_those_recorded(node: str, prefix: str) -> None:
+    kind = SECTIONS[node][prefix]
+    for entry in kind.declared():
+        if entry.kind is float and entry.length is None and not entry.per_joint:
+            value = entry.maximum if entry.maximum is not None else 2.0 * float(entry.default or 1.0)
+            found = recorded_sections(node, {full(prefix, entry.name): value}, "bag")
+            assert getattr(found[prefix], entry.name) == value
+            return
+    assert recorded_sections(node, {}, "bag")[prefix] == kind()
+
+
+@pytest.mark.parametrize(("node", "prefix"), SECTIONS_OF_NODES)
+def test_an_unknown_setting_is_named(sample: RecordedInputs, node: str, prefix: str) -> None:
+    sample.settings[node][full(prefix, "no_such_thing")] = 1.0
+    with pytest.raises(
+        BagError, match=f"settings of the {node}: unknown key '{full(prefix, 'no_such_thing')}'.*version"
+    ):
+        RUNS[node](sample)
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_a_setting_of_an_unknown_section_is_named(sample: RecordedInputs, node: str) -> None:
+    sample.settings[node]["no_such_section.gain"] = 1.0
+    with pytest.raises(BagError, match=f"settings of the {node}: unknown key 'no_such_section.gain'"):
+        RUNS[node](sample)
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_a_value_that_is_not_accepted_is_named(sample: RecordedInputs, node: str) -> None:
+    prefix = {"controller": "limits", "observer": "safety", "planner": ""}[node]
+    name = next(entry.name for entry in SECTIONS[node][prefix].declared() if entry.kind in (int, float))
+    sample.settings[node][full(prefix, name)] = "much"
+    with pytest.raises(BagError, match=f"settings of the {node}: {name} = 'much'"):
+        RUNS[node](sample)
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_a_renamed_setting_keeps_its_value(old: str, new: str) -> None:
+    prefix, _, name = new.rpartition(".")
+    for node in [node for node, sections in SECTIONS.items() if prefix in sections]:
+        assert old.rpartition(".")[2] not in [entry.name for entry in SECTIONS[node][prefix].declared()]
+        assert getattr(recorded_sections(node, {old: 77}, "bag")[prefix], name) == 77
+
+
+class TestChanges:
+    def write(self, file: Path, **nodes: dict) -> ChangedSettings:
+        file.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
+        return ChangedSettings(file)
+
+    def test_only_what_the_file_names_changes(self, tmp_path: Path) -> None:
+        recorded = recorded_sections("planner", {"period": 0.05}, "bag")
+        changes = self.write(tmp_path / "changes.yaml", planner={"max_spheres": 3, "planning": {"horizon": 2}})
+        made = changes.apply("planner", recorded)
+        assert (made[""].period, made[""].max_spheres, made["planning"].horizon) == (0.05, 3, 2)
+        assert made["impedance"] == recorded["impedance"]
+
+    def test_the_package_default_file_changes_nothing_unknown(self) -> None:
+        assert ChangedSettings(share_directory() / "config" / "default.yaml")
+
+    @pytest.mark.parametrize(
+        ("node", "content", "name"),
+        [
+            ("controller", {"limits": {"torque_shar": 0.5}}, "limits.torque_shar"),
+            ("observer", {"torque_sorce": "measured"}, "torque_sorce"),
+            ("planner", {"max_sphere": 1}, "max_sphere"),
+            ("model", {"inertias": "nominal"}, "inertias"),
+        ],
+    )
+    def test_an_unknown_parameter_is_named(self, tmp_path: Path, node: str, content: dict, name: str) -> None:
+        with pytest.raises(SettingsError, match=f"{node}: unknown key '{name}'"):
+            self.write(tmp_path / "changes.yaml", **{node: content})
+
+    def test_an_unknown_node_is_named(self, tmp_path: Path) -> None:
+        with pytest.raises(SettingsError, match="unknown node 'plannner'; did you mean 'planner'"):
+            self.write(tmp_path / "changes.yaml", plannner={"period": 0.1}, controller={})
+
+    def test_the_planner_plans_for_the_gains_that_the_controller_has(self, tmp_path: Path) -> None:
+        changes = self.write(tmp_path / "changes.yaml", controller={"impedance": {"task_damping": 90.0}})
+        for node in ("controller", "planner"):
+            assert changes.apply(node, recorded_sections(node, {}, "bag"))["impedance"].task_damping == 90.0
+
+    def test_a_value_that_is_not_accepted_is_named(self, tmp_path: Path) -> None:
+        changes = self.write(tmp_path / "changes.yaml", planner={"max_spheres": -1})
+        with pytest.raises(SettingsError, match="max_spheres = -1"):
+            changes.apply("planner", recorded_sections("planner", {}, "bag"))
+
+
+def test_bags_from_before_rigid_bodies_have_no_cost_for_them() -> None:
+    planning = recorded_sections("planner", {"planning.horizon": 2}, "bag")["planning"]
+    assert (planning.horizon, planning.clearance_weight, planning.collision_tolerance) == (2, 0.0, 1.0)
+    planning = recorded_sections("planner", {"planning.clearance_weight": 30.0}, "bag")["planning"]
+    assert planning.clearance_weight == 30.0

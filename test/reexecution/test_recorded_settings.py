@@ -1,0 +1,49 @@
+"""The arm of a bag, and settings as messages carry them."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+from arm_simulation import ARM
+
+from contact_reach_ros.errors import BagError
+from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.reexecution.settings import recorded_arm, recorded_sections
+
+
+class TestArm:
+    def test_bags_that_name_none_are_of_the_first_arm(self):
+        assert recorded_arm({"controller": {}}) is ARM
+        assert recorded_arm({}) is ARM
+
+    def test_name_and_digest_are_those_of_this_version(self):
+        assert recorded_arm({"controller": {"robot": ARM.name, "robot digest": ARM.digest}}) is ARM
+
+    def test_an_arm_that_was_changed_since_is_refused(self):
+        with pytest.raises(BagError, match=f"had digest 0123, this version's has {ARM.digest}"):
+            recorded_arm({"controller": {"robot": ARM.name, "robot digest": "0123"}})
+
+    def test_one_that_this_version_does_not_have_is_named(self):
+        with pytest.raises(BagError, match="settings of the observer: arm 'iiwa15' is unknown"):
+            recorded_arm({"controller": {}, "observer": {"robot": "iiwa15"}})
+
+
+def test_bags_from_before_obstacles_went_stale_are_executed_as_they_were():
+    old = recorded_sections("planner", {"period": 0.05}, "old")[""]
+    assert (old.period, old.max_obstacle_age, old.require_obstacles) == (0.05, 0.0, False)
+    new = recorded_sections("planner", {"max_obstacle_age": 0.3, "require_obstacles": True}, "new")[""]
+    assert (new.max_obstacle_age, new.require_obstacles) == (0.3, True)
+
+
+def test_bags_from_before_the_slow_mean_was_limited_are_executed_as_they_were():
+    old = recorded_sections("observer", {"safety.mean_states": 300}, "old")
+    assert old["safety"].model_error_at_rest == 1000.0
+    assert old["budget"].resolve(ARM).model_error == (320.0,) * ARM.n
+    assert (old["commanded"].threshold_factor, old["commanded"].lost) == (1.0, 0)
+
+
+def test_values_are_json_and_whatever_is_none_stays_text():
+    values = {"a": 0.5, "b": [1, 2], "c": True, "d": None}
+    entries = [SimpleNamespace(key=key, value=json.dumps(value)) for key, value in values.items()]
+    entries.append(SimpleNamespace(key="e", value="plain text"))
+    assert read_settings(SimpleNamespace(values=entries)) == {**values, "e": "plain text"}

@@ -1,0 +1,157 @@
+"""The report of a bag: one page that needs nothing else, its numbers, and what it does with poor bags."""
+
+import csv
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plotly.offline import get_plotlyjs
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.cli import main
+from contact_reach_ros.reexecution.settings import ChangedSettings
+from contact_reach_ros.report.bag import read_report_bag
+from contact_reach_ros.report.charts import external_torque_chart
+from contact_reach_ros.report.envelope import BINS, envelope
+from contact_reach_ros.report.page import page
+from contact_reach_ros.report.plot import BEFORE
+from contact_reach_ros.report.signals import read_signals
+from contact_reach_ros.report.summary import Episode
+from contact_reach_ros.resources import share_directory
+from contact_reach_ros.viewer.plots import page_plots
+
+SAMPLE = share_directory() / "bags" / "sample"
+CHARTS = re.compile(r'<script id="charts" type="application/json">(.*?)</script>', re.DOTALL)
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["report", *map(str, arguments)])
+    return int(ended.value.code or 0)
+
+
+def titles(text: str) -> list[str]:
+    match = CHARTS.search(text)
+    assert match is not None
+    return [chart["layout"]["yaxis"]["title"]["text"] for chart in json.loads(match[1])]
+
+
+def test_a_page_with_json_and_tables(tmp_path: Path) -> None:
+    assert run(SAMPLE, "-o", tmp_path / "r.html", "--json", tmp_path / "r.json", "--csv", tmp_path / "tables") == 0
+    text = (tmp_path / "r.html").read_text()
+    # Of its own; the library inside names addresses, which nobody asks for.
+    library = get_plotlyjs()
+    assert text.count(library) == 1
+    assert not re.search(r"https?://", text.replace(library, ""))
+    found = titles(text)
+    assert len(found) == 12 and all("[" in title or "ticks" in title for title in found)
+    assert f"contact-reach view {SAMPLE}" in text
+    (bag,) = json.loads((tmp_path / "r.json").read_text())["bags"]
+    assert bag["verdict"] == "goal reached" and bag["summary"]["reached"]
+    assert bag["notes"] == []
+    assert bag["settings"]["planner"]["planning.population"] == 200
+    counts = BagReader(SAMPLE).topics()
+    with (tmp_path / "tables" / "commands.csv").open() as file:
+        table = list(csv.reader(file))
+    assert table[0] == ["time_s", *(f"tau_A{joint}_Nm" for joint in range(1, 8))]
+    assert len(table) == 1 + counts["/effort_controller/commands"].message_count
+
+
+def charts(text: str) -> list[dict]:
+    match = CHARTS.search(text)
+    assert match is not None
+    return list(json.loads(match[1]))
+
+
+def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> None:
+    bag = read_report_bag(SAMPLE, "sample", load_arm(), ChangedSettings())
+    shown = external_torque_chart(bag)["data"][:7]
+    assert [(curve["name"], curve["line"]["color"]) for curve in shown] == [
+        (curve.label, curve.colour) for curve in page_plots(7)[2].curves
+    ]
+
+
+def test_charts_begin_shortly_before_the_goal() -> None:
+    bag = read_report_bag(SAMPLE, "sample", load_arm(), ChangedSettings())
+    waited = dataclasses.replace(bag.signals.goals, time=bag.signals.goals.time + 3.0)
+    episode = Episode(dataclasses.replace(bag.signals, goals=waited), bag.arm)
+    bag = dataclasses.replace(bag, episode=episode, zero=episode.start)
+    assert {chart["from"] for chart in charts(page([bag])) if chart.get("linked")} == {-BEFORE}
+
+
+def test_the_limit_is_that_of_the_settings_of_the_run() -> None:
+    signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
+    limit = Episode(signals, load_arm()).summary().limit_s
+    slower = {**signals.settings, "planner": {**signals.settings["planner"], "planning.translation_bound": 0.02}}
+    found = Episode(dataclasses.replace(signals, settings=slower), load_arm()).summary()
+    bound = signals.settings["planner"]["planning.translation_bound"]
+    assert found.limit_s == pytest.approx(limit * bound / 0.02)
+    assert found.time_ratio == pytest.approx(found.duration_s / found.limit_s)
+
+
+def test_an_episode_ends_where_it_is_decided_however_long_the_recording() -> None:
+    signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
+    reached = Episode(signals, load_arm()).reached
+    assert reached is not None
+    for timeout, settle, after in ((30.0, 0.2, reached + 0.2), (0.5, 0.2, None)):
+        episode = Episode(signals, load_arm(), None, timeout, settle)
+        summary = episode.summary()
+        wanted = timeout if after is None else after - episode.start
+        assert summary.watched_s == pytest.approx(wanted) and summary.reached == (after is not None)
+
+
+def test_two_bags_side_by_side_and_their_difference() -> None:
+    bags = [read_report_bag(SAMPLE, label, load_arm(), ChangedSettings()) for label in ("first", "second")]
+    text = page(bags)
+    found = titles(text)
+    assert found.count("joint angle [rad]") == 2 and found.count("difference: joint angle [rad]") == 1
+    assert "first less second" in text
+
+
+def test_a_bag_with_little_in_it_is_reported_all_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reader = BagReader(SAMPLE)
+    kept = ("/external_torque", "/safety_state")
+    with BagWriter(tmp_path / "poor", [RecordedTopic(name, reader.topics()[name].type) for name in kept]) as writer:
+        for raw in reader.raw_messages(kept):
+            # A message that is none of its type, now and then.
+            data = raw.data[:40] if raw.sequence % 500 == 0 else raw.data
+            writer.write(raw.topic, data, raw.log_time_ns, raw.publish_time_ns)
+    BagWriter(tmp_path / "empty").close()
+    assert run(tmp_path / "poor", tmp_path / "empty", "-o", tmp_path / "r.html") == 0
+    said = capsys.readouterr().out
+    assert "topic joint_states is missing: no joint positions, distance, tick jitter" in said
+    assert re.search(r"external_torque: \d+ messages cannot be read and are left out", said)
+    assert "the bag has no messages" in said
+    found = titles((tmp_path / "r.html").read_text())
+    assert "external torque [Nm]" in found and "joint angle [rad]" not in found
+
+
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text.mcap").write_text("this is no bag")
+    assert run(tmp_path / "text.mcap") == 2
+    error = capsys.readouterr().err
+    assert "is no mcap file" in error and "Traceback" not in error and error.count("\n") == 1
+    # Beside a good one it is left out.
+    assert run(SAMPLE, tmp_path / "text.mcap", "-o", tmp_path / "r.html") == 0
+    assert "left out" in capsys.readouterr().out
+
+
+def test_thinned_curves_keep_their_peaks_and_gaps() -> None:
+    time = np.arange(100_000) * 1e-3
+    values = np.sin(time)
+    values[54_321], values[54_322] = 7.0, -9.0
+    values[70_000:80_000] = np.nan
+    thinned_time, thinned = envelope(time, values)
+    assert len(thinned) <= 2 * BINS
+    assert thinned_time[np.nanargmax(thinned)] == time[54_321]
+    assert thinned_time[np.nanargmin(thinned)] == time[54_322]
+    assert np.isnan(thinned[(thinned_time > 70.1) & (thinned_time < 79.9)]).all()
+    assert (np.diff(thinned_time) >= 0.0).all()
+    short = np.arange(10.0)
+    assert envelope(short, short)[1] is short

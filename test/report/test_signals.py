@@ -1,0 +1,253 @@
+"""Signals of a made-up episode come back out of its bag as they went in."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from contact_reach_ros.arms.iiwa14 import ARM
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.messages.intake import IntakeLog, Taken
+from contact_reach_ros.report.signals import EpisodeSignals, read_signals
+from contact_reach_ros.report.summary import first_below, goal_distance
+
+RECEIVED_0 = 1_700_000_000_000_000_000
+STAMP_0 = 50_000_000_000
+TICKS = 400
+SLOWNESS = 3.0
+"""Time on the wall that a second of the robot's clock takes, as in lockstep on a busy machine."""
+
+TYPES = {
+    "joint_states": "sensor_msgs/msg/JointState",
+    "external_torque": "sensor_msgs/msg/JointState",
+    "sim/contacts": "sensor_msgs/msg/JointState",
+    "effort_controller/commands": "std_msgs/msg/Float64MultiArray",
+    "goal_pose": "geometry_msgs/msg/PoseStamped",
+    "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
+    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+
+def received_ns(time: float) -> int:
+    return RECEIVED_0 + round(SLOWNESS * time * 1e9)
+
+
+def stamped(time: float, names: list[str], **values: list[float]) -> JointState:
+    message = JointState(name=names, **values)
+    stamp = STAMP_0 + round(time * 1e9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+    return message
+
+
+def angles(time: float) -> np.ndarray:
+    return np.sin(time + np.arange(7))
+
+
+def goal(x: float) -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = "lbr_link_0"
+    message.pose.position.x = x
+    message.pose.orientation.w = 1.0
+    return message
+
+
+def write_episode(directory: Path) -> None:
+    shuffled = [3, 1, 0, 6, 5, 4, 2]
+    names = [ARM.joint_names[joint] for joint in shuffled]
+    with BagWriter(directory, [RecordedTopic(f"/{name}", type_name) for name, type_name in TYPES.items()]) as writer:
+
+        def write(topic: str, time: float, message: object) -> None:
+            writer.write(f"/{topic}", serialize_message(message), received_ns(time))
+
+        for tick in range(TICKS):
+            time = tick * 1e-3
+            q = angles(time)[shuffled].tolist()
+            order, velocity = (["gripper", *names], [9.0, *q]) if tick % 2 else (names, q)
+            write("joint_states", time, stamped(time, order, position=velocity, velocity=velocity, effort=velocity))
+            write("effort_controller/commands", time, Float64MultiArray(data=angles(time).tolist()))
+            write("external_torque", time, stamped(time, names, effort=q))
+            bodies = ["lbr_link_3", "sum", "max"] if tick < 200 else ["lbr_link_4", "sum", "max"]
+            write("sim/contacts", time, stamped(time, bodies, effort=[2.0, 3.0, 2.0]))
+            if tick % 20 == 0:
+                bad = 100 <= tick < 200
+                level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
+                text = "joint A2 above threshold" if bad else "monitoring"
+                write("safety_state", time, DiagnosticStatus(level=level, name="observer", message=text))
+            if tick in (50, 300):
+                write("goal_pose", time, goal(0.5 if tick == 50 else 0.7))
+            if tick % 100 == 0:
+                values = [KeyValue(key="ticks", value=str(tick)), KeyValue(key="state", value="active")]
+                write("diagnostics", time, DiagnosticArray(status=[DiagnosticStatus(name="driver", values=values)]))
+
+
+@pytest.fixture(scope="module")
+def signals(tmp_path_factory: pytest.TempPathFactory) -> EpisodeSignals:
+    directory = tmp_path_factory.mktemp("episode") / "bag"
+    write_episode(directory)
+    return read_signals(BagReader(directory), ARM.joint_names)
+
+
+def test_joint_states_are_mapped_by_name(signals: EpisodeSignals) -> None:
+    expected = np.array([angles(tick * 1e-3) for tick in range(TICKS)])
+    assert signals.position.names == ARM.joint_names
+    for series in (signals.position, signals.velocity, signals.effort, signals.external_torque):
+        np.testing.assert_allclose(series.values, expected)
+    np.testing.assert_allclose(signals.position.column("lbr_A3"), expected[:, 2])
+
+
+def test_all_times_are_on_the_clock_of_the_robot(signals: EpisodeSignals) -> None:
+    """Also those of messages without a stamp, though three times as much time passes on the wall."""
+    expected = np.arange(TICKS) * 1e-3
+    assert signals.origin_ns == STAMP_0
+    for series in (signals.position, signals.external_torque, signals.contact_force, signals.command):
+        np.testing.assert_allclose(series.time, expected, atol=1e-7)
+    assert signals.goals.time == pytest.approx([0.05, 0.3], abs=1e-7)
+
+
+def test_commands_are_in_the_order_of_the_controller(signals: EpisodeSignals) -> None:
+    np.testing.assert_allclose(signals.command.values, [angles(tick * 1e-3) for tick in range(TICKS)])
+
+
+def test_contacts_of_bodies_that_come_and_go(signals: EpisodeSignals) -> None:
+    force = signals.contact_force
+    assert set(force.names) == {"lbr_link_3", "lbr_link_4", "sum", "max"}
+    np.testing.assert_array_equal(force.column("max"), np.full(TICKS, 2.0))
+    np.testing.assert_array_equal(force.column("sum"), np.full(TICKS, 3.0))
+    np.testing.assert_array_equal(np.isfinite(force.column("lbr_link_3")), np.arange(TICKS) < 200)
+    assert np.isnan(force.column("lbr_link_7")).all()
+
+
+def test_safety_changes_without_repetitions(signals: EpisodeSignals) -> None:
+    seen = [(event.level, event.message) for event in signals.safety]
+    assert seen == [(0, "monitoring"), (2, "joint A2 above threshold"), (0, "monitoring")]
+    assert [event.time for event in signals.safety] == pytest.approx([0.0, 0.1, 0.2], abs=1e-7)
+
+
+def test_goals(signals: EpisodeSignals) -> None:
+    np.testing.assert_array_equal(signals.goals.values, [[0.5, 0.0, 0.0], [0.7, 0.0, 0.0]])
+
+
+def test_diagnostics_that_are_numbers(signals: EpisodeSignals) -> None:
+    assert list(signals.diagnostics) == ["driver/ticks"]
+    np.testing.assert_array_equal(signals.diagnostics["driver/ticks"].values[:, 0], [0, 100, 200, 300])
+
+
+def test_distance_is_to_the_goal_in_force(signals: EpisodeSignals) -> None:
+    found = goal_distance(signals, lambda q: q[:, :1] * [1.0, 0.0, 0.0], period=0.01)
+    time, distance = found.time, found.column("distance")
+    assert np.diff(time)[:-1] == pytest.approx(0.01, abs=1e-6)
+    assert time[-1] == signals.position.time[-1]
+    wanted = np.where(time < 0.3 - 1e-6, 0.5, 0.7)
+    np.testing.assert_allclose(distance, np.abs(np.sin(time) - wanted), atol=1e-7)
+
+
+def test_messages_that_the_robot_would_refuse_become_gaps(tmp_path: Path) -> None:
+    topics = [RecordedTopic("/joint_states", TYPES["joint_states"])]
+    topics.append(RecordedTopic("/effort_controller/commands", TYPES["effort_controller/commands"]))
+    with BagWriter(tmp_path / "bag", topics) as writer:
+        states = [
+            stamped(0.0, list(ARM.joint_names), position=[1.0] * 7),
+            stamped(0.001, list(ARM.joint_names[:6]), position=[1.0] * 6),
+            stamped(0.002, list(ARM.joint_names), position=[1.0] * 3),
+            stamped(0.003, [], position=[]),
+        ]
+        for tick, state in enumerate(states):
+            writer.write("/joint_states", serialize_message(state), received_ns(tick * 1e-3))
+        for tick, size in enumerate((7, 6, 0)):
+            command = Float64MultiArray(data=[0.5] * size)
+            writer.write("/effort_controller/commands", serialize_message(command), received_ns(tick * 1e-3))
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    assert np.isfinite(signals.position.values).sum(axis=1).tolist() == [7, 6, 0, 0]
+    assert np.isnan(signals.velocity.values).all()
+    assert np.isfinite(signals.command.values).sum(axis=1).tolist() == [7, 0, 0]
+
+
+def test_bag_without_any_of_the_topics(tmp_path: Path) -> None:
+    BagWriter(tmp_path / "bag").close()
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    for series in (signals.position, signals.command, signals.external_torque, signals.contact_force):
+        assert series.time.shape == (0,)
+        assert series.values.shape == (0, len(series.names))
+    assert signals.safety == ()
+    assert signals.goals.values.shape == (0, 3)
+    distance = goal_distance(signals, lambda q: np.zeros((len(q), 3)))
+    assert distance.time.size == distance.values.size == 0
+
+
+def test_messages_before_and_after_the_joint_states(tmp_path: Path) -> None:
+    topics = [RecordedTopic("/joint_states", TYPES["joint_states"]), RecordedTopic("/goal_pose", TYPES["goal_pose"])]
+    with BagWriter(tmp_path / "bag", topics) as writer:
+        for time in (1.0, 1.5):
+            state = serialize_message(stamped(time, list(ARM.joint_names), position=[0.0] * 7))
+            writer.write("/joint_states", state, RECEIVED_0 + round(time * 1e9))
+        for time in (0.25, 1.25, 2.0):
+            writer.write("/goal_pose", serialize_message(goal(time)), RECEIVED_0 + round(time * 1e9))
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    assert signals.goals.time == pytest.approx([-0.75, 0.25, 1.0])
+
+
+def test_topics_of_other_types_are_left_out_with_a_note(tmp_path: Path) -> None:
+    topics = [RecordedTopic("/goal_pose", "std_msgs/msg/Float64MultiArray")]
+    with BagWriter(tmp_path / "bag", topics) as writer:
+        writer.write("/goal_pose", serialize_message(Float64MultiArray(data=[1.0])), RECEIVED_0)
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    assert not len(signals.goals.time)
+    assert any("goal_pose: is std_msgs/msg/Float64MultiArray, expected geometry" in note for note in signals.notes)
+
+
+def test_refused_goals_are_left_out_and_the_others_at_their_stamp_in_lockstep(tmp_path: Path) -> None:
+    kinds = {name: TYPES[name] for name in ("joint_states", "goal_pose")}
+    kinds |= {"plan/statistics": TYPES["diagnostics"], "clock": "rosgraph_msgs/msg/Clock"}
+    with BagWriter(tmp_path / "bag", [RecordedTopic(f"/{name}", kind) for name, kind in kinds.items()]) as writer:
+        for tick in range(100):
+            state = stamped(tick * 1e-3, list(ARM.joint_names), position=[0.0] * 7)
+            writer.write("/joint_states", serialize_message(state), received_ns(tick * 1e-3))
+        for time, x in ((0.02, 0.5), (0.05, 2.0)):
+            message = goal(x)
+            message.header.stamp = stamped(time, []).header.stamp
+            # Time stands still while it is sent.
+            writer.write("/goal_pose", serialize_message(message), received_ns(time + 0.0007))
+        values = [
+            KeyValue(key=f"goal {axis} m", value=str(place)) for axis, place in zip("xyz", (0.5, 0, 0), strict=True)
+        ]
+        plan = DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)])
+        writer.write("/plan/statistics", serialize_message(plan), received_ns(0.03))
+    goals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names).goals
+    np.testing.assert_array_equal(goals.values, [[0.5, 0.0, 0.0]])
+    assert goals.time.tolist() == [0.02]
+
+
+def test_first_below() -> None:
+    time, values = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 5.0, math.nan, 1.0])
+    assert first_below(time, values, 1.0) == 0.0
+    assert first_below(time, values, 1.0, after=0.5) == 3.0
+    assert first_below(time, values, 0.5, after=0.5) is None
+    assert first_below(np.empty(0), np.empty(0), 1.0) is None
+
+
+def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
+    """The first state comes again until the controller starts, which takes it a second."""
+    types = {**TYPES, "intake/controller": "std_msgs/msg/Int64MultiArray"}
+    with BagWriter(tmp_path / "bag", [RecordedTopic(f"/{name}", kind) for name, kind in types.items()]) as writer:
+        log = IntakeLog(lambda data: writer.write("/intake/controller", data, RECEIVED_0))
+        for tick in range(1000):
+            q = angles(0.0).tolist()
+            state = stamped(tick * 1e-3, list(ARM.joint_names), position=q, velocity=q, effort=q)
+            sent_ns = RECEIVED_0 + tick * 1_000_000
+            writer.write("/joint_states", serialize_message(state), sent_ns)
+            log.add(Taken.JOINT_STATES, sent_ns, tick)
+            if tick >= 900:
+                log.outputs += 1
+                data = serialize_message(Float64MultiArray(data=q))
+                writer.write("/effort_controller/commands", data, sent_ns + 300_000, sequence=log.outputs)
+        log.flush()
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    np.testing.assert_array_equal(signals.answers_ns, np.full(100, 300_000))

@@ -1,0 +1,193 @@
+"""Contact between the arm and a ball."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, ClosedLoop, ideal_plant, offer_plan
+
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.spheres import rest_positions
+
+ELBOW = 4
+FOREARM = 5
+
+
+def capsule_of(link: int) -> int:
+    return [capsule.link for capsule in ARM.capsules].index(link)
+
+
+def ball_beside(link: int, gap: float, **settings) -> Obstacle:
+    """A ball to the left of the middle of a link at home, `gap` m away; below zero it overlaps."""
+    kind = BallSettings(**settings)
+    index = capsule_of(link)
+    starts, ends = capsule_segments(ARM, HOME)
+    distance = ARM.capsules[index].radius + kind.radius + gap
+    (ball,) = kind.at((starts[index] + ends[index]) / 2 + np.array([0.0, distance, 0.0]))
+    return ball
+
+
+def mirrored(ball: Obstacle) -> Obstacle:
+    """The same ball on the other side of the arm."""
+    return dataclasses.replace(ball, rest=ball.rest * (1, -1, 1))
+
+
+def braked(*balls: Obstacle) -> Plant:
+    return ideal_plant(obstacles=balls, joints=JointSettings())
+
+
+def settle(plant: Plant, seconds: float = 3.0) -> None:
+    for _ in range(round(1000 * seconds)):
+        plant.step()
+
+
+def spring_force(plant: Plant, index: int = 0) -> np.ndarray:
+    """What the spring of a ball pulls with, N."""
+    ball = plant.scene.obstacles[index]
+    return ball.material.stiffness * (plant.obstacle_positions()[index] - ball.rest[0])
+
+
+def depth(plant: Plant) -> float:
+    """How deep the only contact is, m."""
+    (contact,) = plant.data.contact
+    return -float(contact.dist)
+
+
+def test_no_force_while_apart():
+    plant = braked(ball_beside(ELBOW, 0.001))
+    for _ in range(200):
+        plant.step()
+        assert not plant.contact_forces().any()
+    np.testing.assert_allclose(plant.obstacle_positions(), plant.scene.obstacles[0].rest, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("stiffness", [50.0, 500.0])
+@pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
+def test_contact_force_is_that_of_the_balls_spring_when_at_rest(stiffness, friction):
+    plant = braked(ball_beside(FOREARM, -0.02, stiffness=stiffness, friction=friction))
+    settle(plant)
+    forces = plant.contact_forces()
+    touched = ARM.contact_links.index(ARM.link_names[FOREARM - 1])
+    assert forces[touched] == pytest.approx(np.linalg.norm(spring_force(plant)), rel=0.01)
+    assert not np.delete(forces, touched).any()
+    assert forces[touched] > 0.5
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize(("contact_stiffness", "mass"), [(300.0, 0.1), (1000.0, 0.1), (1000.0, 0.5), (10_000.0, 0.1)])
+def test_foam_is_as_stiff_as_declared_whatever_friction_and_mass(contact_stiffness, mass, friction):
+    material = {"contact_stiffness": contact_stiffness, "mass": mass, "friction": friction, "stiffness": 200.0}
+    plant = braked(ball_beside(FOREARM, -0.02, **material))
+    settle(plant)
+    assert plant.contact_forces().max() / depth(plant) == pytest.approx(contact_stiffness, rel=0.06)
+
+
+def test_force_on_a_body_is_the_sum_of_its_contacts():
+    # From left and right with the same force: nothing is left.
+    left = ball_beside(FOREARM, -0.01)
+    right = mirrored(left)
+    one, both = braked(left), braked(left, right)
+    for plant in (one, both):
+        settle(plant, 1.0)
+    assert one.contact_forces().max() > 0.5
+    assert both.contact_forces().max() < 0.01 * one.contact_forces().max()
+
+
+def test_forces_are_those_that_mujoco_tells_of_each_contact():
+    """On two links, with and without friction, while the contacts still slip."""
+    left, elbow = ball_beside(FOREARM, -0.02, friction=0.5), ball_beside(ELBOW, -0.01, friction=1.0)
+    smooth = ball_beside(FOREARM, -0.02, friction=0.0)
+    plant = braked(left, elbow, mirrored(smooth))
+    slipped = 0.0
+    for _ in range(100):
+        plant.step()
+        total, normal = np.zeros((len(ARM.contact_links), 3)), np.zeros(len(ARM.contact_links))
+        for index, contact in enumerate(plant.data.contact):
+            force = np.zeros(6)
+            mujoco.mj_contactForce(plant.model, plant.data, index, force)
+            names = [plant.model.body(plant.model.geom_bodyid[geom]).name for geom in contact.geom]
+            (touched,) = (ARM.contact_links.index(name) for name in names if name in ARM.contact_links)
+            total[touched] += force[:3] @ contact.frame.reshape(3, 3)
+            normal[touched] += force[0]
+            slipped = max(slipped, float(np.linalg.norm(force[1:3])))
+        np.testing.assert_allclose(plant.contact_forces(), np.linalg.norm(total, axis=1), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(plant.normal_forces(), normal, rtol=0, atol=1e-9)
+    assert sorted(plant.data.contact.dim.tolist()) == [1, 3, 3]
+    assert slipped > 0.1
+
+
+def test_contacts_are_on_the_balls_and_push_the_arm_away_from_them():
+    left, elbow = ball_beside(FOREARM, -0.02, friction=0.5), ball_beside(ELBOW, -0.01, friction=0.0)
+    right = ball_beside(FOREARM, -0.01, friction=0.5)
+    plant = braked(left, mirrored(right), elbow)
+    assert len(braked().contacts().points) == 0
+    plant.step()
+    for _ in range(50):
+        plant.step()
+        contacts = plant.contacts()
+        assert contacts.points.shape == contacts.forces.shape == (len(contacts.links), 3)
+        sums = np.zeros((len(ARM.contact_links), 3))
+        np.add.at(sums, contacts.links, contacts.forces)
+        np.testing.assert_allclose(np.linalg.norm(sums, axis=1), plant.contact_forces(), rtol=0, atol=1e-9)
+        centers = plant.obstacle_positions()
+        for point, force in zip(contacts.points, contacts.forces, strict=True):
+            away = point - centers[np.linalg.norm(centers - point, axis=1).argmin()]
+            assert np.linalg.norm(away) == pytest.approx(left.radius, abs=0.011)
+            assert force @ away >= 0.8 * np.linalg.norm(force) * np.linalg.norm(away)
+    touched = {ARM.contact_links[body] for body in contacts.links}
+    assert touched >= {ARM.link_names[link - 1] for link in (FOREARM, ELBOW)}
+    assert (np.linalg.norm(sums, axis=1) > 0.1).sum() == len(touched)
+
+
+def test_balls_do_not_fall_and_do_not_touch_each_other():
+    ball = ball_beside(ELBOW, 0.3)
+    plant = braked(ball, dataclasses.replace(ball, rest=ball.rest + np.array([0.05, 0.0, 0.0])))
+    settle(plant, 0.5)
+    np.testing.assert_allclose(plant.obstacle_positions(), rest_positions(plant.scene), rtol=0, atol=1e-9)
+
+
+def test_arm_that_pushes_a_ball_slowly_feels_its_spring():
+    ball = ball_beside(FOREARM, 0.005, stiffness=100.0)
+    loop = ClosedLoop(ideal_plant(obstacles=(ball,)))
+    loop.finish(0.6)
+    start = loop.reference()
+    # The whole arm turns about the first joint, towards the ball.
+    turned = HOME + 0.15 * np.eye(ARM.n)[0]
+    goal = Reference(*loop.controller.model.tip_pose(turned), turned)
+    now_ns, count = loop.now_ns, 40
+    knots, ends = [], []
+    for k in range(count):
+        share = min(1.0, (k + 1) / (count - 20))
+        q = start.posture + share * (goal.posture - start.posture)
+        knots.append(Reference(*loop.controller.model.tip_pose(q), q))
+        ends.append(100_000_000 * (k + 1))
+    offer_plan(loop.controller, knots, now_ns, tuple(ends), now_ns)
+    loop.finish(3.9)
+    assert loop.controller.mode is Mode.TRACKING
+    plant = loop.plant
+    assert spring_force(plant)[1] > 2.0
+    assert plant.contact_forces().max() == pytest.approx(np.linalg.norm(spring_force(plant)), rel=0.03)
+
+
+def test_contact_is_felt_by_the_joints_as_its_jacobian_says():
+    ball = ball_beside(FOREARM, -0.02)
+    plant = braked(ball)
+    settle(plant)
+    starts, ends = capsule_segments(ARM, HOME)
+    middle = (starts[capsule_of(FOREARM)] + ends[capsule_of(FOREARM)]) / 2
+    force = -spring_force(plant)
+    # A1 turns about the vertical axis through the base.
+    contact_torque = plant.data.qfrc_constraint[0] - brake_torque(plant)
+    assert contact_torque == pytest.approx(np.cross(middle, force)[2], rel=0.05)
+
+
+def brake_torque(plant: Plant) -> float:
+    """Torque of the first joint's brake: the friction rows come before the contacts."""
+    return float(plant.data.efc_force[0])

@@ -1,0 +1,206 @@
+"""The robot's own watchdog."""
+
+import math
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, REST, TICK_NS, VELOCITY_LIMITS, ideal_plant
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.simulation.drive import Drive
+from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.simulation.settings import JointSettings, WatchdogSettings
+
+GRAVITY = RobotModel(ARM).gravity_at(HOME)
+
+
+class Bench:
+    """A drive that is ticked at 1 kHz."""
+
+    def __init__(self, open_after: float = 0.0, enabled: bool = True) -> None:
+        # Brakes that open at once, except where that is what is tested.
+        self.drive = Drive(ideal_plant(joints=JointSettings()), WatchdogSettings(enabled, open_after))
+        self.clock_ns = 5_000_000_000
+
+    def command(self, torque: np.ndarray = GRAVITY) -> None:
+        self.drive.command(torque, self.clock_ns)
+
+    def tick(self, count: int = 1) -> list[Actuation]:
+        """What moved the joints in each tick."""
+        seen = []
+        for _ in range(count):
+            self.drive.tick(self.clock_ns)
+            seen.append(self.drive.plant.actuation)
+            self.clock_ns += TICK_NS
+        return seen
+
+    @property
+    def displacement(self) -> float:
+        return float(np.abs(self.drive.plant.data.qpos - HOME).max())
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_arm_stays_where_it_is_until_the_first_command(bench):
+    assert set(bench.tick(500)) == {Actuation.BRAKED}
+    assert bench.displacement < 1e-9
+    assert not bench.drive.stop_reason
+    bench.command()
+    assert bench.tick() == [Actuation.COMMANDED]
+
+
+def test_brakes_open_only_after_steady_commands():
+    bench = Bench(open_after=0.1)
+    for _ in range(3):
+        # A controller that is starting up: some commands, then a pause.
+        for _ in range(60):
+            bench.command()
+            assert bench.tick() == [Actuation.BRAKED]
+        assert set(bench.tick(150)) == {Actuation.BRAKED}
+    assert not bench.drive.stop_reason
+    seen = []
+    for _ in range(120):
+        bench.command()
+        seen += bench.tick()
+    assert seen == [Actuation.BRAKED] * 100 + [Actuation.COMMANDED] * 20
+    assert set(bench.tick(150)) == {Actuation.COMMANDED, Actuation.DAMPED_HOLD, Actuation.BRAKED}
+    assert "no command" in bench.drive.stop_reason
+
+
+def test_silence_brings_first_the_damped_hold_and_then_the_brakes(bench):
+    bench.command()
+    seen = bench.tick(150)
+    assert seen[:21] == [Actuation.COMMANDED] * 21
+    assert seen[21:101] == [Actuation.DAMPED_HOLD] * 80
+    assert set(seen[101:]) == {Actuation.BRAKED}
+    assert bench.drive.stop_reason == "no command for 101 ms"
+
+
+def test_command_during_the_damped_hold_takes_over_again(bench):
+    bench.command()
+    bench.tick(60)
+    bench.command()
+    assert bench.tick() == [Actuation.COMMANDED]
+    assert not bench.drive.stop_reason
+
+
+def test_commands_that_keep_coming_keep_the_arm_going(bench):
+    for _ in range(20):
+        bench.command()
+        assert set(bench.tick(20)) == {Actuation.COMMANDED}
+
+
+def test_stop_is_latched_and_the_first_reason_kept(bench):
+    bench.command()
+    bench.tick(150)
+    bench.drive.stop("another")
+    bench.command()
+    assert set(bench.tick(50)) == {Actuation.BRAKED}
+    assert bench.drive.stop_reason == "no command for 101 ms"
+
+
+def test_stop_on_demand_closes_the_brakes_at_once(bench):
+    bench.command()
+    bench.tick()
+    bench.drive.stop("button")
+    assert bench.tick() == [Actuation.BRAKED]
+    assert bench.drive.stop_reason == "button"
+
+
+def test_after_a_reset_the_brakes_open_with_the_next_command(bench):
+    bench.command()
+    bench.tick(150)
+    bench.command()
+    bench.drive.reset()
+    assert bench.drive.stop_reason == ""
+    assert set(bench.tick(200)) == {Actuation.BRAKED}
+    bench.command()
+    assert bench.tick() == [Actuation.COMMANDED]
+
+
+def test_without_a_watchdog_the_last_torque_is_held_for_ever_but_brakes_close_on_demand():
+    bench = Bench(enabled=False)
+    bench.command()
+    assert set(bench.tick(2000)) == {Actuation.COMMANDED}
+    bench.drive.stop("button")
+    assert bench.tick() == [Actuation.BRAKED]
+
+
+def test_falling_arm_is_caught(bench):
+    # The last command does not hold the arm; silence must not let it fall.
+    bench.command(REST)
+    bench.tick(400)
+    speed = np.abs(bench.drive.plant.data.qvel).max()
+    assert speed < 1e-3
+    assert bench.displacement < 0.1
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (np.zeros(6), "data has 6 values; expected 7"),
+        (np.zeros(0), "data has 0 values; expected 7"),
+        (np.zeros((7, 1)), "expected 7"),
+        (np.array([0, 0, math.nan, 0, 0, 0, 0]), "expected finite torques"),
+        (np.array([0, 0, math.inf, -math.inf, 0, 0, 0]), "expected finite torques"),
+    ],
+)
+def test_bad_commands_are_refused_and_counted_and_the_last_one_stays(bench, command, message):
+    bench.command(GRAVITY)
+    bench.tick(5)
+    with pytest.raises(InputError, match=f"^effort_controller/commands: .*{message}"):
+        bench.command(command)
+    assert bench.drive.rejected == 1
+    bench.tick(5)
+    np.testing.assert_array_equal(bench.drive.plant.read().torque, GRAVITY)
+
+
+def test_bad_commands_do_not_feed_the_watchdog(bench):
+    bench.command()
+    for _ in range(150):
+        with pytest.raises(InputError):
+            bench.command(np.full(ARM.n, math.nan))
+        bench.tick()
+    assert bench.drive.rejected == 150
+    assert bench.drive.stop_reason
+
+
+def test_bad_first_command_does_not_open_the_brakes(bench):
+    with pytest.raises(InputError):
+        bench.command(np.full(ARM.n, math.nan))
+    assert set(bench.tick(50)) == {Actuation.BRAKED}
+
+
+@pytest.mark.parametrize(("hold_after", "stop_after"), [(0.1, 0.1), (0.2, 0.1)])
+def test_a_stop_that_comes_no_later_than_the_hold_is_refused(hold_after, stop_after):
+    message = f"hold_after = {hold_after:g}: expected less than stop_after, 0.1 s"
+    with pytest.raises(SettingsError, match=message):
+        WatchdogSettings(hold_after=hold_after, stop_after=stop_after)
+    assert WatchdogSettings(hold_after=0.099, stop_after=stop_after).stop_after == stop_after
+
+
+@pytest.mark.parametrize(("speed", "stops"), [(1.09, False), (1.11, True)])
+def test_a_joint_that_is_too_fast_closes_the_brakes(bench, speed, stops):
+    bench.command()
+    bench.tick()
+    bench.drive.plant.data.qvel[4] = -speed * VELOCITY_LIMITS[4]
+    bench.command()
+    bench.tick()
+    assert bool(bench.drive.stop_reason) == stops
+    if stops:
+        assert bench.drive.stop_reason.startswith("lbr_A5 moves with 2.5")
+        bench.tick(200)
+        assert np.abs(bench.drive.plant.data.qvel).max() < 1e-3
+
+
+def test_without_a_speed_limit_the_drive_goes_on():
+    drive = Drive(ideal_plant(), WatchdogSettings(open_after=0.0, speed_share=0.0))
+    drive.command(GRAVITY, 0)
+    drive.tick(0)
+    drive.plant.data.qvel[4] = 3.0 * VELOCITY_LIMITS[4]
+    drive.tick(TICK_NS)
+    assert not drive.stop_reason

@@ -1,0 +1,247 @@
+"""The simulated robot at rest, braked, commanded and wrong."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, NO_FRICTION, REST, TORQUE_LIMITS, ideal_plant, random_states
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+
+FRICTION = JointSettings()
+
+
+def run(plant: Plant, seconds: float, command: np.ndarray | None = None) -> None:
+    for _ in range(round(seconds / TICK)):
+        plant.step(command)
+
+
+def joint_speed(plant: Plant) -> float:
+    return float(np.abs(plant.data.qvel[: ARM.n]).max())
+
+
+@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MismatchSettings()], ids=["none", "mismatch"])
+def test_brakes_hold_the_arm_from_the_first_step_on(mismatch):
+    for q in 0.9 * random_states(3)[0]:
+        plant = ideal_plant(q, joints=FRICTION, mismatch=mismatch)
+        assert plant.actuation is Actuation.BRAKED
+        run(plant, 0.5)
+        assert np.abs(plant.data.qpos - q).max() < 1e-9
+
+
+def test_brakes_hold_against_a_push():
+    plant = ideal_plant(joints=FRICTION)
+    before = plant.tip_position
+    plant.data.xfrc_applied[plant.model.body(ARM.link_names[-1]).id, :3] = (0.0, 10.0, -10.0)
+    run(plant, 1.0)
+    assert np.linalg.norm(plant.tip_position - before) < 5e-4
+
+
+def test_brakes_stop_a_fast_arm():
+    plant = ideal_plant(joints=FRICTION)
+    plant.data.qvel[:] = [1.4, -1.4, 1.7, 1.3, -2.2, 2.3, 2.3]
+    run(plant, 0.15)
+    assert joint_speed(plant) < 1e-3
+    assert np.abs(plant.data.qpos - HOME).max() < 0.2
+
+
+def test_damped_hold_brings_the_arm_to_rest_without_a_jolt():
+    plant = ideal_plant(joints=FRICTION)
+    plant.set_actuation(Actuation.DAMPED_HOLD)
+    plant.data.qvel[:] = [1.0, -0.6, 1.0, 0.6, -1.5, 1.5, 1.5]
+    speeds = []
+    for _ in range(1500):
+        plant.step()
+        speeds.append(joint_speed(plant))
+    assert speeds[-1] < 0.01
+    assert speeds[50] > 0.3
+    at_rest = plant.data.qpos.copy()
+    run(plant, 0.5)
+    assert np.abs(plant.data.qpos - at_rest).max() < 1e-3
+
+
+def test_commanded_arm_needs_a_command():
+    plant = ideal_plant()
+    plant.set_actuation(Actuation.COMMANDED)
+    with pytest.raises(ValueError, match="got no command"):
+        plant.step()
+    assert plant.steps == 0
+
+
+def test_commanded_torque_moves_the_arm_as_the_model_says():
+    plant, model = ideal_plant(), RobotModel(ARM)
+    plant.step()
+    plant.set_actuation(Actuation.COMMANDED)
+    random = np.random.default_rng(0)
+    for _ in range(100):
+        q, v = plant.data.qpos.copy(), plant.data.qvel.copy()
+        model.update(q, v)
+        command = model.gravity + random.uniform(-5, 5, 7)
+        acceleration = np.linalg.solve(model.mass_matrix, command - model.bias)
+        plant.step(command)
+        np.testing.assert_allclose(plant.data.qvel, v + TICK * acceleration, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(plant.data.qpos, q + TICK * plant.data.qvel, rtol=0, atol=1e-12)
+
+
+def test_commands_are_capped_at_the_data_sheets_limits():
+    plants = [ideal_plant(), ideal_plant()]
+    for plant, command in zip(plants, (1e6 * np.ones(7), TORQUE_LIMITS), strict=True):
+        plant.set_actuation(Actuation.COMMANDED)
+        run(plant, 0.02, command)
+    np.testing.assert_array_equal(plants[0].data.qpos, plants[1].data.qpos)
+    np.testing.assert_array_equal(plants[0].read().torque, TORQUE_LIMITS)
+
+
+def test_dry_friction_holds_against_less_and_yields_to_more():
+    moved = {}
+    for share in (0.5, 2.0):
+        plant, model = ideal_plant(joints=FRICTION), RobotModel(ARM)
+        plant.set_actuation(Actuation.COMMANDED)
+        push = np.eye(ARM.n)[0] * share * FRICTION.coulomb_friction
+        for _ in range(1000):
+            plant.step(model.gravity_at(plant.data.qpos) + push)
+        moved[share] = abs(plant.data.qpos[0] - HOME[0])
+    assert moved[2.0] > 10 * moved[0.5]
+
+
+def test_viscous_friction_takes_its_share_of_the_torque():
+    viscous = JointSettings(viscous_friction=4.0, coulomb_friction=0.0)
+    plant, model = ideal_plant(joints=viscous), RobotModel(ARM)
+    plant.set_actuation(Actuation.COMMANDED)
+    push = np.eye(ARM.n)[6] * 2.0
+    for _ in range(300):
+        plant.step(model.gravity_at(plant.data.qpos) + push)
+    assert plant.data.qvel[6] == pytest.approx(2.0 / 4.0, rel=0.01)
+
+
+class TestMismatch:
+    def test_model_error_is_as_large_as_the_inertia_sets_differ(self):
+        plant = ideal_plant(mismatch=MismatchSettings(payload=0.0))
+        true = RobotModel(ARM, "alternative").gravity_at(HOME)
+        np.testing.assert_allclose(plant.data.qfrc_bias, true, rtol=0, atol=1e-9)
+        assert np.abs(true - RobotModel(ARM).gravity_at(HOME)).max() > 1.0
+
+    def test_payload_pulls_the_flange_down(self):
+        payload = 2.0
+        with_payload, without = (ideal_plant(mismatch=MismatchSettings(payload=mass)) for mass in (payload, 0.0))
+        model = RobotModel(ARM)
+        model.update(HOME, REST)
+        # The payload hangs 5 cm in front of the flange.
+        lever = model.rotation @ (0.0, 0.0, 0.05)
+        force = np.array([0.0, 0.0, payload * 9.81])
+        expected = model.jacobian.T @ np.concatenate([force, np.cross(lever, force)])
+        difference = with_payload.data.qfrc_bias - without.data.qfrc_bias
+        np.testing.assert_allclose(difference, expected, rtol=0, atol=1e-9)
+
+    def test_friction_is_scaled(self):
+        speeds = {}
+        for scale in (1.0, 5.0):
+            mismatch = MismatchSettings(payload=0.0, friction_scale=scale)
+            viscous = JointSettings(viscous_friction=0.5, coulomb_friction=0.0)
+            plant = ideal_plant(joints=viscous, mismatch=mismatch)
+            plant.set_actuation(Actuation.COMMANDED)
+            model = RobotModel(ARM, "alternative")
+            for _ in range(300):
+                plant.step(model.gravity_at(plant.data.qpos) + np.eye(ARM.n)[6])
+            speeds[scale] = plant.data.qvel[6]
+        assert speeds[1.0] == pytest.approx(5.0 * speeds[5.0], rel=0.02)
+
+    def test_noise_is_scaled(self):
+        plain, noisy = (
+            ideal_plant(sensors=SensorSettings(position_resolution=0.0), mismatch=MismatchSettings(noise_scale=scale))
+            for scale in (1.0, 4.0)
+        )
+        for reading, larger in ((plain.read(), noisy.read()) for _ in range(10)):
+            np.testing.assert_allclose(larger.position - HOME, 4.0 * (reading.position - HOME), rtol=1e-6)
+            np.testing.assert_allclose(larger.velocity, 4.0 * reading.velocity)
+
+    def test_inertias_may_stay_nominal(self):
+        plant = ideal_plant(mismatch=MismatchSettings("nominal", payload=0.0))
+        np.testing.assert_allclose(plant.data.qfrc_bias, RobotModel(ARM).gravity_at(HOME), rtol=0, atol=1e-9)
+
+
+class TestSensors:
+    NOISY = SensorSettings(position_noise=2e-4, position_resolution=1e-4, velocity_noise=3e-3, torque_noise=0.2)
+
+    def test_ideal_sensors_say_what_is(self):
+        plant = ideal_plant(joints=NO_FRICTION)
+        plant.set_actuation(Actuation.COMMANDED)
+        command = np.arange(7.0)
+        run(plant, 0.05, command)
+        reading = plant.read()
+        np.testing.assert_array_equal(reading.position, plant.data.qpos)
+        np.testing.assert_array_equal(reading.velocity, plant.data.qvel)
+        np.testing.assert_array_equal(reading.torque, command)
+
+    def test_noise_has_the_declared_spread_and_no_offset(self):
+        plant = ideal_plant(sensors=self.NOISY)
+        plant.set_actuation(Actuation.COMMANDED)
+        command = RobotModel(ARM).gravity_at(HOME)
+        plant.step(command)
+        readings = [plant.read() for _ in range(3000)]
+        rounding = self.NOISY.position_resolution / np.sqrt(12)
+        for name, true, spread in (
+            ("position", plant.data.qpos, np.hypot(self.NOISY.position_noise, rounding)),
+            ("velocity", plant.data.qvel, self.NOISY.velocity_noise),
+            ("torque", command, self.NOISY.torque_noise),
+        ):
+            errors = np.array([getattr(reading, name) for reading in readings]) - true
+            assert np.std(errors) == pytest.approx(spread, rel=0.05), name
+            assert np.abs(errors.mean(axis=0)).max() < 0.1 * spread, name
+            assert np.abs(np.corrcoef(errors.T) - np.eye(ARM.n)).max() < 0.1, name
+
+    def test_positions_are_multiples_of_the_resolution(self):
+        steps = ideal_plant(sensors=self.NOISY).read().position / self.NOISY.position_resolution
+        np.testing.assert_allclose(steps, np.rint(steps), rtol=0, atol=1e-6)
+
+    @pytest.mark.parametrize("actuation", [Actuation.BRAKED, Actuation.DAMPED_HOLD])
+    def test_torque_is_unknown_unless_commanded(self, actuation):
+        plant = ideal_plant(sensors=self.NOISY)
+        plant.set_actuation(Actuation.COMMANDED)
+        plant.step(REST)
+        plant.set_actuation(actuation)
+        plant.step()
+        reading = plant.read()
+        assert np.isnan(reading.torque).all()
+        assert np.isfinite(reading.position).all()
+        assert np.isfinite(reading.velocity).all()
+
+
+def recording(seed: int) -> np.ndarray:
+    """Everything that can be seen of a short episode among obstacles."""
+    scene = make_scene(read_scene("ball"), ARM, seed)
+    plant = Plant(scene, SensorSettings(), JointSettings())
+    plant.set_actuation(Actuation.COMMANDED)
+    rows, model = [], RobotModel(ARM)
+    for _ in range(300):
+        reading = plant.read()
+        plant.step(model.gravity_at(reading.position) + np.array([0, 8, 0, 4, 0, 0, 0]))
+        values = (
+            reading.position,
+            reading.velocity,
+            reading.torque,
+            plant.contact_forces(),
+            plant.obstacle_positions()[0],
+        )
+        rows.append(np.concatenate(values))
+    return np.array(rows)
+
+
+def test_same_seed_same_readings_bit_for_bit():
+    first = recording(3)
+    np.testing.assert_array_equal(first, recording(3))
+    assert not np.array_equal(first[:, :7], recording(4)[:, :7])
+
+
+def test_time_is_counted_in_ticks():
+    plant = ideal_plant()
+    run(plant, 0.25)
+    assert plant.time == pytest.approx(0.25)
+    assert plant.data.time == pytest.approx(0.25)
+
+
+def test_contact_bodies_are_the_links_with_capsules():
+    assert list(ARM.contact_links) == [f"lbr_link_{number}" for number in range(2, 8)]

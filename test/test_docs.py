@@ -1,0 +1,257 @@
+"""Every command in the documentation is one that there is, and those that need no robot do what they should."""
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from docs_commands import NODE, PROGRAM, ROOT, Command, commands
+from ros_domains import fresh_domain
+
+from contact_reach_ros.bringup.bringup import CHANGEABLE
+from contact_reach_ros.bringup.bringup import SECTIONS as BRINGUP
+from contact_reach_ros.bringup.processes import BringupOptions
+from contact_reach_ros.cli import _parser, main
+from contact_reach_ros.doctor import fault_tool
+from contact_reach_ros.messages import topics
+from contact_reach_ros.node_settings import SECTIONS
+from contact_reach_ros.nodes import replay
+from contact_reach_ros.ros.interfaces import INTERFACES
+from contact_reach_ros.ros.parameters import check_arguments
+
+COMMANDS = commands()
+PARSER = _parser()
+SHELL = ("cd", "export", "for", "printf", "source")
+INSTALLING = ("make venv", "make build", "python3 -m venv own", "own/bin/pip install")
+TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def check_node(name, arguments):
+    if name in ("replay", "faults"):
+        (replay if name == "replay" else fault_tool).make_parser(name).parse_args(arguments)
+    else:
+        assert arguments[:1] in ([], ["--ros-args"]), arguments
+        check_arguments([name, *arguments], name, {**SECTIONS, "bringup": BRINGUP}[name])
+
+
+def check_ros2(words):
+    match words:
+        case ["run", "contact_reach_ros", name, *arguments]:
+            check_node(name, arguments)
+        case ["launch", "contact_reach_ros", "bringup.launch.py", *arguments]:
+            given = dict(text.split(":=") for text in arguments)
+            BringupOptions.from_mapping({name: yaml.safe_load(text) for name, text in given.items()}, "launch")
+        case ["topic", "pub", "--once", name, kind, content]:
+            assert kind == topics.find(name).type_name and isinstance(yaml.safe_load(content), dict)
+        case ["service", "call", name, "std_srvs/srv/Trigger"]:
+            _, node, service = name.split("/")
+            assert f"~/{service}" in INTERFACES[node].serves
+        case ["param", "set", "/bringup", name, value]:
+            assert name in CHANGEABLE and value
+        case _:
+            assert words[0] in ("security", "pkg"), words
+
+
+def check_program(arguments):
+    options = vars(PARSER.parse_args(arguments))
+    if arguments[0] == "fault":
+        fault_tool.make_parser("fault").parse_args(arguments[1:])
+    if arguments[0] == "up":
+        names = {entry.name for entry in BringupOptions.declared()}
+        BringupOptions.from_mapping({name: value for name, value in options.items() if name in names}, "up")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: f"{command.page}: {command.line[:60]}")
+def test_every_command_is_one_that_there_is(command):
+    program, *arguments = command.words
+    if program in PROGRAM:
+        check_program(arguments)
+    elif node := NODE.fullmatch(program):
+        check_node(node[1], arguments)
+    elif program == "ros2":
+        check_ros2(arguments)
+    elif program == "make":
+        assert arguments[0] in TARGETS
+        for text in arguments[1:]:
+            check_program([arguments[0], *shlex.split(text.removeprefix("ARGS="))])
+    else:
+        assert program in SHELL or command.line.startswith(INSTALLING), command
+
+
+def test_what_up_takes_is_what_bringup_takes():
+    (chosen,) = (action for action in PARSER._actions if isinstance(action, argparse._SubParsersAction))
+    taken = {action.dest for action in chosen.choices["up"]._actions} - {"help"}
+    assert taken == {entry.name for entry in BringupOptions.declared()}
+
+
+def test_every_command_explains_itself():
+    waiting = [PARSER]
+    while waiting:
+        parser = waiting.pop()
+        assert parser.format_help()
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                waiting += action.choices.values()
+
+
+def test_every_ros2_command_has_a_form_without_ros():
+    for page in {command.page for command in COMMANDS if command.page.startswith("msg_docs")}:
+        programs = [command.words[0] for command in COMMANDS if command.page == page]
+        assert any(program in PROGRAM or NODE.fullmatch(program) for program in programs), page
+
+
+def test_packages_are_installed_into_an_environment_only():
+    """Debian 12 and Ubuntu 24.04 refuse the rest, and the package itself is in no registry."""
+    lines = [command.line for command in COMMANDS if " install " in command.line]
+    assert lines and all(line.startswith(INSTALLING) for line in lines)
+    pages = [file.read_text() for folder in ("docs", "msg_docs") for file in (ROOT / folder).glob("*.md")]
+    assert not any("contact_reach_ros[" in page for page in [*pages, (ROOT / "README.md").read_text()])
+
+
+# What is run.
+
+NOT_RUN = {
+    r"ros2 |source /opt/ros|source install|cd \$\(ros2|for policy|export ROS_SEC|ROS_SECURITY": "needs ROS 2 sourced",
+    r"contact-reach bench ": "takes minutes to hours; test/experiments runs them smaller",
+    r"--no-driver": "needs a robot",
+    r"--discovery subnet": "opens the nodes to the network",
+    r"make (test|build|venv)|\bown\b": "installs: see the test of installation; make build: test_package",
+}
+ENDLESS = {
+    r"contact-reach up": "all nodes are active",
+    r"contact-reach view": "open http",
+    r"contact-reach demo .*--view": "the episode is over",
+    r"\.venv/bin/(?!replay|contact-reach)": "active",
+}
+"""Commands that run until Ctrl-C, with what they print when they are up."""
+WITH_STACK = r"contact-reach (goto|stop|reset|doctor)"
+OTHER_CODES = {r"contact-reach doctor": (0, 1), r"\.venv/bin/(?!replay|contact-reach)": (0, -signal.SIGINT)}
+"""The doctor may find fault with the machine; a node that has just become active ends by the signal itself."""
+SMALL = {"planner": {"planning": {"population": 32, "elite": 8, "line_search_points": 32, "max_steps": 3}}}
+ANY_PORT = {"viewer": {"port": 0}}
+
+
+def is_run(command: Command) -> bool:
+    return not any(re.search(pattern, command.line) for pattern in NOT_RUN)
+
+
+def adapted(line: str) -> str:
+    """The command as it is run here: in lockstep or fast, on any port, with names filled in, into bags that are new."""
+    line = re.sub(r"^make demo(?: ARGS=\"?(.*?)\"?)?$", lambda found: f"contact-reach demo {found[1] or ''}", line)
+    line = re.sub(r"\bOTHER_BAG\b", "bags/first", re.sub(r"\bBAG\b", "bags/sample", line)).replace("<date>", "*[0-9]")
+    line = re.sub(r"(--bag |bag:=|--output )bags/(first|sample)", r"\1bags/new_\2", line).replace(" --loop", "")
+    if re.search(r"contact-reach (demo|up)", line):
+        line += " --lockstep" * ("--lockstep" not in line)
+    if ".venv/bin/replay" in line:
+        line = re.sub(r" --rate \S+|$", " --rate 50", line, count=1)
+    if "contact-reach up" in line:
+        line += " --parameters small.yaml"
+    elif "--view" in line:
+        line += " --parameters any_port.yaml"
+    return line + " --port 0" * ("contact-reach view" in line)
+
+
+@pytest.mark.parametrize("line", ["bag info bags/sample", "report bags/sample -o report.html"])
+def test_commands_on_the_sample_bag(line, tmp_path, monkeypatch, capsys):
+    assert f"contact-reach {line}" in [command.line for command in COMMANDS]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bags").symlink_to(ROOT / "bags")
+    with pytest.raises(SystemExit) as ended:
+        main(shlex.split(line))
+    assert ended.value.code == 0 and capsys.readouterr().out
+
+
+def test_enough_commands_are_run():
+    assert sum(map(is_run, COMMANDS)) >= 30
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder like a checkout, for one command after the other."""
+    folder = tmp_path_factory.mktemp("checkout")
+    (folder / ".venv").mkdir()
+    (folder / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
+    for bag in ("sample", "first"):
+        shutil.copytree(ROOT / "bags" / "sample", folder / "bags" / bag)
+    (folder / "my_scene.yaml").write_text("base: free\n")
+    for name, nodes in {"small": {**SMALL, **ANY_PORT}, "any_port": ANY_PORT}.items():
+        sections = {node: {"ros__parameters": values} for node, values in nodes.items()}
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(sections))
+    return folder
+
+
+def environment() -> dict[str, str]:
+    """Of a domain that nothing else uses, with the commands in the path."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    inherited = {name: value for name, value in os.environ.items() if name != "ROS_AUTOMATIC_DISCOVERY_RANGE"}
+    return {**inherited, "PATH": path, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(fresh_domain())}
+
+
+def until_up(line: str, marker: str, folder: Path, env: dict[str, str], output: Path) -> subprocess.Popen:
+    """Start a command and wait for what it prints when it is up."""
+    with output.open("wb") as file:
+        process = subprocess.Popen(
+            ["bash", "-c", f"exec {line}"], cwd=folder, env=env, stdout=file, stderr=subprocess.STDOUT
+        )
+    deadline = time.monotonic() + 300
+    while marker not in output.read_text():
+        assert process.poll() is None and time.monotonic() < deadline, f"{line}: {output.read_text()}"
+        time.sleep(0.1)
+    return process
+
+
+def interrupt(process: subprocess.Popen) -> int:
+    process.send_signal(signal.SIGINT)
+    try:
+        return process.wait(60)
+    finally:
+        process.kill()
+
+
+@pytest.fixture(scope="module")
+def stack(folder):
+    """Environment of a running stack."""
+    env = environment()
+    line = "contact-reach up --scene free --lockstep --parameters small.yaml"
+    process = until_up(line, "all nodes are active", folder, env, folder / "stack.txt")
+    yield env
+    assert interrupt(process) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", sorted({command.page for command in COMMANDS if is_run(command)}))
+def test_commands_that_need_no_robot(page, folder, request):
+    for command in COMMANDS:
+        if command.page != page or not is_run(command):
+            continue
+        line = adapted(command.line)
+        env = request.getfixturevalue("stack") if re.search(WITH_STACK, line) else environment()
+        marker = next((marker for pattern, marker in ENDLESS.items() if re.search(pattern, line)), "")
+        output = folder / "output.txt"
+        if marker:
+            code = interrupt(until_up(line, marker, folder, env, output))
+        else:
+            with output.open("wb") as file:
+                run = subprocess.run(["bash", "-c", line], cwd=folder, env=env, stdout=file, stderr=file, timeout=600)
+            code = run.returncode
+        permitted = next((codes for pattern, codes in OTHER_CODES.items() if re.search(pattern, line)), (0,))
+        assert code in permitted, f"{page}: {line}: exit code {code}\n{output.read_text()}"
+
+
+@pytest.mark.slow
+def test_packages_can_be_installed(tmp_path):
+    """pip resolves what the lines ask for, from a registry and for this Python, and installs nothing."""
+    shutil.copytree(ROOT, tmp_path / "copy", ignore=shutil.ignore_patterns(".venv", ".git", "bags", "build", "install"))
+    env = {**os.environ, "PIP_DRY_RUN": "1"}
+    lines = [command.line for command in COMMANDS if command.line.startswith(INSTALLING)]
+    for line in dict.fromkeys(["make venv", *(line for line in lines if not line.startswith("make build"))]):
+        run = subprocess.run(["bash", "-c", line], cwd=tmp_path / "copy", env=env, capture_output=True, text=True)
+        assert run.returncode == 0, f"{line}: {run.stdout}\n{run.stderr}"

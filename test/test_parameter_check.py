@@ -1,0 +1,80 @@
+"""A parameter file and what is changed in it are checked as a whole, before anything starts."""
+
+import pytest
+import yaml
+
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.node_settings import ALL_SECTIONS
+from contact_reach_ros.parameter_check import check_parameters
+from contact_reach_ros.parameter_files import NODES, parameters_in
+from contact_reach_ros.resources import config_file
+
+STACK = {"driver": {}, "controller": {}, "observer": {}, "planner": {}}
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(**nodes):
+        file = tmp_path / "own.yaml"
+        file.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
+        return file
+
+    return write
+
+
+def test_the_packages_own_file_passes():
+    check_parameters(config_file("default.yaml"), STACK)
+    assert list(ALL_SECTIONS) == list(NODES)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ({"plannner": {"period": 0.1}}, "unknown node 'plannner'; did you mean 'planner'"),
+        ({"/arm/planner": {}}, "unknown node '/arm/planner'"),
+        ({"xyz": {}}, "unknown node 'xyz'; known nodes: adapter, bringup, controller"),
+        ({"planner": {"perod": 0.1}}, "planner: unknown key 'perod'; did you mean 'period'"),
+        ({"/**": {"period": 0.1}}, "driver: unknown key 'period'"),
+        ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
+        ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
+        ({"controller": {"state_rate": 5}}, "controller: state_rate = 5: expected a number in"),
+        ({"/**": {"robot": "r2"}}, "robot = 'r2': expected one of iiwa14"),
+        ({"driver": {"watchdog": {"hold_after": 0.5}}}, "driver: .*hold_after = 0.5: expected less than stop_after"),
+        (
+            {"planner": {"impedance": {"task_damping": 50.0}}},
+            "planner: unknown key 'impedance.task_damping'; set it for the controller",
+        ),
+        ({"controller": {"impedance": {"null_damping": 50.0}}}, "null_damping = 50 are not stable at 1000 Hz"),
+        ({"planner": {"state_rate": 500.0}}, "state_rate = .*1000.0 for the controller.* 500.0 for the planner"),
+        ({"/**": {"state_rate": 300.0}}, "the simulated robot has a whole number of milliseconds"),
+        ({"observer": {"contact_budget": "/no/such.yaml"}}, "/no/such.yaml: cannot be read"),
+    ],
+)
+def test_what_is_wrong_is_named(written, nodes, message):
+    with pytest.raises(SettingsError, match=message):
+        check_parameters(written(**nodes), STACK)
+
+
+def test_planner_and_observer_must_have_the_same_budget(written, tmp_path):
+    own = tmp_path / "budget.yaml"
+    own.write_text("permitted_force: 20.0\n")
+    with pytest.raises(SettingsError, match="planner and observer read different contact budgets"):
+        check_parameters(written(planner={"contact_budget": str(own)}))
+    check_parameters(written(planner={"contact_budget": str(own)}, observer={"contact_budget": str(own)}))
+
+
+def test_what_is_given_on_top_of_the_file_counts(written):
+    file = written(adapter={"hold_after": 0.003})
+    rate = {name: {"state_rate": 500.0} for name in STACK}
+    check_parameters(file, rate)
+    with pytest.raises(SettingsError, match=r"hold_after = .*: expected at least two periods"):
+        check_parameters(file, {**rate, "adapter": {"state_rate": 500.0}})
+    with pytest.raises(SettingsError, match=r"state_rate = .* for the observer"):
+        check_parameters(file, {**rate, "observer": {}})
+
+
+@pytest.mark.parametrize("wildcard", ["/**", "/*", "**", "/**/controller", "controller", "/controller"])
+def test_wildcards_mean_what_they_mean_in_ros(written, wildcard):
+    """As tried with rclpy; of two sections for a node the later one holds."""
+    assert parameters_in(written(**{wildcard: {"cpus": "0"}}), "controller") == {"cpus": "0"}
+    assert parameters_in(written(**{"/*/controller": {"cpus": "0"}}), "controller") == {}

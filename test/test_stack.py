@@ -1,0 +1,448 @@
+"""Observer, planner and controller around one robot, as a library has them."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, TICK_NS
+from plans import make_plan
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import InputError, PlanningError, SettingsError
+from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.stack import Stack, Tick
+from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import Spheres
+from contact_reach_ros.world.task import FREE, Goal
+
+SMALL = PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
+FREE_SCENE = load_scene("free")
+GOAL = Goal(FREE_SCENE.target)
+BEYOND = Goal([5.0, 0.0, 0.0])
+
+
+class StayingCore:
+    """Plans to stay where the arm is, without compiling anything; keeps what it was asked."""
+
+    def __init__(self, failing_after: int | None = None) -> None:
+        self.asked: list[tuple] = []
+        self.failing_after = failing_after
+        self.model = RobotModel(ARM)
+
+    def warm_up(self, progress) -> None:
+        pass
+
+    def reset(self) -> None:
+        pass
+
+    def reseed(self, seed: int) -> None:
+        pass
+
+    def history(self) -> None:
+        return None
+
+    def go_on_from(self, history: None) -> None:
+        pass
+
+    def plan(self, q, v, state_ns, effect_ns, goal, spheres):
+        if len(self.asked) == self.failing_after:
+            raise PlanningError("there is no way to the goal")
+        self.asked.append((q, v, state_ns, effect_ns, goal, spheres))
+        position, rotation = self.model.tip_pose(q)
+        return make_plan(position[None], rotation[None], q[None], effect_ns=effect_ns, knot_duration_s=0.2)
+
+
+class PlainRobot:
+    """MuJoCo's arm in a loop: no obstacles, sensors without noise, commands that act at once."""
+
+    stop_reason = ""
+    is_open = True
+
+    def __init__(self, start: np.ndarray = HOME, steps: int = 1) -> None:
+        """`steps`: number of milliseconds from one joint state to the next."""
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(ARM))
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = start
+        self.steps = steps
+        self.commands: list[np.ndarray] = []
+        self._acting = np.full(ARM.n, math.nan)
+
+    def command(self, torque: np.ndarray, clock_ns: int) -> None:
+        self.commands.append(torque)
+        self._acting = torque
+
+    def step(self, clock_ns: int) -> Sequence[InputError]:
+        self.data.ctrl[:] = self._acting
+        for _ in range(self.steps):
+            mujoco.mj_step(self.model, self.data)
+        return ()
+
+    def read(self) -> list[JointState]:
+        stamp_ns = round(1e9 * self.data.time)
+        return [JointState(stamp_ns, self.data.qpos.copy(), self.data.qvel.copy(), self._acting)]
+
+    def obstacles(self) -> Spheres | None:
+        return None
+
+    def contact_forces(self) -> np.ndarray | None:
+        return None
+
+
+class OddRobot(PlainRobot):
+    """One whose states are changed on their way, by the number of the state."""
+
+    def __init__(self, change) -> None:
+        super().__init__()
+        self._change, self._reads = change, 0
+
+    def read(self) -> list[JointState]:
+        self._reads += 1
+        return self._change(self._reads - 1, super().read())
+
+
+def watched(stack: Stack, goal: Goal = GOAL, timeout: float = 6.0) -> tuple:
+    """The result of a run, and torques, joint angles and stamps of all of it."""
+    ticks: list[Tick] = []
+    result = stack.run(goal, timeout, ticks.append)
+    torques = np.array([tick.torque for tick in ticks])
+    return result, torques, np.array([tick.state.q for tick in ticks]), [tick.state.stamp_ns for tick in ticks]
+
+
+def distance_from_target(q: np.ndarray) -> float:
+    return float(np.linalg.norm(RobotModel(ARM).tip_pose(q)[0] - FREE_SCENE.target))
+
+
+def assert_identical(first: tuple, second: tuple) -> None:
+    assert first[0] == second[0]
+    np.testing.assert_array_equal(first[1], second[1])
+    np.testing.assert_array_equal(first[2], second[2])
+    assert first[3] == second[3]
+
+
+@pytest.fixture(scope="module")
+def free_run() -> tuple:
+    return watched(Stack(FREE_SCENE, planning=SMALL, seed=1))
+
+
+@pytest.fixture(scope="module")
+def core() -> RecedingHorizonPlanner:
+    """Of stacks that need not compile one of their own; each resets it."""
+    made = RecedingHorizonPlanner(ARM, dataclasses.replace(SMALL, seed=1), ImpedanceSettings(), 10.0, 0)
+    made.warm_up(lambda line: None)
+    return made
+
+
+def staying(**others) -> Stack:
+    return Stack(FREE_SCENE, planner=StayingCore(), **others)
+
+
+class TestRun:
+    def test_it_reaches_a_goal(self, free_run):
+        result, torques, angles, stamps = free_run
+        assert result.reached and not result.stop_reason
+        assert result.distance <= GOAL.tolerance
+        assert 1.0 < result.duration < 6.0
+        assert result.max_contact_force == 0.0
+        # One each 30 ms, and the first at once.
+        assert result.plans == 1 + round(1000 * result.duration - 1) // 30
+        assert np.isfinite(torques).all() and (np.abs(torques) <= ARM.torque_limits).all()
+        assert distance_from_target(angles[-1]) == pytest.approx(result.distance, abs=1e-9)
+        assert set(np.diff(stamps)) == {TICK_NS}
+
+    def test_same_seed_same_result_and_other_seeds_other_ones(self, free_run):
+        assert_identical(free_run, watched(Stack(FREE_SCENE, planning=SMALL, seed=1)))
+        other = watched(Stack(FREE_SCENE, planning=SMALL, seed=2), timeout=0.1)
+        assert not np.array_equal(other[1], free_run[1][: len(other[1])])
+
+    def test_the_arm_goes_on_to_another_goal_and_back(self, core):
+        stack = Stack(FREE_SCENE, planner=core)
+        start = stack.tip_position
+        assert stack.run(GOAL, 6.0).reached
+        result = stack.run(Goal(start, tolerance=0.02), 8.0)
+        assert result.reached and np.linalg.norm(stack.tip_position - start) <= 0.02
+
+    def test_a_goal_that_is_not_reached_in_time(self):
+        result = staying().run(GOAL, 0.3)
+        assert not result.reached and not result.stop_reason
+        assert math.isnan(result.duration)
+        assert result.distance == pytest.approx(distance_from_target(FREE_SCENE.start), rel=0.01)
+        assert result.plans == 10
+
+    def test_it_may_go_on_for_a_while_after_the_goal(self):
+        stack, seen = staying(), []
+        result = stack.run(Goal(stack.tip_position, tolerance=0.05), 1.0, seen.append, linger=0.25)
+        assert result.reached and result.duration == 0.001
+        assert len(seen) == 251
+
+    @pytest.mark.parametrize("act", [Stack.run, Stack.plan, Stack.command])
+    def test_a_goal_that_cannot_be_reached_is_refused_before_anything_moves(self, act):
+        stack = staying()
+        with pytest.raises(InputError, match=r"goal: position is .*the arm reaches"):
+            act(stack, BEYOND)
+            stack.step()
+        assert stack.planner.goal is None
+
+    def test_commands_may_be_the_observers_torque_source(self):
+        stack = staying(observer=ObserverSettings(torque_source=COMMANDED))
+        stack.settle(1.2)
+        assert stack.controller.started and not stack.stop_reason
+        assert stack.observer.momentum.known_for > 1.1
+        assert np.abs(stack.observer.momentum.residual).max() < 1.5
+
+    def test_a_planner_that_gives_up_ends_the_run_and_says_why(self):
+        stack = Stack(FREE_SCENE, planner=StayingCore(failing_after=3))
+        result = stack.run(GOAL, 2.0)
+        assert (result.reached, result.stop_reason, result.plans) == (False, "there is no way to the goal", 3)
+        assert not stack.stop_reason
+
+
+class TestPlan:
+    def test_it_leads_towards_the_goal(self, core):
+        stack = Stack(FREE_SCENE, planner=core)
+        plan = stack.plan(GOAL)
+        distances = np.linalg.norm(plan.predicted_positions - FREE_SCENE.target, axis=1)
+        assert distances[-1] < distances[0]
+        assert plan.effect_ns == stack.state.stamp_ns + stack.planner.settings.latency_ns
+
+    def test_the_stack_is_left_as_it_was(self, core, free_run):
+        plain = watched(Stack(FREE_SCENE, planner=core, seed=1))
+        assert_identical(plain, free_run)
+        stack, other, seen = Stack(FREE_SCENE, planner=core, seed=1), Goal([0.4, -0.3, 0.5], FREE), []
+
+        def look(tick: Tick) -> None:
+            if len(ticks) % 400 == 7:
+                seen.append(stack.plan(other))
+            ticks.append(tick)
+
+        ticks: list[Tick] = []
+        seen.append(stack.plan(GOAL))
+        result = stack.run(GOAL, 6.0, look)
+        assert len(seen) > 5
+        assert result == plain[0]
+        np.testing.assert_array_equal([tick.torque for tick in ticks], plain[1])
+        np.testing.assert_array_equal([tick.state.q for tick in ticks], plain[2])
+
+    @pytest.mark.parametrize("steps", [0, 1, 7, 39])
+    def test_it_knows_the_obstacles_also_between_the_moments_at_which_they_are_published(self, steps):
+        core = StayingCore()
+        stack = Stack(load_scene("ball"), planner=core)
+        for _ in range(steps):
+            stack.step()
+        stack.plan(Goal([0.5, 0.1, 0.3]))
+        assert len(core.asked[-1][-1]) == 1
+
+
+class TestStop:
+    def test_it_withdraws_the_goal_until_there_is_another_one(self):
+        stack = staying()
+        stack.settle()
+        stack.command(GOAL)
+        stack.step()
+        assert stack.planner.goal is not None
+        stack.controller.stop("enough")
+        ticks = [stack.step() for _ in range(200)]
+        assert stack.stop_reason == "enough"
+        assert stack.planner.goal is None
+        assert all(tick.plan is None for tick in ticks)
+        stack.reset()
+        assert not stack.stop_reason
+        assert all(stack.step().plan is None for _ in range(100))
+        stack.command(GOAL)
+        assert stack.step().plan is not None
+
+    def test_one_of_the_observer_ends_the_run_within_a_step(self):
+        stack, seen = staying(), []
+
+        def stop(tick: Tick) -> None:
+            seen.append(tick)
+            if len(seen) == 100:
+                stack.observer.stop("pushed")
+
+        result = stack.run(GOAL, 2.0, stop)
+        assert (result.reached, result.stop_reason) == (False, "pushed")
+        assert len(seen) == 101
+        assert seen[-1].report.level is SafetyLevel.COLLISION and seen[-1].report.has_news
+
+    def test_a_push_beyond_the_budget_stops_the_arm(self):
+        robot = SimulatedRobot(FREE_SCENE, noise_seed=0)
+        stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot)
+
+        def push(tick: Tick) -> None:
+            body = robot.plant.model.body(ARM.link_names[4]).id
+            robot.plant.data.xfrc_applied[body, :3] = 0.0, 0.0, -80.0
+
+        result = stack.run(GOAL, 1.0, push)
+        assert "torque on lbr_A" in result.stop_reason
+        with pytest.raises(InputError):
+            stack.reset()
+        assert stack.stop_reason == result.stop_reason
+
+
+class TestOwnRobot:
+    def test_a_plain_simulation_reaches_the_goal(self, core):
+        robot = PlainRobot(FREE_SCENE.start)
+        result = Stack(FREE_SCENE, planner=core, robot=robot).run(GOAL, 6.0)
+        assert result.reached
+        assert math.isnan(result.max_contact_force)
+        assert distance_from_target(robot.data.qpos.copy()) == pytest.approx(result.distance, abs=1e-9)
+
+    def test_one_that_reports_at_200_hz_does_too(self, core):
+        stack = Stack(FREE_SCENE, planner=core, robot=PlainRobot(FREE_SCENE.start, steps=5), period=0.005)
+        result, torques, _, stamps = watched(stack)
+        assert result.reached
+        assert set(np.diff(stamps)) == {5 * TICK_NS}
+        assert np.isfinite(torques).all()
+        assert stack.observer.monitor.contacts == 0 and stack.observer.momentum.gaps == 0
+
+    def test_one_that_does_not_report_obstacles_where_there_are_some_gets_no_plan(self):
+        stack = Stack(load_scene("ball"), planner=StayingCore(), robot=PlainRobot())
+        for ask in (stack.plan, stack.run):
+            with pytest.raises(InputError, match=r"^obstacles: none received yet; .*require_obstacles"):
+                ask(Goal([0.5, 0.1, 0.3]))
+
+    def test_one_that_reports_them_no_more_gets_no_plan(self):
+        class Blind(SimulatedRobot):
+            def obstacles(self) -> Spheres | None:
+                return super().obstacles() if self.plant.steps < 100 else None
+
+        stack = Stack(load_scene("ball"), planner=StayingCore(), robot=Blind(load_scene("ball")))
+        stack.settle(0.5)
+        stack.command(Goal([0.5, 0.1, 0.3]))
+        with pytest.raises(InputError, match=r"^obstacles: last seen 0\.5\d\d s ago"):
+            stack.settle(1.0)
+
+    def test_one_around_the_simulated_robot_changes_nothing_by_itself(self, core, free_run):
+        class Forwarding:
+            def __init__(self, inner: SimulatedRobot) -> None:
+                self._inner = inner
+
+            def __getattr__(self, name: str):
+                return getattr(self._inner, name)
+
+        robot = Forwarding(SimulatedRobot(FREE_SCENE, noise_seed=1))
+        assert_identical(watched(Stack(FREE_SCENE, planner=core, robot=robot)), free_run)
+
+    @pytest.mark.parametrize("field", ["q", "v"])
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    @pytest.mark.parametrize("number", [0, 50])
+    def test_a_state_that_is_not_finite_is_refused_and_named(self, field, value, number):
+        def change(count: int, states: list[JointState]) -> list[JointState]:
+            bad = np.where(np.arange(ARM.n) == 3, value, 0.0)
+            return [state._replace(**{field: bad}) if count == number else state for state in states]
+
+        stack = staying(robot=OddRobot(change))
+        name = {"q": "position", "v": "velocity"}[field]
+        with pytest.raises(InputError, match=rf"joint_states: {name} = .*{value}.*; expected finite values"):
+            stack.settle(0.1)
+        # Nothing is commanded before the observer has seen the first state.
+        assert len(stack.robot.commands) == max(number - 1, 0)
+
+    def test_torques_of_some_joints_only_stop_the_arm_and_are_named(self):
+        def change(count: int, states: list[JointState]) -> list[JointState]:
+            torque = np.where(np.arange(ARM.n) == 3, math.nan, 0.0)
+            return [state._replace(torque=torque) if count >= 50 else state for state in states]
+
+        stack = staying(robot=OddRobot(change))
+        stack.settle(0.1)
+        assert f"blind: joint_states carry no finite effort for {ARM.joint_names[3]}" in stack.stop_reason
+
+    def test_a_state_that_comes_again_is_refused_and_named(self):
+        def again(states: list[JointState]) -> list[JointState]:
+            return [state._replace() for state in states]
+
+        stack = staying(robot=OddRobot(lambda count, states: [*states, *again(states)] if count == 50 else states))
+        with pytest.raises(InputError, match="joint state of 50000000 ns came again or late"):
+            stack.settle(0.1)
+
+    def test_in_a_step_without_a_state_nothing_is_commanded(self):
+        stack = staying(robot=OddRobot(lambda count, states: [] if 50 <= count < 60 else states))
+        ticks = [stack.step() for _ in range(100)]
+        answered = [number for number, tick in enumerate(ticks) if tick.torque is not None]
+        assert answered == [*range(1, 50), *range(60, 100)]
+        assert len(stack.robot.commands) == 89
+
+    def test_states_that_arrive_together_are_all_answered(self):
+        waiting: list[JointState] = []
+
+        def change(count: int, states: list[JointState]) -> list[JointState]:
+            waiting.extend(states)
+            if count % 2 and count > 10:
+                return []
+            arrived = waiting.copy()
+            waiting.clear()
+            return arrived
+
+        stack = staying(robot=OddRobot(change))
+        for _ in range(100):
+            stack.step()
+        assert not stack.stop_reason
+        assert len(stack.robot.commands) == 98
+        assert stack.observer.updates == 99
+
+    def test_one_without_a_state_to_begin_with_is_refused(self):
+        with pytest.raises(InputError, match=r"robot: read\(\) returned no joint state"):
+            staying(robot=OddRobot(lambda count, states: []))
+
+
+class TestFaults:
+    """A robot with faults sends on purpose what others must not; it is refused and counted."""
+
+    def run(self, faults: str) -> tuple[Stack, object]:
+        robot = SimulatedRobot(FREE_SCENE, faults=parse_faults(faults, ARM), noise_seed=0)
+        stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot)
+        stack.settle()
+        robot.start_faults()
+        return stack, stack.run(GOAL, 0.5)
+
+    def test_joint_states(self):
+        stack, result = self.run("nan_states share=0.3")
+        assert not result.stop_reason
+        assert stack.refused["joint states"] == stack.refused["observed joint states"] > 50
+
+    def test_old_joint_states(self):
+        stack, _ = self.run("duplicate_states share=0.5")
+        assert stack.refused["old joint states"] > 100
+
+    def test_the_goal_is_withdrawn_when_the_robot_pauses_for_long(self):
+        for pause, is_left in ((1.0, True), (2.1, False)):
+            robot = SimulatedRobot(
+                FREE_SCENE, faults=parse_faults(f"pause for={pause}", ARM), noise_seed=0, period=0.005
+            )
+            stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot, period=0.005)
+            stack.settle()
+            stack.command(GOAL)
+            robot.start_faults()
+            stack.settle(0.9 + pause)
+            assert (stack.planner.goal is not None) == is_left
+
+    def test_commands(self):
+        stack, _ = self.run("nan_commands share=0.3")
+        assert stack.refused["commands"] > 50
+
+
+def test_arguments_of_other_types_are_refused_and_named():
+    for name, value in (("planning", ImpedanceSettings()), ("robot", object()), ("planner", 3), ("budget", {})):
+        with pytest.raises(SettingsError, match=name):
+            Stack(FREE_SCENE, **{name: value})
+    with pytest.raises(SettingsError, match="scene"):
+        Stack("free")
+    with pytest.raises(SettingsError, match=r"period = 1\.5 ms: the simulated robot has a whole number"):
+        Stack(FREE_SCENE, period=0.0015)
+
+
+def test_the_scene_names_the_arm_and_the_parts_have_it():
+    stack = staying()
+    assert isinstance(stack.scene, Scene)
+    assert stack.arm is stack.controller.arm is stack.observer.arm is FREE_SCENE.arm

@@ -1,0 +1,141 @@
+"""Distances of the arm from rigid bodies and from itself, and goals that are refused for them."""
+
+import re
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME
+from six_axis import SIX_AXIS
+
+from contact_reach_ros.arm.capsules import self_pairs, shape_radii, shape_segments, shapes
+from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.world.collision import GOAL_CLEARANCE, body_distances, check_hand, nearest
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.rigid import Block, Plane, slab
+
+DOWN = link_frames(ARM, HOME)[0][-1]
+TABLE = Block("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2))
+BELOW_TIP = 0.045
+"""How far the hand reaches beyond the flange, m."""
+
+
+def links_of(arm) -> list[tuple[int, int]]:
+    return [(shapes(arm)[first].link, shapes(arm)[second].link) for first, second in self_pairs(arm)]
+
+
+def test_the_iiwa_touches_itself_with_forearm_and_hand_at_the_base():
+    assert links_of(ARM) == [(0, 5), (0, 6), (0, 7)]
+    assert links_of(SIX_AXIS) == [(0, 4), (0, 5)]
+
+
+def test_no_pair_overlaps_at_home_and_neighbours_are_none():
+    for arm in (ARM, SIX_AXIS):
+        assert all(second - first > 1 for first, second in links_of(arm))
+        assert nearest(arm, np.array([arm.home]), ())[0].distance > 0.1
+
+
+def test_capsules_are_where_the_frames_have_them():
+    starts, ends = shape_segments(ARM, HOME[None])
+    rotations, origins = link_frames(ARM, HOME)
+    for index, shape in enumerate(shapes(ARM)):
+        rotation, origin = (
+            (np.eye(3), np.zeros(3))
+            if shape.link == 0
+            else (
+                rotations[shape.link - 1],
+                origins[shape.link - 1],
+            )
+        )
+        np.testing.assert_allclose(starts[0, index], origin + rotation @ shape.start, atol=1e-12)
+        np.testing.assert_allclose(ends[0, index], origin + rotation @ shape.end, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Plane("wall", (0.3, 0.1, 0.0), (1.0, -2.0, 0.5)),
+        Block("box", (0.1, 0.2, 0.0), (0.3, 0.2, 0.1), (0.1, 0.7, 0.1, 0.7)),
+    ],
+)
+def test_the_distance_of_a_segment_is_that_of_its_nearest_point(body):
+    random = np.random.default_rng(0)
+    starts, ends = random.uniform(-0.6, 0.6, (2, 200, 3))
+    shares = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    sampled = body.distances(starts + shares * (ends - starts)).min(axis=0)
+    np.testing.assert_allclose(body_distances(body, starts, ends), sampled, atol=1e-3)
+
+
+def test_depth_in_a_block_is_that_to_its_nearest_face():
+    assert TABLE.distances(np.array([0.5, 0.0, 0.17])) == pytest.approx(-0.03)
+    assert TABLE.distances(np.array([0.8, 0.0, 0.3])) == pytest.approx(np.hypot(0.1, 0.1))
+
+
+def test_the_nearest_pair_is_named_with_its_distance():
+    floor = Plane("floor", (0.0, 0.0, 0.1))
+    (found,) = nearest(ARM, HOME[None], (floor, Plane("wall", (-2.0, 0.0, 0.0), (1.0, 0.0, 0.0))))
+    starts, ends = shape_segments(ARM, HOME[None])
+    lowest = (np.minimum(starts, ends)[0, 1:, 2] - shape_radii(ARM)[1:]).min() - 0.1
+    assert found.distance == pytest.approx(lowest)
+    assert str(found) == f"lbr_link_7 is {1000 * lowest:.1f} mm away from the floor"
+
+
+class TestGoals:
+    def test_one_beneath_the_table_top_is_refused_with_numbers(self):
+        message = (
+            "goal: position = [0.5, 0.0, 0.22] m; there lbr_link_7 lies 25.0 mm deep in the table; expected at least "
+            "5 mm between them: move the goal by 30.0 mm or turn the hand"
+        )
+        with pytest.raises(InputError, match=re.escape(message)):
+            check_hand(ARM, Target(np.array([0.5, 0.0, 0.22]), DOWN), (TABLE,))
+        check_hand(ARM, Target(np.array([0.5, 0.0, 0.2 + BELOW_TIP + GOAL_CLEARANCE + 1e-6]), DOWN), (TABLE,))
+
+    def test_the_hand_may_be_lower_beside_the_table(self):
+        check_hand(ARM, Target(np.array([0.5, 0.4, 0.1]), DOWN), (TABLE,))
+
+    def test_how_the_hand_is_held_counts(self):
+        up = rotation_about((0.0, 1.0, 0.0), np.pi) @ DOWN
+        with pytest.raises(InputError, match=r"lies 60\.0 mm deep in the table"):
+            check_hand(ARM, Target(np.array([0.5, 0.0, 0.255]), up), (TABLE,))
+        check_hand(ARM, Target(np.array([0.5, 0.0, 0.255]), DOWN), (TABLE,))
+
+    def test_without_an_orientation_only_what_none_avoids_is_refused(self):
+        position = np.array([0.5, 0.0, 0.2 + BELOW_TIP + GOAL_CLEARANCE - 1e-3])
+        with pytest.raises(InputError, match=r"there lbr_link_7 is 4\.0 mm away from the table"):
+            check_hand(ARM, Target(position), (TABLE,))
+        check_hand(ARM, Target(position + np.array([0.0, 0.0, 2e-3])), (TABLE,))
+
+    def test_the_hand_must_not_be_in_the_arms_own_base(self):
+        with pytest.raises(InputError, match=r"lbr_link_7 lies 20\.0 mm deep in lbr_link_0"):
+            check_hand(ARM, Target(np.array([0.15, 0.0, 0.2]), DOWN), ())
+        check_hand(ARM, Target(np.array([0.2, 0.0, 0.2]), DOWN), ())
+
+    def test_an_arm_without_a_shape_on_its_last_link_has_a_point_there(self):
+        with pytest.raises(InputError, match=r"lies 10\.0 mm deep in the table"):
+            check_hand(SIX_AXIS, Target(np.array([0.5, 0.0, 0.19]), DOWN), (TABLE,))
+
+
+class TestValues:
+    def test_a_plane_is_shown_by_a_slab_under_it(self):
+        plane = Plane("wall", (0.5, 0.0, 0.0), (-2.0, 0.0, 0.0))
+        shown = slab(plane)
+        np.testing.assert_allclose(shown.axes[:, 2], (-1.0, 0.0, 0.0), atol=1e-9)
+        np.testing.assert_allclose(shown.center, (0.51, 0.0, 0.0), atol=1e-9)
+        assert slab(TABLE) is TABLE
+
+    def test_bodies_of_the_same_numbers_are_equal(self):
+        assert Block("a", np.zeros(3), np.ones(3)) == Block("a", [0.0, 0.0, 0.0], (1.0, 1.0, 1.0))
+        assert Plane("a", (0.0, 0.0, 1.0), (0.0, 0.0, 2.0)) == Plane("a", (0.0, 0.0, 1.0))
+
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: Plane("floor", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "floor: normal = .* expected a vector"),
+            (lambda: Plane("floor", (0.0, np.nan, 0.0)), "floor: point: expected finite values"),
+            (lambda: Block("table", (0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "table: size = .* expected positive lengths"),
+            (lambda: Block("table", np.zeros(3), np.ones(3), np.ones(4)), "table: orientation = .* unit quaternion"),
+        ],
+    )
+    def test_what_is_no_body_is_refused(self, make, message):
+        with pytest.raises(InputError, match=message):
+            make()

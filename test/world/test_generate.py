@@ -1,0 +1,309 @@
+"""Generated scenes: targets that can be reached and balls that are in the way of the middle links only."""
+
+import dataclasses
+import functools
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import ARM, HOME, POSITION_LIMITS, mobility, with_obstacle
+
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SceneError
+from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.world import generate
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.overlap import capsule_segments, overlap_depths
+from contact_reach_ros.world.scene import Scene, TargetSettings
+from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
+
+SEEDS = range(31)
+MIDDLE = ("capsule_3", "capsule_4", "capsule_5")
+HAND = ("capsule_6", "capsule_7")
+TOLERANCE = 1e-6
+
+
+@functools.cache
+def scene_of(name: str, seed: int) -> Scene:
+    return make_scene(read_scene(name), ARM, seed)
+
+
+@functools.cache
+def path_of(name: str, seed: int) -> np.ndarray:
+    scene = scene_of(name, seed)
+    path = free_path(RobotModel(ARM), scene.start, scene.target)
+    assert path is not None
+    return path
+
+
+class Depths:
+    """How deep the ball lies in each capsule, by MuJoCo's own geometry."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.plant = Plant(scene, SensorSettings(), JointSettings())
+        names = [self.plant.model.geom(index).name for index in range(self.plant.model.ngeom)]
+        self.capsules = {name: index for index, name in enumerate(names) if name.startswith("capsule")}
+        self.ball = names.index("ball_0_0")
+
+    def at(self, q: np.ndarray) -> dict[str, float]:
+        model, data = self.plant.model, self.plant.data
+        data.qpos[: ARM.n] = q
+        mujoco.mj_kinematics(model, data)
+        return {
+            name: -mujoco.mj_geomDistance(model, data, self.ball, index, 5.0, None)
+            for name, index in self.capsules.items()
+        }
+
+    def deepest(self, path: np.ndarray) -> dict[str, float]:
+        rows = [self.at(q) for q in path]
+        return {name: max(row[name] for row in rows) for name in self.capsules}
+
+
+@pytest.mark.parametrize("name", ["free", "ball"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_target_lies_in_its_box_and_can_be_reached(name, seed):
+    scene, settings = scene_of(name, seed), read_scene(name).target
+    assert (scene.target >= settings.minimum).all()
+    assert (scene.target <= settings.maximum).all()
+    model = RobotModel(ARM)
+    origin, rotation = model.tip_pose(scene.start)
+    assert np.linalg.norm(scene.target - origin) >= settings.min_distance
+    assert np.linalg.norm(scene.target - ARM.shoulder) <= ARM.reach
+    position, final_rotation = model.tip_pose(path_of(name, seed)[-1])
+    np.testing.assert_allclose(position, scene.target, rtol=0, atol=1e-3)
+    assert np.linalg.norm(pin.log3(final_rotation @ rotation.T)) < 1e-2
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ball_is_in_the_way_of_the_middle_links_only(seed):
+    scene = scene_of("ball", seed)
+    assert len(scene.obstacles) == 1
+    depths = Depths(scene)
+    (settings,) = read_scene("ball").obstacles
+    at_start = depths.at(scene.start)
+    assert at_start.pop("capsule_0") <= TOLERANCE
+    assert max(at_start.values()) <= -settings.start_clearance + TOLERANCE
+    deepest = depths.deepest(path_of("ball", seed))
+    middle = max(deepest[name] for name in MIDDLE)
+    assert settings.min_overlap - TOLERANCE <= middle <= settings.max_overlap + TOLERANCE
+    assert max(deepest[name] for name in HAND) <= -settings.hand_clearance + TOLERANCE
+    assert deepest["capsule_2"] <= TOLERANCE
+
+
+def test_same_seed_same_scene():
+    for name in ("free", "ball"):
+        first, second = scene_of(name, 7), make_scene(read_scene(name), ARM, 7)
+        np.testing.assert_array_equal(first.target, second.target)
+        for one, other in zip(first.obstacles, second.obstacles, strict=True):
+            np.testing.assert_array_equal(one.rest, other.rest)
+
+
+def test_seeds_give_different_scenes():
+    targets = {tuple(scene_of("free", seed).target) for seed in SEEDS}
+    assert len(targets) == len(SEEDS)
+    spread = np.ptp(np.array(sorted(targets)), axis=0)
+    assert (spread > 0.5 * np.subtract((0.6, 0.3, 0.5), (0.2, -0.3, 0.0))).all()
+
+
+def test_targets_go_to_both_sides():
+    sides = [np.sign(scene_of("ball", seed).target[1]) for seed in SEEDS]
+    assert {-1.0, 1.0} == set(sides)
+
+
+def test_given_target_is_kept():
+    target = np.array([0.45, 0.2, 0.3])
+    scene = make_scene(read_scene("ball"), ARM, 0, target)
+    np.testing.assert_array_equal(scene.target, target)
+    assert len(scene.obstacles) == 1
+
+
+@pytest.mark.parametrize("target", [(1.2, 0.0, 0.3), (0.0, 0.0, 0.4), (0.4, 0.0, -2.0)])
+@pytest.mark.parametrize("name", ["free", "ball"])
+def test_impossible_target_is_refused_with_the_reason(name, target):
+    with pytest.raises(SceneError, match=r"target \[.*\] m cannot be reached.*choose another target"):
+        make_scene(read_scene(name), ARM, 0, np.array(target))
+
+
+def test_a_target_without_a_straight_way_is_refused_only_where_an_obstacle_has_to_be_placed_on_it():
+    """Goals on goal_pose are refused by `check_goal` alone."""
+    behind = np.array([-0.6, 0.0, 0.3])
+    np.testing.assert_array_equal(make_scene(read_scene("free"), ARM, 0, behind).target, behind)
+    with pytest.raises(SceneError, match=r"ball cannot be placed .* straight line .* choose another target"):
+        make_scene(read_scene("ball"), ARM, 0, behind)
+
+
+def test_target_that_leaves_no_room_for_the_ball_is_refused(monkeypatch):
+    monkeypatch.setattr(generate, "_TARGET_TRIES", 3)
+    # A few centimetres from the start no part of the arm moves far enough to be blocked.
+    origin, _ = RobotModel(ARM).tip_pose(HOME)
+    with pytest.raises(SceneError, match=r"no target with a ball on the arm's path.*choose another target"):
+        make_scene(read_scene("ball"), ARM, 0, origin + np.array([0.0, 0.0, 0.01]))
+
+
+def test_box_without_targets_is_refused_with_what_to_change():
+    file = read_scene("free")
+    box = TargetSettings(min_distance=1.5)
+    with pytest.raises(SceneError, match=r"scene 'free', seed 3: no target found .*widen the target's box"):
+        make_scene(dataclasses.replace(file, target=box), ARM, 3)
+
+
+class TestWhatTheFilePlaces:
+    TARGET, CENTER = (0.5, 0.2, 0.3), (0.55, -0.2, 0.5)
+
+    def file(self, position=None, center=None, name="ball"):
+        file = read_scene(name)
+        target = dataclasses.replace(file.target, position=position)
+        return with_obstacle(dataclasses.replace(file, target=target), center=center)
+
+    def test_everything_stands_where_the_file_says_whatever_the_seed(self):
+        for seed in range(3):
+            scene = make_scene(self.file(self.TARGET, self.CENTER), ARM, seed)
+            np.testing.assert_array_equal(scene.target, self.TARGET)
+            np.testing.assert_array_equal(scene.obstacles[0].rest[0], self.CENTER)
+
+    def test_the_seed_draws_the_target_that_is_left(self):
+        scenes = [make_scene(self.file(center=self.CENTER), ARM, seed) for seed in range(3)]
+        assert len({tuple(scene.target) for scene in scenes}) == 3
+        assert {tuple(scene.obstacles[0].rest[0]) for scene in scenes} == {self.CENTER}
+
+    def test_the_seed_draws_the_ball_that_is_left(self):
+        scenes = [make_scene(self.file(self.TARGET), ARM, seed) for seed in range(3)]
+        assert {tuple(scene.target) for scene in scenes} == {self.TARGET}
+        assert len({tuple(scene.obstacles[0].rest[0]) for scene in scenes}) == 3
+
+    def test_drawn_targets_are_not_in_the_ball(self):
+        center = (0.4, 0.2, 0.2)
+        file = with_obstacle(self.file(center=center), radius=0.2)
+        for seed in range(20):
+            assert np.linalg.norm(make_scene(file, ARM, seed).target - center) >= 0.2
+
+    def test_walls_stand_where_the_file_says(self):
+        placed = make_scene(read_scene("wall"), ARM, 0)
+        center = np.concatenate([wall.rest for wall in placed.obstacles]).mean(axis=0)
+        file = with_obstacle(read_scene("wall"), center=tuple(center))
+        scene = make_scene(file, ARM, 5)
+        for one, other in zip(scene.obstacles, placed.obstacles, strict=True):
+            np.testing.assert_allclose(one.rest, other.rest, rtol=0, atol=1e-12)
+        assert not np.array_equal(scene.target, placed.target)
+
+    def test_commanded_target_is_taken_instead(self):
+        target = np.array([0.45, 0.15, 0.35])
+        np.testing.assert_array_equal(make_scene(self.file(self.TARGET, self.CENTER), ARM, 0, target).target, target)
+
+    def test_commanded_target_in_the_ball_is_refused_with_how_deep(self):
+        inside = np.add(self.CENTER, (0.0, 0.0, -0.07))
+        with pytest.raises(SceneError, match=r"scene 'ball': target .* lies 30\.0 mm inside the ball .* move"):
+            make_scene(self.file(center=self.CENTER), ARM, 0, inside)
+
+    def test_commanded_target_in_a_node_is_refused(self):
+        scene = make_scene(read_scene("wall"), ARM, 0)
+        nodes = rest_positions(scene)
+        # The gap moves up until the target is in the corner node of the lower wall.
+        lower = scene.obstacles[0].rest
+        corner = lower[np.linalg.norm(lower - scene.target, axis=1).argmin()]
+        center = nodes.mean(axis=0) + scene.target - corner
+        moved = with_obstacle(read_scene("wall"), center=tuple(center))
+        with pytest.raises(SceneError, match=r"lies 25\.0 mm inside node \(1, \d+, 2\) of the lower wall"):
+            make_scene(moved, ARM, 0, scene.target)
+
+    def test_hand_in_the_fixture_at_the_target_is_refused(self):
+        scene = make_scene(read_scene("wall"), ARM, 0)
+        # The fixed row of the lower wall stands beside the flange.
+        lower = scene.obstacles[0]
+        fixture = lower.rest[lower.fixed][np.linalg.norm(lower.rest[lower.fixed] - scene.target, axis=1).argmin()]
+        center = rest_positions(scene).mean(axis=0)
+        center += scene.target - fixture + np.array([0.0, 0.045, 0.0])
+        moved = with_obstacle(read_scene("wall"), center=tuple(center))
+        with pytest.raises(SceneError, match=r"the hand lies .* mm deep in node \(\d, \d+, 0\) .* which is fixed"):
+            make_scene(moved, ARM, 0, scene.target)
+
+
+class TestFoamOfAMismatch:
+    def test_is_drawn_apart_so_that_everything_else_stays(self):
+        for seed in range(3):
+            plain, mismatched = (
+                make_scene(read_scene("ball"), ARM, seed),
+                make_scene(read_scene("ball_mismatch"), ARM, seed),
+            )
+            np.testing.assert_array_equal(mismatched.target, plain.target)
+            np.testing.assert_array_equal(mismatched.obstacles[0].rest, plain.obstacles[0].rest)
+            assert plain.foam_scale == 1.0
+
+    def test_fills_the_declared_range_and_follows_the_seed(self):
+        file = dataclasses.replace(read_scene("ball_mismatch"), obstacles=())
+        scales = np.array([make_scene(file, ARM, seed).foam_scale for seed in range(40)])
+        assert 0.7 <= scales.min() < 0.75 and 1.25 < scales.max() <= 1.3
+        assert make_scene(file, ARM, 7).foam_scale == scales[7]
+
+    def test_is_what_the_planner_does_not_know(self):
+        plain, mismatched = make_scene(read_scene("ball"), ARM, 1), make_scene(read_scene("ball_mismatch"), ARM, 1)
+        first, second = (obstacle_spheres(scene, rest_positions(scene)) for scene in (plain, mismatched))
+        assert mismatched.foam_scale != 1.0
+        np.testing.assert_array_equal(first.stiffness, second.stiffness)
+
+
+class TestFreePath:
+    def test_path_is_straight_and_keeps_the_orientation(self):
+        model = RobotModel(ARM)
+        for seed in range(5):
+            scene, path = scene_of("free", seed), path_of("free", seed)
+            origin, rotation = model.tip_pose(scene.start)
+            direction = (scene.target - origin) / np.linalg.norm(scene.target - origin)
+            for q in path:
+                position, turned = model.tip_pose(q)
+                aside = (position - origin) - ((position - origin) @ direction) * direction
+                assert np.linalg.norm(aside) < 2e-3
+                assert np.linalg.norm(pin.log3(turned @ rotation.T)) < 0.02
+
+    def test_path_starts_at_the_start_and_has_no_jumps(self):
+        for seed in range(5):
+            path = path_of("free", seed)
+            np.testing.assert_array_equal(path[0], scene_of("free", seed).start)
+            assert np.abs(np.diff(path, axis=0)).max() < 0.1
+
+    def test_path_stays_away_from_limits_and_singularities(self):
+        model = RobotModel(ARM)
+        for seed in range(5):
+            path = path_of("free", seed)
+            assert (np.abs(path) <= POSITION_LIMITS - 0.2).all()
+            for q in path:
+                model.update(q, np.zeros(ARM.n))
+                assert np.linalg.eigvalsh(mobility(model))[0] > 0.04
+
+    @pytest.mark.parametrize(("elbow", "is_followed"), [(-0.9, True), (-0.5, False)])
+    def test_target_that_nearly_stretches_the_arm_is_none(self, elbow, is_followed):
+        # Both have the orientation of the start and can be reached.
+        model = RobotModel(ARM)
+        target, rotation = model.tip_pose(np.array([0.0, 1.1, 0.0, elbow, 0.0, np.pi - 1.1 + elbow, 0.0]))
+        np.testing.assert_allclose(rotation, model.tip_pose(HOME)[1], rtol=0, atol=1e-12)
+        assert (free_path(model, HOME, target) is not None) == is_followed
+
+    def test_target_at_the_start_needs_no_path(self):
+        model = RobotModel(ARM)
+        position, _ = model.tip_pose(HOME)
+        path = free_path(model, HOME, position)
+        np.testing.assert_allclose(path, np.tile(HOME, (len(path), 1)), rtol=0, atol=1e-9)
+
+
+def test_capsules_are_where_mujoco_has_them():
+    depths = Depths(scene_of("ball", 0))
+    (ball,) = scene_of("ball", 0).obstacles
+    for q in path_of("ball", 0)[::10]:
+        by_mujoco = depths.at(q)
+        ours = overlap_depths(ARM, *capsule_segments(ARM, q), ball.rest, ball.radius)[:, 0]
+        expected = [by_mujoco[f"capsule_{capsule.link}"] for capsule in ARM.capsules]
+        np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-9)
+
+
+def test_capsules_cover_their_link_frames():
+    starts, ends = capsule_segments(ARM, HOME)
+    _, origins = link_frames(ARM, HOME)
+    for capsule, start, end in zip(ARM.capsules, starts, ends, strict=True):
+        origin = origins[capsule.link - 1]
+        along = np.clip((origin - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+        assert np.linalg.norm(start + along * (end - start) - origin) < capsule.radius

@@ -1,0 +1,70 @@
+"""One rule for goals, whoever asks: the planner's node, `Stack` or a scene."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.planning.node_settings import ReplanningSettings, UnexpectedContactSettings
+from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.stack import Stack
+from contact_reach_ros.viewer.reach import reach
+from contact_reach_ros.world.collision import check_goal
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import load_scene, make_scene
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.task import FREE, HOLD, Goal
+
+ABOVE, NEAR = (0.0, 0.0, 1.15), (0.45, 0.2, 0.3)
+"""Above the base the hand cannot point down: the joint limits are in the way."""
+
+
+def by_the_node(position: tuple, orientation: str) -> None:
+    settings = ReplanningSettings(require_obstacles=False)
+    planner = Planner(ARM, None, ContactReaction(ARM, UnexpectedContactSettings(), 1000.0, True), settings)
+    planner.request(JointState(1_000_000, HOME, np.zeros(ARM.n), None))
+    planner.command(Goal(position, orientation))
+
+
+class NoPlans:
+    def reset(self) -> None:
+        pass
+
+    def plan(self, *_: object) -> None:
+        raise NotImplementedError
+
+
+def by_a_stack(position: tuple, orientation: str) -> None:
+    Stack(load_scene("free"), planner=NoPlans()).command(Goal(position, orientation))
+
+
+def by_a_scene(position: tuple, orientation: str) -> None:
+    assert orientation == HOLD
+    make_scene(read_scene("free"), ARM, 0, np.array(position))
+
+
+@pytest.mark.parametrize("asked", [by_the_node, by_a_stack, by_a_scene])
+def test_a_goal_that_no_posture_attains_is_refused(asked):
+    with pytest.raises(ContactReachError, match=r"\[0.0, 0.0, 1.15\] m; no posture .* in this orientation: "):
+        asked(ABOVE, HOLD)
+    asked(NEAR, HOLD)
+    assert reach(ARM, np.array(NEAR), HOME).reachable and not reach(ARM, np.array(ABOVE), HOME).reachable
+
+
+@pytest.mark.parametrize("asked", [by_the_node, by_a_stack])
+def test_with_another_orientation_it_is_attained(asked):
+    asked(ABOVE, FREE)
+
+
+def test_poses_of_postures_are_attained():
+    """At joint limits, too."""
+    random = np.random.default_rng(0)
+    for q in [*random.uniform(ARM.lower, ARM.upper, (50, ARM.n)), np.array(ARM.upper), np.array(ARM.lower)]:
+        rotations, origins = link_frames(ARM, q)
+        try:
+            check_goal(ARM, Target(origins[-1], rotations[-1]), (), HOME)
+        except InputError as error:
+            assert "deep in lbr_link_0" in str(error)

@@ -1,0 +1,49 @@
+"""docs/scenes.md lists every key of a scene file, and its examples can be read."""
+
+import re
+from pathlib import Path
+
+import pytest
+from arm_simulation import ARM
+from setting_rows import setting_row
+
+from contact_reach_ros.world.environment import BODIES
+from contact_reach_ros.world.files import BASE, SECTIONS, read_scene, scene_names
+from contact_reach_ros.world.generate import make_scene
+
+PAGE = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_every_key_is_listed_with_its_default_and_range(section):
+    for entry in SECTIONS[section].declared():
+        row = setting_row(f"{section}.{entry.name}", entry)
+        assert row in PAGE, f"docs/scenes.md lacks the row {row}"
+
+
+@pytest.mark.parametrize("kind", BODIES)
+def test_every_key_of_a_rigid_body_is_listed(kind):
+    table = PAGE.split(f"| key of a {kind} |")[1].split("\n\n")[0]
+    for entry in BODIES[kind].declared():
+        assert setting_row(entry.name, entry) in table
+    assert len(re.findall(r"^\| `", table, re.MULTILINE)) == len(list(BODIES[kind].declared()))
+
+
+def test_no_other_key_is_listed():
+    known = {f"{section}.{entry.name}" for section, cls in SECTIONS.items() for entry in cls.declared()}
+    assert set(re.findall(r"^\| `(\w+\.\w+)` \|", PAGE, re.MULTILINE)) == known
+    assert f"`{BASE}`" in PAGE
+
+
+def test_every_scene_of_the_package_is_described():
+    for name in scene_names():
+        assert f"| `{name}` |" in PAGE
+
+
+def test_examples_can_be_read_and_made(tmp_path):
+    examples = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    assert len(examples) >= 2
+    for number, content in enumerate(examples):
+        file = tmp_path / f"example{number}.yaml"
+        file.write_text(content)
+        make_scene(read_scene(str(file)), ARM, 0)

@@ -1,0 +1,288 @@
+"""Scene files: what they may say, and what is said about those that may not."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, with_obstacle
+
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.world.collision import check_hand, nearest
+from contact_reach_ros.world.files import matching_scene_names, read_scene, scene_names
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.rigid import Plane
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, TargetSettings, parse_target
+
+
+@pytest.fixture
+def file(tmp_path) -> Path:
+    return tmp_path / "own.yaml"
+
+
+def test_scenes_of_the_package_can_be_read():
+    assert {"free", "ball"} <= set(scene_names())
+    for name in scene_names():
+        assert read_scene(name).name == name
+    assert read_scene("free").obstacles == ()
+    assert read_scene("ball").obstacles == (BallSettings(),)
+    assert read_scene("ball").target == TargetSettings()
+
+
+@pytest.mark.parametrize("name", ["bal", "", "ball/", "missing/scene"])
+def test_unknown_scene_lists_the_scenes(name):
+    with pytest.raises(SceneError) as raised:
+        read_scene(name)
+    assert f"scene '{name}' is unknown" in str(raised.value)
+    assert all(scene in str(raised.value) for scene in scene_names())
+
+
+@pytest.mark.parametrize("name", ["missing.yaml", "/no/such/place.yml"])
+def test_a_missing_file_is_named_as_one(name):
+    with pytest.raises(SceneError, match=rf"^scene '{name}': no such file; expected the path of a YAML"):
+        read_scene(name)
+
+
+def test_own_file_replaces_what_it_names(file):
+    file.write_text("target:\n  min_distance: 0.3\nball:\n  radius: 0.05\n")
+    scene = read_scene(str(file))
+    assert scene.name == "own"
+    assert scene.target == TargetSettings(min_distance=0.3)
+    assert scene.obstacles == (BallSettings(radius=0.05),)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("bal: {}", "unknown key 'bal'; did you mean 'ball'?"),
+        ("1: {}", "unknown key '1'; known keys: ball, base, box, environment, mismatch, target, wall"),
+        ("target:", "target = None; expected a mapping"),
+        ("ball: [1]", "ball = [1]; expected a mapping"),
+        ("target: {start_position: 1}", "target: unknown key 'start_position'"),
+        ("ball: {raduis: 0.1}", "ball: unknown key 'raduis'; did you mean 'radius'?"),
+        ("ball: {radius: 0.9}", "ball: radius = 0.9: expected a number in [0.01, 0.5] m"),
+        ("ball: {stiffness: soft}", "ball: stiffness = 'soft': expected a number"),
+        ("target: {minimum: [0, 0]}", "target: minimum = [0, 0]: expected a list of 3 values"),
+        ("target: {minimum: [0.3, 0, 0], maximum: [0.2, 1, 1]}", "target: minimum = (0.3, 0.0, 0.0): expected at most"),
+        ("ball: {min_overlap: 0.1}", "ball: min_overlap = 0.1: expected at most max_overlap = 0.05 m"),
+        ("", "holds NoneType"),
+        ("target: {", "not valid YAML"),
+    ],
+)
+def test_file_is_named_when_it_is_refused(file, content, message):
+    file.write_text(content)
+    with pytest.raises(SettingsError) as raised:
+        read_scene(str(file))
+    assert str(raised.value).startswith(str(file))
+    assert message in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ([0, 0, 0, 2.2, 0, 0, 0], "expected lbr_A4 in [-2.094, 2.094] rad"),
+        ([0, 0, 0, 0, 0, 0], "expected a list of 7 values"),
+    ],
+)
+def test_start_that_the_arm_cannot_take_is_refused_when_the_scene_is_made(file, start, message):
+    file.write_text(f"target: {{start: {start}}}")
+    with pytest.raises(SettingsError) as raised:
+        make_scene(read_scene(str(file)), ARM, 0)
+    assert str(raised.value).startswith(f"{file}: ")
+    assert message in str(raised.value)
+
+
+def test_target_is_three_numbers():
+    np.testing.assert_array_equal(parse_target(" 0.5 -0.1  3e-1 "), [0.5, -0.1, 0.3])
+    assert parse_target("") is None
+    assert parse_target("  ") is None
+
+
+@pytest.mark.parametrize("text", ["0.5 0.1", "1 2 3 4", "a b c", "0.5, 0.1, 0.2", "nan 0 0", "inf 0 0"])
+def test_target_that_is_not_is_refused(text):
+    with pytest.raises(SceneError, match="expected three finite numbers 'x y z' in m"):
+        parse_target(text)
+
+
+class TestBase:
+    def test_sections_are_taken_over_key_by_key(self, file):
+        file.write_text("base: ball\ntarget: {min_distance: 0.3}\nball: {mass: 0.2}\nmismatch: {}\n")
+        scene, base = read_scene(str(file)), read_scene("ball")
+        assert scene.name == "own"
+        assert scene.target == dataclasses.replace(base.target, min_distance=0.3)
+        assert scene.obstacles == with_obstacle(base, mass=0.2).obstacles
+        assert scene.mismatch == MismatchSettings()
+
+    def test_base_of_a_base_is_found_beside_its_file(self, tmp_path):
+        (tmp_path / "folder").mkdir()
+        (tmp_path / "folder" / "middle.yaml").write_text("base: bottom.yaml\nball: {radius: 0.08}\n")
+        (tmp_path / "folder" / "bottom.yaml").write_text("base: ball\nball: {radius: 0.07, mass: 0.3}\n")
+        (tmp_path / "top.yaml").write_text("base: folder/middle.yaml\nball: {friction: 0.5}\n")
+        assert read_scene(str(tmp_path / "top.yaml")).obstacles == (BallSettings(radius=0.08, mass=0.3, friction=0.5),)
+
+    def test_null_takes_back_what_the_base_places(self, tmp_path, file):
+        (tmp_path / "placed.yaml").write_text("ball: {center: [0.5, 0.0, 0.3]}\n")
+        file.write_text("base: placed.yaml\nball: {center: null}\n")
+        assert read_scene(str(file)).obstacles == (BallSettings(),)
+
+    def test_circle_is_refused_with_the_files(self, tmp_path, file):
+        file.write_text("base: other.yaml\n")
+        (tmp_path / "other.yaml").write_text("base: ./own.yaml\n")
+        with pytest.raises(SceneError, match=r"own\.yaml -> .*other\.yaml -> .*own\.yaml"):
+            read_scene(str(file))
+        file.write_text("base: own.yaml\n")
+        with pytest.raises(SceneError, match="leads back to where it started"):
+            read_scene(str(file))
+
+    @pytest.mark.parametrize("base", ["moon", "missing.yaml", "[ball]", "7"])
+    def test_unknown_base_is_refused_with_the_scenes(self, file, base):
+        file.write_text(f"base: {base}\n")
+        with pytest.raises(SceneError, match=r"own\.yaml: base = .*expected .*one of ball, ball_mismatch, free"):
+            read_scene(str(file))
+
+    def test_wrong_value_is_named_with_the_file_that_has_it(self, tmp_path, file):
+        (tmp_path / "below.yaml").write_text("ball: {raduis: 0.1}\n")
+        file.write_text("base: below.yaml\n")
+        with pytest.raises(SettingsError, match=r"below\.yaml: ball: unknown key 'raduis'"):
+            read_scene(str(file))
+
+    def test_what_does_not_go_together_is_refused(self, file):
+        file.write_text("base: ball\nwall: {}\n")
+        with pytest.raises(SettingsError, match="has both ball and wall"):
+            read_scene(str(file))
+
+
+class TestMismatch:
+    @pytest.mark.parametrize("name", ["ball", "wall"])
+    def test_only_the_mismatch_differs_from_the_base(self, name):
+        with_mismatch, plain = read_scene(f"{name}_mismatch"), read_scene(name)
+        assert with_mismatch.mismatch == MismatchSettings()
+        assert plain.mismatch == NO_MISMATCH
+        assert dataclasses.replace(with_mismatch, name=name, mismatch=NO_MISMATCH) == plain
+
+    def test_scenes_without_it_are_told_apart(self):
+        assert matching_scene_names() == ["ball", "free", "wall"]
+        assert set(scene_names()) > set(matching_scene_names())
+
+    def test_wrong_inertia_set_lists_those_there_are(self, file):
+        file.write_text("base: free\nmismatch: {inertia_set: other}\n")
+        with pytest.raises(SettingsError, match="inertia set 'other' is unknown; expected one of nominal, alternative"):
+            make_scene(read_scene(str(file)), ARM, 0)
+
+
+class TestWhatNoSeedMakesPossible:
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            # The flange starts at (0.528, 0, 0.378); the forearm ends 0.126 m above it.
+            (
+                "ball: {center: [0.528, 0.0, 0.6]}",
+                r"at the start lbr_link_\d lies \d+\.\d mm deep in the ball \(at \[0\.528, 0\.0, 0\.6\] m, radius",
+            ),
+            ("ball: {center: [0.0, 0.15, 0.2]}", r"at the start lbr_link_0 lies 60\.0 mm deep in the ball"),
+            (
+                "base: wall\nwall: {center: [0.4, 0.0, 0.5]}",
+                r"deep in node \(\d, \d+, \d\) of the (lower|upper) wall",
+            ),
+            (
+                "target: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.26, 0.3]}",
+                r"target \[0\.5, 0\.2, 0\.3\] m lies 40\.0 mm inside the ball \(at \[0\.5, 0\.26, 0\.3\] m",
+            ),
+            (
+                "target: {position: [0.9, 0.3, 0.3]}",
+                r"\[0\.9, 0\.3, 0\.3\] m cannot be reached: .* is 0\.951 m",
+            ),
+            ("target: {position: [0.05, 0.0, 0.2]}", "lies inside the base; expected at least 0.11 m from its axis"),
+            (
+                "target: {minimum: [0.9, 0.1, 0.3], maximum: [1.0, 0.2, 0.5]}",
+                r"nearest point of the box .* is 0\.906 m from the shoulder .* reaches 0\.85 m; move the box",
+            ),
+        ],
+    )
+    def test_is_refused_for_the_arm(self, file, content, message):
+        file.write_text(content)
+        with pytest.raises(SceneError, match=message) as raised:
+            make_scene(read_scene(str(file)), ARM, 0)
+        assert str(raised.value).startswith(f"{file}: ")
+
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 nodes in the two walls"),
+            (
+                "ball: {mass: 0.001, stiffness: 2500.0}",
+                "ball: .* of 3500 N/m in all .* stable up to 2000 N/m",
+            ),
+        ],
+    )
+    def test_is_refused_when_the_file_is_read(self, file, content, message):
+        file.write_text(content)
+        with pytest.raises(SceneError, match=message) as raised:
+            read_scene(str(file))
+        assert str(raised.value).startswith(f"{file}: ")
+
+    def test_what_just_fits_is_accepted(self, file):
+        file.write_text("target: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.301, 0.3]}\n")
+        scene = make_scene(read_scene(str(file)), ARM, 0)
+        np.testing.assert_array_equal(scene.obstacles[0].rest[0], (0.5, 0.301, 0.3))
+
+
+class TestEnvironment:
+    def read(self, tmp_path, text: str):
+        file = tmp_path / "own.yaml"
+        file.write_text(text)
+        return read_scene(str(file))
+
+    def test_bodies_have_the_names_of_their_keys(self, tmp_path):
+        scene = self.read(
+            tmp_path,
+            "environment: {floor: {}, table: {center: [0.5, 0, 0.1], size: [0.4, 0.6, 0.2], angles: [0, 0, 1.0]}}\n",
+        )
+        floor, table = scene.environment
+        assert floor == Plane("floor", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        assert (table.name, table.center, table.size) == ("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2))
+        np.testing.assert_allclose(table.axes[:, 0], (np.cos(1.0), np.sin(1.0), 0.0), atol=1e-12)
+
+    def test_a_base_is_changed_body_by_body(self, tmp_path):
+        scene = self.read(tmp_path, "base: ball\nenvironment: {table: {size: [0.1, 0.1, 0.1]}}\n")
+        assert [body.name for body in scene.environment] == ["floor", "table"]
+        scene = self.read(tmp_path, "base: ball\nenvironment: {floor: null}\n")
+        assert scene.environment == ()
+
+    @pytest.mark.parametrize("name", scene_names())
+    def test_scenes_of_the_package_stand_on_a_floor_below_all_their_targets(self, name):
+        (floor,) = read_scene(name).environment
+        assert isinstance(floor, Plane)
+        for seed in range(5):
+            scene = make_scene(read_scene(name), ARM, seed)
+            assert nearest(ARM, scene.start[None], scene.environment)[0].distance > 0.03
+            lowest = np.array([*scene.target[:2], read_scene(name).target.minimum[2]])
+            check_hand(ARM, Target(lowest, link_frames(ARM, scene.start)[0][-1]), scene.environment)
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            (
+                "environment: {table: {sise: [1, 1, 1]}}",
+                "table: unknown key 'sise'; a plane has point, normal",
+            ),
+            ("environment: {table: {size: [1, 0, 1]}}", "environment: table: size = .* expected a list of 3 values"),
+            ("environment: {floor: {normal: [0, 0, 0]}}", "environment: floor: normal = .* expected a vector"),
+            ("environment: {floor: 0.1}", "environment: floor = 0.1; expected a mapping"),
+            ("environment: 3", "environment = 3; expected a mapping"),
+        ],
+    )
+    def test_what_is_no_body_is_refused(self, tmp_path, text, message):
+        with pytest.raises(SettingsError, match=message):
+            self.read(tmp_path, text + "\n")
+
+    def test_a_start_in_a_body_and_a_target_beneath_one_are_refused_with_numbers(self, tmp_path):
+        table = "environment: {table: {center: [0.5, 0.0, 0.1], size: [0.4, 0.6, 0.3]}}\n"
+        with pytest.raises(SceneError, match=r"at the start lbr_link_7 lies 4\d\.\d mm deep in the table; move"):
+            make_scene(self.read(tmp_path, table), ARM, 0)
+        lower = table.replace("0.3]", "0.2]") + "target: {position: [0.5, 0.1, 0.2]}\n"
+        with pytest.raises(SceneError, match=r"there lbr_link_7 lies 45\.0 mm deep in the table; .* by 50\.0 mm"):
+            make_scene(self.read(tmp_path, lower), ARM, 0)

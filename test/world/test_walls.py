@@ -1,0 +1,235 @@
+"""The wall scene: two meshes that every posture at the target touches, and that elbow and forearm would push into."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, with_obstacle
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.kinds import wall as wall_kind
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.kinds.wall import WallSettings
+from contact_reach_ros.world.obstacle import numbered
+from contact_reach_ros.world.overlap import (
+    capsule_segments,
+    on_hand,
+    on_middle,
+    overlap_depths,
+    path_segments,
+    swivelled_segments,
+)
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres, obstacle_spheres, rest_positions
+
+SEEDS = range(5)
+SETTINGS = WallSettings()
+
+
+@functools.cache
+def scene_of(seed: int) -> Scene:
+    return make_scene(read_scene("wall"), ARM, seed)
+
+
+@functools.cache
+def path_of(seed: int) -> np.ndarray:
+    path = free_path(RobotModel(ARM), scene_of(seed).start, scene_of(seed).target)
+    assert path is not None
+    return path
+
+
+class TestLattice:
+    CENTER = np.array([0.5, 0.1, 0.3])
+
+    def test_surfaces_of_the_outer_nodes_are_those_of_two_walls_around_the_gap(self):
+        lower, upper = SETTINGS.at(self.CENTER)
+        for wall in (lower, upper):
+            extent = np.ptp(wall.rest, axis=0) + 2 * SETTINGS.node_radius
+            np.testing.assert_allclose(extent, SETTINGS.size, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(wall.rest.mean(axis=0)[:2], self.CENTER[:2], rtol=0, atol=1e-12)
+        gap = upper.rest[:, 2].min() - lower.rest[:, 2].max() - 2 * SETTINGS.node_radius
+        assert gap == pytest.approx(SETTINGS.gap)
+        assert (upper.rest[:, 2].min() + lower.rest[:, 2].max()) / 2 == pytest.approx(self.CENTER[2])
+
+    def test_each_wall_has_at_least_sixty_nodes(self):
+        for wall in SETTINGS.at(self.CENTER):
+            assert len(wall.rest) == np.prod(SETTINGS.nodes) >= 60
+
+    def test_edges_join_neighbours_along_the_axes_once(self):
+        (wall, _) = SETTINGS.at(self.CENTER)
+        steps = np.abs(wall.rest[wall.edges[:, 0]] - wall.rest[wall.edges[:, 1]])
+        spacing = (np.array(SETTINGS.size) - 2 * SETTINGS.node_radius) / (np.array(SETTINGS.nodes) - 1)
+        for step in steps:
+            (axis,) = np.flatnonzero(step > 1e-9)
+            assert step[axis] == pytest.approx(spacing[axis])
+        along_x, along_y, along_z = SETTINGS.nodes
+        expected = (along_x - 1) * along_y * along_z + along_x * (along_y - 1) * along_z
+        assert len({frozenset(edge) for edge in wall.edges.tolist()}) == len(wall.edges)
+        assert len(wall.edges) == expected + along_x * along_y * (along_z - 1)
+
+    def test_the_row_farthest_from_the_gap_is_fixed(self):
+        lower, upper = SETTINGS.at(self.CENTER)
+        np.testing.assert_array_equal(lower.fixed, np.isclose(lower.rest[:, 2], lower.rest[:, 2].min()))
+        np.testing.assert_array_equal(upper.fixed, np.isclose(upper.rest[:, 2], upper.rest[:, 2].max()))
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            (
+                {"nodes": (4, 21, 5), "node_radius": 0.01},
+                "makes 840 nodes .* 672 of which .* at most 300 and 200: use",
+            ),
+            ({"nodes": (2, 40, 2), "node_radius": 0.01}, "makes 320 nodes in the two walls, 160 of which can move"),
+            ({"edge_stiffness": 2500.0}, "26000 N/m in all on 0.01 kg; .* is stable up to 20000 N/m"),
+            (
+                {"contact_stiffness": 50000.0, "edge_stiffness": 60.0},
+                "50600 N/m in all on 0.01 kg; .* is stable up to 20000 N/m",
+            ),
+            ({"nodes": (3, 11, 3)}, "3 nodes of radius 0.025 m along x do not fit side by side into 0.1 m"),
+            ({"node_radius": 0.04}, "2 nodes of radius 0.04 m along x do not fit"),
+        ],
+    )
+    def test_mesh_that_is_too_fine_is_refused_with_the_numbers(self, changes, message):
+        with pytest.raises(SceneError, match=message):
+            dataclasses.replace(SETTINGS, **changes).at(self.CENTER)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_walls_stand_between_start_and_target(seed):
+    scene = scene_of(seed)
+    start, _ = RobotModel(ARM).tip_pose(scene.start)
+    for wall in scene.obstacles:
+        half = 0.5 * SETTINGS.size[0]
+        x = wall.rest[:, 0].mean()
+        assert start[0] <= x - half + 1e-9
+        assert x + half + SETTINGS.target_clearance <= scene.target[0] + 1e-3
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_free_path_starts_free_and_pushes_the_middle_links_into_the_walls(seed):
+    scene = scene_of(seed)
+    depths = overlap_depths(ARM, *path_segments(ARM, path_of(seed)), rest_positions(scene), SETTINGS.node_radius)
+    assert depths[0].max() <= -SETTINGS.start_clearance
+    deepest = depths.max(axis=(0, 2))
+    middle = deepest[on_middle(ARM)].max()
+    # Placement looks at every fifth pose of the path only.
+    assert SETTINGS.min_overlap <= middle <= SETTINGS.max_overlap + 0.005
+    assert deepest[on_hand(ARM)].max() <= SETTINGS.max_hand_overlap + 0.005
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_posture_that_holds_the_target_pose_is_free_of_contact(seed):
+    scene = scene_of(seed)
+    nodes, radius = rest_positions(scene), SETTINGS.node_radius
+    segments = swivelled_segments(ARM, path_of(seed)[-1], np.linspace(0, 2 * np.pi, 1000))
+    assert overlap_depths(ARM, *segments, nodes, radius).max(axis=(1, 2)).min() > 0.0
+
+
+def test_swinging_the_elbow_aside_leaves_much_less_of_the_push():
+    # What planning in the null space is for: the sum over all nodes of the depth in the arm.
+    for seed in SEEDS:
+        scene = scene_of(seed)
+        nodes, radius = rest_positions(scene), SETTINGS.node_radius
+        segments = swivelled_segments(ARM, path_of(seed)[-1], np.linspace(0, 2 * np.pi, 72, endpoint=False))
+        pushed = np.maximum(overlap_depths(ARM, *segments, nodes, radius).max(axis=1), 0.0).sum(axis=1)
+        assert pushed.min() < 0.4 * pushed[0]
+
+
+def test_swivelled_capsules_are_those_of_real_postures_with_the_same_flange_pose():
+    model, q = RobotModel(ARM), path_of(0)[-1].copy()
+    position, rotation = model.tip_pose(q)
+    here = capsule_segments(ARM, q)
+    for _ in range(100):
+        # Along the null space of the Jacobian, back onto the pose.
+        model.update(q, np.zeros(ARM.n))
+        motion = np.linalg.svd(model.jacobian)[2][-1]
+        error = np.concatenate([position - model.position, [0, 0, 0]])
+        error[3:] = 0.5 * sum(np.cross(model.rotation[:, k], rotation[:, k]) for k in range(3))
+        q = q + 0.006 * motion * np.sign(motion[2]) + np.linalg.pinv(model.jacobian) @ error
+    moved = capsule_segments(ARM, q)
+    assert np.linalg.norm(moved[0][2] - here[0][2]) > 0.05
+    angles = np.linspace(0, 2 * np.pi, 4000)
+    starts, ends = swivelled_segments(ARM, path_of(0)[-1], angles)
+    best = np.linalg.norm(starts[:, 2] - moved[0][2], axis=1).argmin()
+    np.testing.assert_allclose(starts[best], moved[0], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(ends[best], moved[1], rtol=0, atol=1e-3)
+
+
+def test_same_seed_same_scene_and_other_seeds_other_ones():
+    again = make_scene(read_scene("wall"), ARM, 2)
+    for one, other in zip(scene_of(2).obstacles, again.obstacles, strict=True):
+        np.testing.assert_array_equal(one.rest, other.rest)
+    np.testing.assert_array_equal(scene_of(2).target, again.target)
+    assert len({tuple(scene_of(seed).target) for seed in SEEDS}) == len(SEEDS)
+
+
+def test_given_target_is_kept():
+    target = np.array([0.7, 0.0, 0.4])
+    np.testing.assert_array_equal(make_scene(read_scene("wall"), ARM, 0, target).target, target)
+
+
+def test_walls_that_fit_nowhere_are_refused_with_the_limits(monkeypatch):
+    monkeypatch.setattr(WallSettings, "TARGET_TRIES", 2)
+    monkeypatch.setattr(wall_kind, "_TRIES", 5)
+    narrow = with_obstacle(read_scene("wall"), gap=0.05)
+    with pytest.raises(SceneError, match=r"no target with walls on the arm's path found in 2 tries; .*gap = 0.05 m"):
+        make_scene(narrow, ARM, 0)
+
+
+def test_a_file_with_ball_and_wall_is_refused(tmp_path):
+    file = tmp_path / "both.yaml"
+    file.write_text("ball: {}\nwall: {}\n")
+    with pytest.raises(SettingsError, match="has both ball and wall"):
+        read_scene(str(file))
+
+
+def test_the_scene_file_says_what_the_code_has_as_default():
+    assert read_scene("wall").obstacles == (SETTINGS,)
+
+
+class TestObstacleSpheres:
+    def test_balls_come_first_then_the_nodes_of_each_wall(self):
+        (ball,) = BallSettings().at(np.array([0.1, 0.2, 0.9]))
+        obstacles = numbered([ball, *scene_of(0).obstacles])
+        scene = Scene("both", ARM, 0, HOME, np.zeros(3), obstacles)
+        rests = rest_positions(scene)
+        moved = rests + 0.01
+        spheres = obstacle_spheres(scene, moved)
+        np.testing.assert_array_equal(spheres.center, moved)
+        np.testing.assert_array_equal(spheres.rest, rests)
+        np.testing.assert_array_equal(spheres.rest[:1], ball.rest)
+        _, lower, upper = scene.obstacles
+        count = len(lower.rest)
+        np.testing.assert_array_equal(spheres.rest[1 : 1 + count], lower.rest)
+        assert spheres.radius[0] == 0.1
+        assert set(spheres.radius[1:]) == {SETTINGS.node_radius}
+        assert spheres.stiffness[0] == 100.0
+        np.testing.assert_array_equal(
+            spheres.stiffness[1:], np.where(np.concatenate([lower.fixed, upper.fixed]), FIXED_STIFFNESS, 0.0)
+        )
+        np.testing.assert_array_equal(spheres.edges[: len(lower.edges)], lower.edges + 1)
+        np.testing.assert_array_equal(spheres.edges[len(lower.edges) :], upper.edges + 1 + count)
+
+    def test_planners_stiffness_is_scaled_and_the_fixtures_is_not(self):
+        plain = WallSettings(anchor_stiffness=7.0)
+        scaled = dataclasses.replace(plain, planner_stiffness_scale=1.5)
+        first, second = (
+            obstacle_spheres(scene, rest_positions(scene))
+            for scene in (
+                Scene("test", ARM, 0, HOME, np.zeros(3), settings.at(np.zeros(3))) for settings in (plain, scaled)
+            )
+        )
+        np.testing.assert_allclose(second.edge_stiffness, 1.5 * first.edge_stiffness)
+        fixed = first.stiffness == FIXED_STIFFNESS
+        assert fixed.any() and not fixed.all()
+        np.testing.assert_array_equal(second.stiffness[fixed], first.stiffness[fixed])
+        np.testing.assert_allclose(second.stiffness[~fixed], 1.5 * 7.0)
+
+    def test_no_obstacles_are_no_spheres(self):
+        spheres = obstacle_spheres(Scene("free", ARM, 0, HOME, np.zeros(3)), np.zeros((0, 3)))
+        assert isinstance(spheres, Spheres) and len(spheres) == 0
