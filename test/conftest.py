@@ -8,6 +8,9 @@ from ros_domains import own_domain
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# Half the time to compile, which is most of the time of these tests; programs compute the same to rounding, and large
+# ones take a third longer. Processes that the tests start have it from here.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false")
 # Nodes under test must not hear other robots, or another test run on this machine; each worker has a domain.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())

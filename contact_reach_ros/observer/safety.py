@@ -114,8 +114,8 @@ class SafetyMonitor:
         In quasi-static motion it is what the model lacks. (n,), N m.
         """
         mean = self._mean_before if self.in_contact else self._model_error.mean
-        limits = self.budget.handover_thresholds
-        return tuple(min(max(slow, -limit), limit) for slow, limit in zip(mean, limits, strict=True))
+        joints = zip(mean, self.budget.handover_thresholds, strict=True)
+        return tuple([-limit if slow < -limit else limit if slow > limit else slow for slow, limit in joints])
 
     def update(self, residual: Array, q: Array, v: Array, known_for: float = math.inf) -> None:
         """Take the external torque of one state.

@@ -20,7 +20,7 @@ EXPECTED = {
     "sweep.py": r"ball +2 +2 ",
 }
 """What each prints."""
-LONG = ("closed_loop.py", "own_solver.py", "sweep.py")
+LONG = ("closed_loop.py", "own_cost_term.py", "own_solver.py", "sweep.py")
 
 
 def run(program: str, directory: Path, arguments: list[str]) -> str:

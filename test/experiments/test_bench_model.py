@@ -56,6 +56,7 @@ def test_contact_forces_agree_with_the_simulation_s_own_contacts(pushed):
     assert abs(np.mean(error)) <= 0.05
 
 
+@pytest.mark.slow
 def test_more_substeps_follow_contact_more_closely(pushed):
     cases, motions, (_, fine) = pushed
     _, coarse = force_errors(predict(cases, SUBSTEPS - 2), motions)

@@ -14,8 +14,8 @@ from pathlib import Path
 import yaml
 from ros_domains import fresh_domain
 
-SMALL_PLANNER = {"planning": {"population": 32, "elite": 8, "line_search_points": 32, "max_steps": 3}}
-"""Makes plans in a fraction of the time, for tests that are not about the planner."""
+SMALL_PLANNER = {"planning": {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}}
+"""Makes plans in a fraction of the time, for tests that are not about the planner; see test/planning/planning_helpers."""
 
 
 def environment() -> dict[str, str]:

@@ -19,8 +19,11 @@ from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.world.spheres import Spheres
 
 PERMITTED_FORCE = 10.0
-SMALL = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64)
-"""Enough candidates for tests that are not about their number."""
+SMALL = PlanningSettings(deadline=0.0, population=32, elite=8, line_search_points=16)
+"""Enough candidates for tests that are not about their number.
+
+As many as in all other tests, which then share the compiled programs: to compile them takes longer than the tests.
+"""
 
 LANES = 60
 """Candidates that the shared rollout takes."""
