@@ -172,17 +172,17 @@ class Histogram:
 
         Durations beyond all buckets are counted at twice the last edge.
         """
-        told: dict[int, int] = {}
+        found: dict[int, int] = {}
         left = self.count
         for bucket, count in enumerate(self._counts):
             if count:
                 last = bucket if bucket < _FINE else bucket // _COARSE * _COARSE + _COARSE - 1
                 edge = self._bucket_us * (last + 1 if bucket < _BUCKETS else 2 * _BUCKETS)
-                told[edge] = told.get(edge, 0) + count
+                found[edge] = found.get(edge, 0) + count
                 left -= count
                 if left <= 0:
                     break
-        return told
+        return found
 
     def summary(self) -> Mapping[str, float]:
         """Percentiles in µs, by the names that reports use."""

@@ -88,21 +88,21 @@ class ContactReaction:
             self._target = self._way_back()
         return True
 
-    def told(self) -> dict[str, str]:
+    def record(self) -> dict[str, str]:
         """The reaction in force by name, as JSON, for bags; empty without one."""
-        told: dict[str, str] = {}
+        record: dict[str, str] = {}
         if self._target is not None:
-            told[_RETREAT_TO] = json.dumps(self._target.tolist())
+            record[_RETREAT_TO] = json.dumps(self._target.tolist())
         if self._spheres:
-            told[_TOUCHED] = json.dumps([place.tolist() for place in self._spheres])
-        return told
+            record[_TOUCHED] = json.dumps([place.tolist() for place in self._spheres])
+        return record
 
-    def recall(self, told: Mapping[str, str]) -> None:
-        """React as recorded: `told` contains what the method of that name returned."""
+    def recall(self, record: Mapping[str, str]) -> None:
+        """React as recorded: `record` contains what the method of that name returned."""
         self.reset()
-        if _RETREAT_TO in told:
-            self._target = np.array(json.loads(told[_RETREAT_TO]))
-        self._spheres = [np.array(place) for place in json.loads(told.get(_TOUCHED, "[]"))]
+        if _RETREAT_TO in record:
+            self._target = np.array(json.loads(record[_RETREAT_TO]))
+        self._spheres = [np.array(place) for place in json.loads(record.get(_TOUCHED, "[]"))]
 
     def goal(self, goal: Target) -> Target:
         """The goal to plan for."""

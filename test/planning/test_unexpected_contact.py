@@ -83,10 +83,10 @@ def test_a_planner_without_spheres_retreats_and_one_that_ignores_does_nothing():
 @pytest.mark.parametrize("kind", ["retreat", "replan"])
 def test_what_is_told_for_bags_changes_plans_alike(kind):
     it, other = reaction(kind), reaction(kind)
-    assert it.told() == {}
+    assert it.record() == {}
     for tick in (0, 10):
         it.report(touch(), HOME, Spheres.none(), tick * TICK_NS)
-    other.recall({"plan": "3", **it.told()})
+    other.recall({"plan": "3", **it.record()})
     np.testing.assert_array_equal(other.goal(GOAL).position, it.goal(GOAL).position)
     np.testing.assert_array_equal(other.spheres(Spheres.none()).center, it.spheres(Spheres.none()).center)
     other.recall({"plan": "4"})
