@@ -216,7 +216,7 @@ class PlannerNode(ManagedNode):
             "took ms": took_ns / 1e6,
             **plan_statistics(plan),
             **({} if self._planner.goal is None else goal_values(self._planner.goal.position)),
-            **self._planner.reaction.record(),
+            **self._planner.reaction.values(),
         }
         self._statistics.publish(to_statistics(plan, values, NAME, self.arm))
         self._solutions.publish(to_solution(solution_parts(plan, core.memory)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -24,7 +23,6 @@ _STEP = 0.005
 """Distance between remembered positions of the flange, m."""
 _STIFFNESS, _DAMPING = 1e5, 500.0
 """Stiffness and damping of the sphere that stands for the contact, N/m and N s/m: it does not give way."""
-_RETREAT_TO, _TOUCHED = "retreat to", "touched"
 
 
 class ContactReaction:
@@ -88,21 +86,14 @@ class ContactReaction:
             self._target = self._way_back()
         return True
 
-    def record(self) -> dict[str, str]:
-        """The reaction in force by name, as JSON, for bags; empty without one."""
-        record: dict[str, str] = {}
+    def values(self) -> dict[str, str]:
+        """The reaction in force by name, as JSON, for plan/statistics; empty without one."""
+        values: dict[str, str] = {}
         if self._target is not None:
-            record[_RETREAT_TO] = json.dumps(self._target.tolist())
+            values["retreat to"] = json.dumps(self._target.tolist())
         if self._spheres:
-            record[_TOUCHED] = json.dumps([place.tolist() for place in self._spheres])
-        return record
-
-    def recall(self, record: Mapping[str, str]) -> None:
-        """React as recorded: `record` contains what the method of that name returned."""
-        self.reset()
-        if _RETREAT_TO in record:
-            self._target = np.array(json.loads(record[_RETREAT_TO]))
-        self._spheres = [np.array(place) for place in json.loads(record.get(_TOUCHED, "[]"))]
+            values["touched"] = json.dumps([place.tolist() for place in self._spheres])
+        return values
 
     def goal(self, goal: Target) -> Target:
         """The goal to plan for."""
