@@ -43,6 +43,7 @@ def test_other_processes_and_another_order_give_the_same_to_the_last_bit(here):
     assert {record["failure"] for record in here} == {""}
 
 
+@pytest.mark.slow
 def test_repeats_differ_in_random_numbers_and_not_in_the_target(here):
     first, second = here[:2]
     assert (first["repeat"], second["repeat"]) == (0, 1)

@@ -171,7 +171,7 @@ def stack(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stack")
     env, output = environment(), folder / "bringup.txt"
     parameters = parameter_file(folder / "small.yaml", planner=SMALL_PLANNER)
-    command = [*module("cli"), "up", "--parameters", str(parameters), "--scene", "free", "--lockstep"]
+    command = [*module("cli"), "up", "--parameters", str(parameters), "--scene", "ball", "--lockstep"]
     with running([*command, "--bag", str(folder / "bag")], env, output) as process:
         wait_for(lambda: "all nodes are active" in output.read_text() or process.poll() is not None, 300, "stack up")
         assert process.poll() is None, output.read_text()
