@@ -15,7 +15,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import StopWatch
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, with_sequel
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, code_of, with_sequel
 from contact_reach_ros.timing import states_in
 from contact_reach_ros.units import NANOSECONDS
 
@@ -109,6 +109,8 @@ class Supervisor:
         self._own: Verdict | None = None
         """Of the controller's own watch; None without one."""
         self._own_ns = 0
+        self._own_blind_ns: int | None = None
+        """Since when the controller's own watch has been blind; None while it sees."""
         self.longest_silence = 0.0
         self.model_error = np.zeros(arm.n)
         self._has_begun = self._is_early = False
@@ -207,9 +209,19 @@ class Supervisor:
         self._act_on(verdict)
 
     def hear_own(self, verdict: Verdict, clock_ns: int) -> None:
-        """Take a report of the controller's own watch, which counts as much as the observer's."""
+        """Take a report of the controller's own watch, which counts as much as the observer's.
+
+        Except that it may be blind for a while if the observer vouches for the arm: then this process was held up, and
+        the states that it missed have been seen.
+        """
         self._own, self._own_ns = verdict, clock_ns
-        self._act_on(verdict)
+        if code_of(verdict.reason) != StopCode.BLIND.value:
+            self._own_blind_ns = None
+        elif self._own_blind_ns is None:
+            self._own_blind_ns = clock_ns
+        is_patient = self._own_blind_ns is not None and clock_ns - self._own_blind_ns <= self._patience_ns
+        if not (is_patient and self._observer_vouches(clock_ns)):
+            self._act_on(verdict)
 
     def _act_on(self, verdict: Verdict) -> None:
         if self.mode is Mode.WAITING:
@@ -282,6 +294,11 @@ class Supervisor:
         limit = self._settings.hold_limit
         if had_plan and held_for > limit:
             self.stop(StopReason(StopCode.NO_PLAN, f"no valid plan for {limit:g} s"))
+
+    def _observer_vouches(self, clock_ns: int) -> bool:
+        """Whether the observer, heard of not long ago, has nothing against the arm's motion."""
+        heard = self._observer_ns is not None and self._silent_for(clock_ns) <= self._timeout_ns
+        return heard and not self._verdict.reason and not self._verdict.doubt
 
     def _heard_before_time(self, clock_ns: int) -> bool:
         """Whether the observer's last report came before simulated time began; it counts from now on."""

@@ -13,7 +13,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict
 from contact_reach_ros.world.scene import Scene
 
 SETTINGS = SupervisionSettings()
@@ -149,6 +149,48 @@ class TestVerdicts:
             if shown:
                 controller.watch(state, None, state.stamp_ns)
         assert controller.stop_reason.startswith("observer silent for 5")
+
+    BLIND = StopReason(StopCode.BLIND, "blind: joint states are up to 9 ms apart")
+
+    def update_all(self, controller, ticks, verdict=None):
+        """Takes states, and reports of the observer if a verdict is given; returns the tick of the stop."""
+        for tick in ticks:
+            if verdict is not None:
+                controller.hear(verdict, tick * TICK_NS)
+            self.update(controller, tick)
+            if controller.stop_reason:
+                return tick
+        return None
+
+    def test_alone_it_may_be_blind_for_as_long_as_the_observer_may_be_silent(self, controller, watcher):
+        watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
+        longest = round(1000 * SETTINGS.observer_patience)
+        assert self.update_all(controller, range(2, 2 * longest), Verdict()) == 2 + longest + 1
+        assert controller.stop_reason == self.BLIND
+
+    def test_one_that_sees_again_may_be_blind_again(self, controller, watcher):
+        longest = round(1000 * SETTINGS.observer_patience)
+        for begin in (2, 2 + longest):
+            watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
+            assert self.update_all(controller, range(begin, begin + longest - 1), Verdict()) is None
+            watcher.verdict = Verdict()
+            assert self.update_all(controller, [begin + longest - 1], Verdict()) is None
+
+    @pytest.mark.parametrize("verdict", [Verdict(doubt="500 Hz"), Verdict("blind", doubt="blind"), None])
+    def test_where_the_observer_does_not_vouch_its_blindness_stops_the_arm(self, controller, watcher, verdict):
+        self.update(controller, 2)
+        watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
+        stopped = self.update_all(controller, range(3, 200), verdict)
+        # An observer that is silent has vouched until it counts as silent.
+        assert stopped <= (4 if verdict is not None else 4 + 1000 * SETTINGS.observer_timeout)
+
+    def test_blind_it_keeps_the_arm_from_being_started(self, watcher):
+        watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
+        controller = Controller(ARM, ControllerSettings())
+        controller.watch_with(watcher)
+        for tick in range(1, 20):
+            controller.hear(Verdict(), tick * TICK_NS)
+            assert self.update(controller, tick) is None
 
     def test_pauses_of_the_controller_itself_do_not_make_its_watch_old(self, controller):
         for tick in (2, 3, 60, 120, 180):
