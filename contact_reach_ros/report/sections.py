@@ -29,7 +29,7 @@ def summary(bags: Sequence[ReportBag], failures: Sequence[str]) -> str:
     else:
         body = _comparison(bags, numbers)
     notes = [*failures, *(f"{bag.label}: {note}" if len(bags) > 1 else note for bag in bags for note in bag.notes)]
-    notes += [_thinning(bags), "Charts begin shortly before the goal: a double click shows the whole recording."]
+    notes += [_thinning(bags), "Charts begin shortly before the goal; double-click for the whole recording and back."]
     listed = "".join(f"<li>{escape(note)}</li>" for note in notes if note)
     return (
         f'<section id="summary"><h2>Summary</h2><div class="verdicts">{verdicts}</div>{body}'
