@@ -146,7 +146,9 @@ def is_run(command: Command) -> bool:
 def adapted(line: str) -> str:
     """The command as it is run here: in lockstep or fast, on any port, with names filled in, into bags that are new."""
     line = re.sub(r"^make demo(?: ARGS=\"?(.*?)\"?)?$", lambda found: f"contact-reach demo {found[1] or ''}", line)
-    line = re.sub(r"\bOTHER_BAG\b", "bags/first", re.sub(r"\bBAG\b", "bags/sample", line)).replace("<date>", "*[0-9]")
+    line = re.sub(r"\bOTHER_BAG\b", "bags/first", re.sub(r"\bBAG\b", "bags/sample", line))
+    # Commands of other pages have left bags, too.
+    line = re.sub(r"(\S+)<date>", r"$(ls -dt \1*[0-9] | head -1)", line)
     line = re.sub(r"(--bag |bag:=|--output )bags/(first|sample)", r"\1bags/new_\2", line).replace(" --loop", "")
     if re.search(r"contact-reach (demo|up)", line):
         line += " --lockstep" * ("--lockstep" not in line)
