@@ -90,7 +90,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_discovery(reset, "how far to look for the stack")
 
     view = add("view", _view, "serve a page for browsers that shows the running stack, or a bag")
-    view.add_argument("bag", nargs="?", type=Path, metavar="BAG", help="bag to show (default: the running stack)")
+    # Without a default of its own, argparse passes on the name of the suppressed one.
+    view.add_argument("bag", nargs="?", default="", metavar="BAG", help="bag to show (default: the running stack)")
     view.add_argument("--port", type=int, help="port of the page, on this machine only (default: 8080)")
     view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
     view.add_argument("--dark", action="store_true", help="a dark page")

@@ -193,7 +193,9 @@ def folder(tmp_path_factory) -> Path:
 def environment() -> dict[str, str]:
     """Of a domain that nothing else uses, with the commands in the path."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    inherited = {name: value for name, value in os.environ.items() if name != "ROS_AUTOMATIC_DISCOVERY_RANGE"}
+    # A user has neither, and with other options for XLA the sample's plans differ by more than rounding.
+    own = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "XLA_FLAGS")
+    inherited = {name: value for name, value in os.environ.items() if name not in own}
     return {**inherited, "PATH": path, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(fresh_domain())}
 
 
@@ -235,6 +237,8 @@ def test_commands_that_need_no_robot(page, folder, request):
         if command.page != page or not is_run(command):
             continue
         line = adapted(command.line)
+        for bag in (folder / "bags").glob("new_*"):
+            shutil.rmtree(bag)
         env = request.getfixturevalue("stack") if re.search(WITH_STACK, line) else environment()
         marker = next((marker for pattern, marker in ENDLESS.items() if re.search(pattern, line)), "")
         output = folder / "output.txt"
@@ -250,10 +254,9 @@ def test_commands_that_need_no_robot(page, folder, request):
 
 @pytest.mark.slow
 def test_packages_can_be_installed(tmp_path):
-    """pip resolves what the lines ask for, from a registry and for this Python, and installs nothing."""
+    """The lines install what they ask for into an environment of their own."""
     shutil.copytree(ROOT, tmp_path / "copy", ignore=shutil.ignore_patterns(".venv", ".git", "bags", "build", "install"))
-    env = {**os.environ, "PIP_DRY_RUN": "1"}
     lines = [command.line for command in COMMANDS if command.line.startswith(INSTALLING)]
     for line in dict.fromkeys(["make venv", *(line for line in lines if not line.startswith("make build"))]):
-        run = subprocess.run(["bash", "-c", line], cwd=tmp_path / "copy", env=env, capture_output=True, text=True)
+        run = subprocess.run(["bash", "-c", line], cwd=tmp_path / "copy", capture_output=True, text=True)
         assert run.returncode == 0, f"{line}: {run.stdout}\n{run.stderr}"
