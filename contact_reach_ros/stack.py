@@ -370,7 +370,11 @@ class Stack:
             elif answer is not None:
                 torque = answer
                 self._send(answer)
-            self.controller.watch(state, answer, self._clock_ns)
+            try:
+                self.controller.watch(state, answer, self._clock_ns)
+            except InputError as error:
+                # The controller does not look into states that are not new.
+                self._refuse("joint states", error)
         return torque
 
     def _send(self, torque: Array) -> None:

@@ -415,6 +415,11 @@ class TestFaults:
         stack, _ = self.run("duplicate_states share=0.5")
         assert stack.refused["old joint states"] > 100
 
+    def test_old_joint_states_that_are_not_finite_either(self):
+        """Only the own watch looks into these."""
+        stack, _ = self.run("duplicate_states share=0.5; nan_states share=0.3")
+        assert stack.refused["old joint states"] > 50 and stack.refused["joint states"] > 50
+
     def test_the_goal_is_withdrawn_when_the_robot_pauses_for_long(self):
         for pause, is_left in ((1.0, True), (2.1, False)):
             robot = SimulatedRobot(
