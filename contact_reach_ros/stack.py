@@ -191,7 +191,8 @@ class Stack:
         else:
             observer = observer or ObserverSettings()
             self.observer = Observer(self.arm, observer, budget, period)
-            self.controller.watch_with(Observer(self.arm, observer, budget, period, locates=False))
+            own_period = self.controller.watch_period
+            self.controller.watch_with(Observer(self.arm, observer, budget, own_period, locates=False))
         if isinstance(planner, Planner):
             self.planner = planner
         else:

@@ -98,10 +98,16 @@ class Controller:
     def watch_with(self, watcher: Watcher) -> None:
         """Take an observer for `watch`, which nobody else may use, if the settings want the controller to have one.
 
-        From then on the controller does not start unless it vouches, too.
+        Its nominal time between states is `watch_period`. From then on the controller does not start unless it
+        vouches, too.
         """
         if self.settings.supervision.has_own_watch:
-            self._watch = OwnWatch(watcher, self.supervisor)
+            self._watch = OwnWatch(watcher, self.supervisor, self._period, self.watch_period)
+
+    @property
+    def watch_period(self) -> float:
+        """Nominal time between the states that the controller's own watch takes, s."""
+        return self._period * max(1, round(1.0 / (self.settings.supervision.watch_rate * self._period)))
 
     @property
     def started(self) -> bool:
@@ -160,7 +166,7 @@ class Controller:
     def watch(self, state: JointState, torque: Array | None, clock_ns: int) -> None:
         """Show a state to the controller's own watch, whether new or not; without one nothing happens.
 
-        It takes longer than the torque (n,), N m, that `update` returned for the state: call it when that has been
+        It may take longer than the torque (n,), N m, that `update` returned for the state: call it when that has been
         sent. The next tick acts on what it finds.
 
         Raises

@@ -1,4 +1,4 @@
-"""The controller's own watch: an observer that sees every state that the controller answers, whoever else is late."""
+"""The controller's own watch: an observer of the states that the controller answers, whoever else is late."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.supervisor import Supervisor
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.units import NANOSECONDS
 
 
 class Report(Protocol):
@@ -40,18 +41,59 @@ class Watcher(Protocol):
         """Release what is latched; raises `InputError` if the arm moves or is pushed."""
 
 
-class OwnWatch:
-    """Shows each state and command to an observer of the controller's own, and its verdicts to the supervisor."""
+class _Mean:
+    """Mean of torques (n,), N m; None while there is none, or one of them was None."""
 
-    def __init__(self, watcher: Watcher, supervisor: Supervisor) -> None:
+    def __init__(self) -> None:
+        self._count = 0
+        self._mean: Array | None = None
+
+    def add(self, torque: Array | None) -> None:
+        """Take one more."""
+        self._count += 1
+        if self._count == 1 or torque is None:
+            self._mean = torque
+        elif self._mean is not None:
+            # In this form the mean of equal torques is exact: a sensor that is stuck stays recognisable.
+            self._mean = self._mean + (torque - self._mean) / self._count
+
+    def take(self) -> Array | None:
+        """Return the mean, and begin another."""
+        mean, self._mean, self._count = self._mean, None, 0
+        return mean
+
+
+class OwnWatch:
+    """Shows states and commands to an observer of the controller's own, and its verdicts to the supervisor.
+
+    The observer takes at most one state in each of its periods, with the mean of the torques since the last.
+    """
+
+    def __init__(self, watcher: Watcher, supervisor: Supervisor, period: float, watch_period: float) -> None:
+        """`period`: nominal time between joint states, s; `watch_period`: that of the watcher."""
         self._watcher = watcher
         self._supervisor = supervisor
-        self.command = watcher.command
+        self._step_ns = round((watch_period - 0.5 * period) * NANOSECONDS)
+        """Between two of the watcher's states; half a period less for the jitter of their stamps."""
+        self._shown_ns: int | None = None
+        self._last_ns = 0
+        self._measured = _Mean()
+        self._commanded = _Mean()
         supervisor.hear_own(Verdict(doubt="the controller's own watch has seen nothing yet"), 0)
 
     def see(self, state: JointState, started: bool, clock_ns: int) -> None:
         """Take a state, old ones included; `started`: whether the arm is commanded."""
-        report = self._watcher.update(state)
+        stamp_ns, q, v, torque = state
+        last_ns, self._last_ns = self._last_ns, stamp_ns
+        self._measured.add(torque)
+        # Whatever is not newer than the last state is shown at once: the watcher counts those.
+        if self._shown_ns is not None and last_ns < stamp_ns < self._shown_ns + self._step_ns:
+            return
+        self._shown_ns = stamp_ns
+        commanded = self._commanded.take()
+        if commanded is not None:
+            self._watcher.command(commanded)
+        report = self._watcher.update(JointState(stamp_ns, q, v, self._measured.take()))
         if report is None or not report.due:
             return
         self._supervisor.hear_own(report.verdict, clock_ns)
@@ -59,6 +101,10 @@ class OwnWatch:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
                 self._watcher.reset()
+
+    def command(self, torque: Array) -> None:
+        """Take the command (n,), N m, that acts until the next state."""
+        self._commanded.add(torque)
 
     def reset(self, clock_ns: int) -> None:
         """Release what the watch has latched.

@@ -91,7 +91,14 @@ class SupervisionSettings(Settings):
         0.05, "silence of the observer that stops the arm", unit="s", minimum=0.005, maximum=1.0
     )
     watch_itself: bool = setting(
-        True, "let an observer in the controller see every state, too, so that a late one leaves nothing unwatched"
+        True, "let the controller have an observer of its own, so that one that is late leaves nothing unwatched"
+    )
+    watch_rate: float = setting(
+        250.0,
+        "joint states that this one takes at most, each with the mean torque since the last",
+        unit="Hz",
+        minimum=100.0,
+        maximum=1000.0,
     )
     observer_patience: float = setting(
         0.5,

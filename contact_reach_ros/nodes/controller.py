@@ -151,7 +151,7 @@ class ControllerNode(ManagedNode):
     def _make_watcher(self) -> Observer:
         settings = ObserverSettings.from_sections(self._watch)
         budget: Any = self._watch[_BUDGET]
-        return Observer(self.arm, settings, budget, self.period, locates=False)
+        return Observer(self.arm, settings, budget, self._controller.watch_period, locates=False)
 
     def _look_around(self) -> None:
         """Check that nobody else publishes commands, or what they follow from; runs beside the loop."""

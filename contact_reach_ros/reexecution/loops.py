@@ -241,11 +241,11 @@ class _Loop:
         return Difference(len(self.outputs), stamp_ns, "stop reasons", str(recorded), str(self.reasons))
 
 
-def _make_observer(loop: _Loop, locates: bool = True) -> Observer:
-    """The observer of a node's settings."""
+def _make_observer(loop: _Loop, period: float, locates: bool = True) -> Observer:
+    """The observer of a node's settings, for states every `period` seconds."""
     settings = ObserverSettings.from_sections(loop.settings)
     inertias = loop.changes.inertia_set
-    return Observer(loop.inputs.arm, settings, loop.settings[BUDGET], loop.period, inertias, locates)
+    return Observer(loop.inputs.arm, settings, loop.settings[BUDGET], period, inertias, locates)
 
 
 class _ControllerLoop(_Loop):
@@ -253,7 +253,7 @@ class _ControllerLoop(_Loop):
         super().__init__("controller", inputs, changes)
         sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
         self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
-        self.watch = _make_observer(self, locates=False)
+        self.watch = _make_observer(self, self.controller.watch_period, locates=False)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
         self.last_residual: Array | None = None
@@ -331,7 +331,7 @@ class _ControllerLoop(_Loop):
 class _ObserverLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
         super().__init__("observer", inputs, changes)
-        self.observer = _make_observer(self)
+        self.observer = _make_observer(self, self.period)
         self.rows = inputs.by_stamp(self.topic)
         self.commands = {sent: row for row, sent in enumerate(inputs.columns[COMMANDS].publish_ns.tolist())}
         self.last_recorded: Array | None = None

@@ -40,6 +40,7 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
         "supervision.require_observer": False,
         "supervision.correct_stop": False,
         "supervision.watch_itself": False,
+        "supervision.watch_rate": 1000.0,
         "supervision.brake_after": 3600.0,
         "supervision.stop_creep": 7.0,
     },
