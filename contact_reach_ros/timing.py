@@ -16,6 +16,12 @@ PERIOD_NS = 1_000_000
 PAUSE = 0.1
 """Time without joint states after which nothing that was before them holds, s: the arm may be anywhere."""
 
+GAP_PERIODS = 3
+"""A step between states of more than so many periods is a gap, over which nothing is known."""
+
+GAPS_IN_A_ROW = 5
+"""So many mean that whoever reads the states is blind."""
+
 _BUCKETS = 20000
 _FINE, _COARSE = 200, 200
 """`Histogram.counts` reports so many buckets one by one, and later ones in groups of so many."""

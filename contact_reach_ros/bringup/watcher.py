@@ -17,6 +17,7 @@ from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time, to_point
 from contact_reach_ros.messages.joint_order import JointOrder
+from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
@@ -191,7 +192,7 @@ class Watcher:
         self.force = message.effort[-1] if message.effort else 0.0
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        if message.level >= DiagnosticStatus.ERROR:
+        if is_stopped(message):
             self.stopped = True
             self.safety = f"STOP by {message.name}: {message.message}"
         elif message.name == "controller" and not self.stopped:

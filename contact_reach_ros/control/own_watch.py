@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from typing import Protocol
 
@@ -9,7 +10,8 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.supervisor import Supervisor
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict
+from contact_reach_ros.timing import GAP_PERIODS, GAPS_IN_A_ROW
 from contact_reach_ros.units import NANOSECONDS
 
 
@@ -42,18 +44,23 @@ class Watcher(Protocol):
 
 
 class _Mean:
-    """Mean of torques (n,), N m; None while there is none, or one of them was None."""
+    """Mean of torques (n,), N m; those that are not known count only while none is."""
 
     def __init__(self) -> None:
         self._count = 0
         self._mean: Array | None = None
 
     def add(self, torque: Array | None) -> None:
-        """Take one more."""
+        """Take one more; None where it is not known."""
+        # A sum is finite exactly when every summand is.
+        if torque is None or not math.isfinite(sum(torque.tolist())):
+            if self._count == 0:
+                self._mean = torque
+            return
         self._count += 1
-        if self._count == 1 or torque is None:
+        if self._count == 1 or self._mean is None:
             self._mean = torque
-        elif self._mean is not None:
+        else:
             # In this form the mean of equal torques is exact: a sensor that is stuck stays recognisable.
             self._mean = self._mean + (torque - self._mean) / self._count
 
@@ -66,7 +73,8 @@ class _Mean:
 class OwnWatch:
     """Shows states and commands to an observer of the controller's own, and its verdicts to the supervisor.
 
-    The observer takes at most one state in each of its periods, with the mean of the torques since the last.
+    The observer takes at most one state in each of its periods, with the mean of the torques since the last. States
+    that are missing are noticed as at the full rate.
     """
 
     def __init__(self, watcher: Watcher, supervisor: Supervisor, period: float, watch_period: float) -> None:
@@ -75,6 +83,9 @@ class OwnWatch:
         self._supervisor = supervisor
         self._step_ns = round((watch_period - 0.5 * period) * NANOSECONDS)
         """Between two of the watcher's states; half a period less for the jitter of their stamps."""
+        self._gap_ns = GAP_PERIODS * round(period * NANOSECONDS)
+        self._gaps = 0
+        """Steps between states in a row that were longer."""
         self._shown_ns: int | None = None
         self._last_ns = 0
         self._measured = _Mean()
@@ -84,20 +95,24 @@ class OwnWatch:
     def see(self, state: JointState, started: bool, clock_ns: int) -> None:
         """Take a state, old ones included; `started`: whether the arm is commanded."""
         stamp_ns, q, v, torque = state
-        last_ns, self._last_ns = self._last_ns, stamp_ns
+        step_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
         self._measured.add(torque)
+        self._gaps = self._gaps + 1 if step_ns > self._gap_ns else 0
         # Whatever is not newer than the last state is shown at once: the watcher counts those.
-        if self._shown_ns is not None and last_ns < stamp_ns < self._shown_ns + self._step_ns:
+        if self._shown_ns is not None and step_ns > 0 and stamp_ns < self._shown_ns + self._step_ns:
             return
         self._shown_ns = stamp_ns
         commanded = self._commanded.take()
         if commanded is not None:
             self._watcher.command(commanded)
         report = self._watcher.update(JointState(stamp_ns, q, v, self._measured.take()))
-        if report is None or not report.due:
+        if report is None:
             return
-        self._supervisor.hear_own(report.verdict, clock_ns)
-        if report.verdict.reason and not started:
+        if self._gaps >= GAPS_IN_A_ROW:
+            self._supervisor.hear_own(_missed(report.verdict, step_ns), clock_ns)
+        elif report.due:
+            self._supervisor.hear_own(report.verdict, clock_ns)
+        if report.due and report.verdict.reason and not started:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
                 self._watcher.reset()
@@ -120,3 +135,12 @@ class OwnWatch:
         self._supervisor.hear_own(self._watcher.report().verdict, clock_ns)
         if self._supervisor.own_reason:
             raise InputError(f"the controller's own watch is stopped ({self._supervisor.own_reason})")
+
+
+def _missed(verdict: Verdict, step_ns: int) -> Verdict:
+    """The verdict, with the reason that states were missed unless it has a worse one."""
+    if verdict.reason:
+        return verdict
+    text = f"blind: joint states are {step_ns / 1e6:.0f} ms apart: look at the driver and the network"
+    missed = StopReason(StopCode.MISSED_STATES, text)
+    return verdict._replace(reason=missed, doubt=missed)

@@ -15,7 +15,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import StopWatch
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, code_of, with_sequel
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, is_missing_states, with_sequel
 from contact_reach_ros.timing import states_in
 from contact_reach_ros.units import NANOSECONDS
 
@@ -109,8 +109,10 @@ class Supervisor:
         self._own: Verdict | None = None
         """Of the controller's own watch; None without one."""
         self._own_ns = 0
-        self._own_blind_ns: int | None = None
-        """Since when the controller's own watch has been blind; None while it sees."""
+        self._missing_ns: int | None = None
+        """Since when the observer has missed states; None while it sees them."""
+        self._own_missing_ns: int | None = None
+        """The same for the controller's own watch."""
         self.longest_silence = 0.0
         self.model_error = np.zeros(arm.n)
         self._has_begun = self._is_early = False
@@ -201,27 +203,31 @@ class Supervisor:
     def hear_observer(self, verdict: Verdict, clock_ns: int) -> None:
         """Take a report of the observer, which is also its heartbeat; a reason in it stops the arm once it has started.
 
+        Except that it may miss states for a while if the controller's own watch vouches for the arm: then its process
+        was held up, and the states have been seen.
+
         `clock_ns`: time of its arrival on the watchdogs' clock.
         """
         self._observer_ns, self._has_forgiven = clock_ns, False
         self._is_early = clock_ns == 0 and not self._has_begun
         self._verdict = verdict
-        self._act_on(verdict)
+        self._missing_ns = _since(self._missing_ns, verdict, clock_ns)
+        if not (self._may_miss(self._missing_ns, clock_ns) and self._own_vouches(clock_ns)):
+            self._act_on(verdict)
 
     def hear_own(self, verdict: Verdict, clock_ns: int) -> None:
         """Take a report of the controller's own watch, which counts as much as the observer's.
 
-        Except that it may be blind for a while if the observer vouches for the arm: then this process was held up, and
-        the states that it missed have been seen.
+        It may miss states for as long as the observer may, while that vouches for the arm.
         """
         self._own, self._own_ns = verdict, clock_ns
-        if code_of(verdict.reason) != StopCode.BLIND.value:
-            self._own_blind_ns = None
-        elif self._own_blind_ns is None:
-            self._own_blind_ns = clock_ns
-        is_patient = self._own_blind_ns is not None and clock_ns - self._own_blind_ns <= self._patience_ns
-        if not (is_patient and self._observer_vouches(clock_ns)):
+        self._own_missing_ns = _since(self._own_missing_ns, verdict, clock_ns)
+        if not (self._may_miss(self._own_missing_ns, clock_ns) and self._observer_vouches(clock_ns)):
             self._act_on(verdict)
+
+    def _may_miss(self, missing_ns: int | None, clock_ns: int) -> bool:
+        """Whether a watcher that has missed states since then may go on to."""
+        return missing_ns is not None and clock_ns - missing_ns <= self._patience_ns
 
     def _act_on(self, verdict: Verdict) -> None:
         if self.mode is Mode.WAITING:
@@ -262,9 +268,7 @@ class Supervisor:
                 self._has_forgiven = True
         silence_ns = self._silent_for(clock_ns)
         self.longest_silence = max(self.longest_silence, silence_ns / NANOSECONDS)
-        own = self._own
-        is_watched = own is not None and not own.doubt and clock_ns - self._own_ns <= self._timeout_ns
-        if silence_ns > (self._patience_ns if is_watched else self._timeout_ns):
+        if silence_ns > (self._patience_ns if self._own_vouches(clock_ns) else self._timeout_ns):
             self.stop(StopReason(StopCode.OBSERVER_SILENT, f"observer silent for {silence_ns / 1e6:.0f} ms"))
 
     def watch_joints(self, q: Array, v: Array) -> None:
@@ -300,6 +304,11 @@ class Supervisor:
         heard = self._observer_ns is not None and self._silent_for(clock_ns) <= self._timeout_ns
         return heard and not self._verdict.reason and not self._verdict.doubt
 
+    def _own_vouches(self, clock_ns: int) -> bool:
+        """Whether the controller's own watch, which is not late, has nothing against the arm's motion."""
+        own = self._own
+        return own is not None and not own.doubt and clock_ns - self._own_ns <= self._timeout_ns
+
     def _heard_before_time(self, clock_ns: int) -> bool:
         """Whether the observer's last report came before simulated time began; it counts from now on."""
         if not self._is_early:
@@ -310,6 +319,13 @@ class Supervisor:
     def _silent_for(self, clock_ns: int) -> int:
         """Time since the observer's last report, ns; 0 before the first."""
         return 0 if self._observer_ns is None else clock_ns - self._observer_ns
+
+
+def _since(missing_ns: int | None, verdict: Verdict, clock_ns: int) -> int | None:
+    """Since when a watcher has missed states, after one more verdict; None if it sees them."""
+    if not is_missing_states(verdict.reason):
+        return None
+    return clock_ns if missing_ns is None else missing_ns
 
 
 def check_start(arm: Arm, q: Array, v: Array) -> None:

@@ -22,7 +22,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord, Stamps
 from contact_reach_ros.doctor.stack import Endpoint, Graph
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.safety_state import is_stopped, requires_observer
+from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_observer
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.ros.discovery import wait_until_settled
@@ -113,7 +113,7 @@ class Look:
             topic.name: _endpoints(node.get_subscriptions_info_by_topic(topic.name)) for topic in topics.ALL
         }
         newest = self._newest(topics.SAFETY_STATE)
-        stops = [(name, status.message, is_stopped(status)) for name, status in newest.items()]
+        stops = [(name, status.message, read_level(status) >= ERROR) for name, status in newest.items()]
         is_watched = all(requires_observer(status) for status in newest.values())
         settings = {name: read_settings(status) for name, status in self._newest(topics.SETTINGS).items()}
         self.graph = Graph(

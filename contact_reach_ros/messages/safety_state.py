@@ -10,7 +10,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
-from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, code_of
+from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, code_of, is_missing_states
 
 MONITORING = "monitoring"
 """Message while nothing stops the arm and nothing touches it."""
@@ -29,6 +29,9 @@ DOUBT = "doubt"
 
 TORQUE = "acting torque"
 """Key of whether the acting torque is known."""
+
+_OBSERVER = "observer"
+"""Name of the node in its messages."""
 
 _KNOWN, _UNKNOWN = "known", "unknown"
 
@@ -69,8 +72,12 @@ def read_level(message: Any) -> int:
 
 
 def is_stopped(message: Any) -> bool:
-    """Whether a safety state, of whatever node, is that of a stop."""
-    return read_level(message) >= ERROR
+    """Whether a safety state, of whatever node, is that of a stop.
+
+    An observer that missed states is in error, but the controller decides whether to stop the arm for that.
+    """
+    is_open = message.name == _OBSERVER and is_missing_states(read_reason(message))
+    return read_level(message) >= ERROR and not is_open
 
 
 def read_verdict(message: Any) -> Verdict:
@@ -96,8 +103,8 @@ def requires_observer(message: Any) -> bool:
 
 
 def read_reason(message: Any) -> str:
-    """Why a node stopped the arm, with its code where the message has one; empty if it did not."""
-    if not is_stopped(message):
+    """Why a node is in error, with its code where the message has one; empty if it is not."""
+    if read_level(message) < ERROR:
         return ""
     code = next((item.value for item in message.values if item.key == STOP_CODE), "")
     try:

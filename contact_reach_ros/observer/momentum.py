@@ -10,13 +10,10 @@ from scipy.linalg import lapack
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.observer.settings import MomentumSettings
-from contact_reach_ros.timing import PAUSE
+from contact_reach_ros.timing import GAP_PERIODS, PAUSE
 from contact_reach_ros.units import NANOSECONDS
 
 _IDENTITY = np.eye(6)
-
-GAP_PERIODS = 3
-"""A step between states of more than so many periods is a gap, over which nothing is known."""
 
 _IMPLAUSIBLE = 1e5
 """Implausible values, Nm and Nms: a hundred times what the strongest joint could do."""

@@ -6,10 +6,9 @@ import math
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.observer.momentum import GAP_PERIODS
 from contact_reach_ros.observer.settings import PlausibilitySettings
 from contact_reach_ros.stop_reasons import StopCode, StopReason
-from contact_reach_ros.timing import states_in
+from contact_reach_ros.timing import GAP_PERIODS, states_in
 from contact_reach_ros.units import NANOSECONDS
 
 _MEMORY = 0.2

@@ -7,11 +7,8 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.stop_reasons import StopCode, StopReason
-from contact_reach_ros.timing import RateCheck, states_in
+from contact_reach_ros.timing import GAPS_IN_A_ROW, RateCheck, states_in
 from contact_reach_ros.units import NANOSECONDS
-
-PATIENCE = 5
-"""States in a row that leave the residual as it was, and make the observer blind."""
 
 TAKEN_OVER = 100
 """Time for which a moving arm may come without torques, ms: its drive holds it, and either gives it back or brakes."""
@@ -24,8 +21,8 @@ class Sight:
     """Counts the joint states in a row from which no external torque follows.
 
     Torques may be unknown while the arm rests: its brakes are closed, and nobody has been handed the arm. They may be
-    unknown for `TAKEN_OVER` while it moves. Anything else that leaves the residual as it was for `PATIENCE` states is
-    blindness.
+    unknown for `TAKEN_OVER` while it moves. Anything else that leaves the residual as it was for `GAPS_IN_A_ROW` states
+    is blindness.
 
     Attributes
     ----------
@@ -76,28 +73,32 @@ class Sight:
             self._unseen, self.blind, self.doubt = 0, "", ""
             return
         self._unseen += 1
-        if self._unseen >= (PATIENCE if known or missing else self._taken_over):
-            self._lose(missing or self._explain(v, known))
+        if self._unseen >= (GAPS_IN_A_ROW if known or missing else self._taken_over):
+            if missing or not known:
+                self._lose(missing or self._explain_motion(v))
+            else:
+                self._lose(self._explain_gaps(), StopCode.MISSED_STATES)
 
     def repeated(self) -> bool:
         """Take a state whose stamp is not new; returns whether the stamps have stopped."""
         self._repeated += 1
         # The first state may come again and again, until everybody has received it.
-        if self._repeated < 4 * PATIENCE or not self._has_advanced:
+        if self._repeated < 4 * GAPS_IN_A_ROW or not self._has_advanced:
             return False
         self._lose("the stamps of joint_states do not advance: look at the driver's clock")
         return True
 
-    def _lose(self, why: str) -> None:
-        self.blind = self.doubt = StopReason(StopCode.BLIND, f"blind: {why}")
+    def _lose(self, why: str, code: StopCode = StopCode.BLIND) -> None:
+        self.blind = self.doubt = StopReason(code, f"blind: {why}")
 
-    def _explain(self, v: Array, known: bool) -> str:
-        if not known:
-            joint = int(np.abs(v).argmax())
-            return (
-                f"no torque is known while {self._names[joint]} moves with {abs(v[joint]):.2f} rad/s: let the driver "
-                "fill effort, or set torque_source to commanded"
-            )
+    def _explain_motion(self, v: Array) -> str:
+        joint = int(np.abs(v).argmax())
+        return (
+            f"no torque is known while {self._names[joint]} moves with {abs(v[joint]):.2f} rad/s: let the driver "
+            "fill effort, or set torque_source to commanded"
+        )
+
+    def _explain_gaps(self) -> str:
         return self.rate.mismatch(least=2) or (
             f"joint states are up to {self.rate.longest_ns / NANOSECONDS * 1000:.0f} ms apart, too far for the "
             "external torque: look at the driver and the network"

@@ -18,6 +18,7 @@ from contact_reach_ros.planning.known_obstacles import KnownObstacles
 from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.stop_reasons import is_missing_states
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Target
@@ -160,8 +161,11 @@ class Planner:
         self.obstacles.see(obstacles, now_ns if stamp_ns is None else stamp_ns)
 
     def hear(self, report: SafetyReport) -> None:
-        """Take a report of the observer: a stop withdraws the goal, unexpected contact changes what is planned."""
-        if report.reason:
+        """Take a report of the observer: a stop withdraws the goal, unexpected contact changes what is planned.
+
+        One that missed states is no stop: the controller decides about that.
+        """
+        if report.reason and not is_missing_states(report.reason):
             self.withdraw()
         else:
             self.touched(report.contact)

@@ -21,7 +21,7 @@ from contact_reach_ros.reexecution.loops import Reexecution
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report.recorded_settings import recorded_section
 from contact_reach_ros.report.signals import EpisodeSignals, read_signals
-from contact_reach_ros.report.summary import ERROR_LEVEL, Episode, EpisodeSummary, largest
+from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest
 from contact_reach_ros.timing import PERCENTILES
 
 CALLED = "stop service called"
@@ -242,7 +242,7 @@ def _episode(arm: Arm, signals: EpisodeSignals, end: float, notes: list[str]) ->
 
 
 def _verdict(signals: EpisodeSignals, summary: EpisodeSummary | None, end: float) -> tuple[str, bool]:
-    stops = [event for event in signals.safety if event.level >= ERROR_LEVEL and event.time < end]
+    stops = [event for event in signals.safety if event.is_stop and event.time < end]
     stops = [event for event in stops if event.message != CALLED]
     if stops:
         return f"stopped by the {stops[0].name}: {stops[0].message}", False

@@ -18,6 +18,7 @@ from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointState
 from contact_reach_ros.bags.goals import goal_in, pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.intake import COLUMNS, Taken
+from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.units import NANOSECONDS
@@ -65,12 +66,16 @@ class Series:
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """A change of the safety state: time in s, level of DiagnosticStatus (0: all is well), source and message."""
+    """A change of the safety state.
+
+    Time in s, level of DiagnosticStatus (0: all is well), source, message, and whether it is that of a stop.
+    """
 
     time: float
     level: int
     name: str
     message: str
+    is_stop: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -234,7 +239,7 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[Event]:
         state = (status.level, status.message)
         if last.get(status.name) != state:
             last[status.name] = state
-            yield Event(time, status.level, status.name, status.message)
+            yield Event(time, status.level, status.name, status.message, is_stopped(status))
 
 
 def _plans(clock: _Clock, array: Any) -> Iterator[PlanStatistics]:

@@ -21,9 +21,6 @@ from contact_reach_ros.report.plot import BEFORE, SUCCESS_DISTANCE, Marker, epis
 from contact_reach_ros.report.recorded_settings import recorded_section
 from contact_reach_ros.report.signals import EpisodeSignals, Series
 
-ERROR_LEVEL = 2
-"""Of a DiagnosticStatus: the arm is stopped."""
-
 
 @dataclasses.dataclass(frozen=True)
 class EpisodeSummary:
@@ -209,7 +206,7 @@ class Episode:
         """Each stop once, however often it was repeated."""
         stops: dict[tuple[str, str], float] = {}
         for event in self._signals.safety:
-            if event.level >= ERROR_LEVEL and event.time <= self._end:
+            if event.is_stop and event.time <= self._end:
                 stops.setdefault((event.name, event.message), event.time)
         return [
             {"time_s": time - self.start, "source": source, "reason": reason}

@@ -158,7 +158,8 @@ class TestVerdicts:
                 controller.watch(state, None, state.stamp_ns)
         assert controller.stop_reason.startswith("observer silent for 5")
 
-    BLIND = StopReason(StopCode.BLIND, "blind: joint states are up to 9 ms apart")
+    MISSED = StopReason(StopCode.MISSED_STATES, "blind: joint states are up to 9 ms apart")
+    BLIND = StopReason(StopCode.BLIND, "blind: joint_states carry no effort")
 
     def update_all(self, controller, ticks, verdict=None):
         """Takes states, and reports of the observer if a verdict is given; returns the tick of the stop."""
@@ -170,24 +171,53 @@ class TestVerdicts:
                 return tick
         return None
 
-    def test_alone_it_may_be_blind_for_as_long_as_the_observer_may_be_silent(self, controller, watcher):
-        watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
+    def test_alone_it_may_miss_states_for_as_long_as_the_observer_may_be_silent(self, controller, watcher):
+        watcher.verdict = Verdict(self.MISSED, doubt=self.MISSED)
         longest = round(1000 * SETTINGS.observer_patience)
         assert self.update_all(controller, range(2, 2 * longest), Verdict()) == 2 + longest + 1
-        assert controller.stop_reason == self.BLIND
+        assert controller.stop_reason == self.MISSED
 
-    def test_one_that_sees_again_may_be_blind_again(self, controller, watcher):
+    def test_the_observer_alone_may_miss_states_for_as_long_as_it_may_be_silent(self, controller):
         longest = round(1000 * SETTINGS.observer_patience)
+        missed = Verdict(self.MISSED, doubt=self.MISSED)
+        self.update(controller, 2)
+        assert self.update_all(controller, range(3, 2 * longest), missed) == 3 + longest + 1
+        assert controller.stop_reason == self.MISSED
+
+    @pytest.mark.parametrize("who", ["observer", "own watch"])
+    def test_one_that_sees_again_may_miss_states_again(self, controller, watcher, who):
+        longest, missed = round(1000 * SETTINGS.observer_patience), Verdict(self.MISSED, doubt=self.MISSED)
         for begin in (2, 2 + longest):
-            watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
-            assert self.update_all(controller, range(begin, begin + longest - 1), Verdict()) is None
-            watcher.verdict = Verdict()
-            assert self.update_all(controller, [begin + longest - 1], Verdict()) is None
+            for verdict, ticks in ((missed, range(begin, begin + longest - 1)), (Verdict(), [begin + longest - 1])):
+                watcher.verdict = verdict if who == "own watch" else Verdict()
+                heard = verdict if who == "observer" else Verdict()
+                assert self.update_all(controller, ticks, heard) is None
+
+    @pytest.mark.parametrize("who", ["observer", "own watch"])
+    def test_what_the_states_lack_stops_the_arm_whoever_misses_it(self, controller, watcher, who):
+        self.update(controller, 2)
+        blind = Verdict(self.BLIND, doubt=self.BLIND)
+        watcher.verdict = blind if who == "own watch" else Verdict()
+        assert self.update_all(controller, range(3, 9), blind if who == "observer" else Verdict()) == 3
+
+    @pytest.mark.parametrize("doubt", ["500 Hz", MISSED, BLIND])
+    def test_where_its_own_watch_does_not_vouch_an_observer_that_missed_states_stops_the_arm(
+        self, controller, watcher, doubt
+    ):
+        watcher.verdict = Verdict(doubt=doubt)
+        self.update(controller, 2)
+        assert self.update_all(controller, range(3, 200), Verdict(self.MISSED, doubt=self.MISSED)) == 3
+
+    def test_without_its_own_watch_an_observer_that_missed_states_stops_the_arm(self, watcher):
+        controller = watched_by(watcher, watch_itself=False)
+        controller.hear(Verdict(), TICK_NS)
+        self.update(controller, 1)
+        assert self.update_all(controller, range(2, 9), Verdict(self.MISSED, doubt=self.MISSED)) == 2
 
     @pytest.mark.parametrize("verdict", [Verdict(doubt="500 Hz"), Verdict("blind", doubt="blind"), None])
     def test_where_the_observer_does_not_vouch_its_blindness_stops_the_arm(self, controller, watcher, verdict):
         self.update(controller, 2)
-        watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
+        watcher.verdict = Verdict(self.MISSED, doubt=self.MISSED)
         stopped = self.update_all(controller, range(3, 200), verdict)
         # An observer that is silent has vouched until it counts as silent.
         assert stopped <= (4 if verdict is not None else 4 + 1000 * SETTINGS.observer_timeout)
@@ -283,11 +313,26 @@ class TestRate:
         assert [state.stamp_ns // TICK_NS for state in watcher.states] == [1, 2, 2, 1, 6]
 
     @pytest.mark.parametrize("torque", [None, np.nan])
-    def test_one_unknown_torque_makes_the_mean_unknown(self, torque):
-        watcher = self.shown([tick * TICK_NS for tick in range(1, 10)], [1.0, 1.0, torque, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1])
+    def test_the_mean_is_that_of_known_torques_and_exact_for_equal_ones(self, torque):
+        torques = [1.0, torque, torque, torque, torque, 0.1, torque, 0.1, 0.1]
+        watcher = self.shown([tick * TICK_NS for tick in range(1, 10)], torques)
         _, unknown, known = [state.torque for state in watcher.states]
-        assert unknown is None or np.isnan(unknown).all()
-        assert (known == 0.1).all(), "the mean of equal torques must be exact"
+        assert unknown is None if torque is None else np.isnan(unknown).all()
+        assert (known == 0.1).all()
+
+    def test_gaps_are_noticed_as_at_the_full_rate(self):
+        """4 ms are the nominal time between the states that the watcher is shown."""
+        watcher = Recorder()
+        controller = Controller(ARM, ControllerSettings())
+        controller.watch_with(watcher)
+        for tick in range(1, 10):
+            controller.hear(Verdict(), 4 * tick * TICK_NS)
+            controller.update(JointState(4 * tick * TICK_NS, HOME, REST, None), 4 * tick * TICK_NS)
+            controller.watch(controller.state, None, 4 * tick * TICK_NS)
+        assert controller.supervisor.own_reason.code is StopCode.MISSED_STATES
+        for tick in range(37, 46):
+            controller.watch(JointState(tick * TICK_NS, HOME, REST, None), None, tick * TICK_NS)
+        assert not controller.supervisor.own_reason
 
     @pytest.mark.parametrize(("rate", "every"), [(1000.0, 1), (500.0, 2), (250.0, 4), (200.0, 5), (100.0, 10)])
     def test_its_period_is_a_whole_number_of_states(self, rate, every):

@@ -7,9 +7,10 @@ import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS, ideal_plant, random_states
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.observer.momentum import GAP_PERIODS, MomentumObserver, MomentumSettings
+from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation
 from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.timing import GAP_PERIODS
 
 SETTINGS = MomentumSettings()
 TICKS_PER_LAG = round(1.0 / SETTINGS.gain / TICK)

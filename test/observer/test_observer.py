@@ -13,8 +13,9 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.observer.settings import COMMANDED, CommandedSettings, ObserverSettings
-from contact_reach_ros.observer.sight import PATIENCE, TAKEN_OVER
+from contact_reach_ros.observer.sight import TAKEN_OVER
 from contact_reach_ros.stop_reasons import StopCode
+from contact_reach_ros.timing import GAPS_IN_A_ROW
 
 BUDGET = ContactBudget().resolve(ARM)
 GRAVITY = RobotModel(ARM).gravity_at(HOME)
@@ -143,19 +144,19 @@ class TestTorque:
         torque = np.where(np.arange(ARM.n) == joint, value, GRAVITY)
         momentum = watched.observer.momentum
         residual, known_for = momentum.residual.copy(), momentum.known_for
-        reports = [watched.observer.update(watched.state(torque=torque)) for _ in range(PATIENCE)]
+        reports = [watched.observer.update(watched.state(torque=torque)) for _ in range(GAPS_IN_A_ROW)]
         np.testing.assert_array_equal(momentum.residual, residual)
         # The hand-over does not begin again.
-        assert (momentum.known_for, momentum.refused) == (known_for, PATIENCE)
-        assert [report.level for report in reports] == [SafetyLevel.FREE] * (PATIENCE - 1) + [SafetyLevel.BLIND]
+        assert (momentum.known_for, momentum.refused) == (known_for, GAPS_IN_A_ROW)
+        assert [report.level for report in reports] == [SafetyLevel.FREE] * (GAPS_IN_A_ROW - 1) + [SafetyLevel.BLIND]
         assert reports[-1].due and reports[-1].reason == reports[-1].doubt
         assert f"blind: joint_states carry no finite effort for {ARM.joint_names[joint]}" in reports[-1].reason
         assert reports[-1].reason.code is StopCode.BLIND
-        assert reports[-1].age == pytest.approx(0.001 * PATIENCE)
+        assert reports[-1].age == pytest.approx(0.001 * GAPS_IN_A_ROW)
         assert watched.run(2)[-1].level is SafetyLevel.FREE
 
     def test_infinite_torques_of_all_joints_are_no_closed_brakes(self, watched):
-        for _ in range(PATIENCE):
+        for _ in range(GAPS_IN_A_ROW):
             report = watched.observer.update(watched.state(torque=np.full(ARM.n, math.inf)))
         assert "no finite effort for" in report.reason
 
@@ -168,7 +169,7 @@ class TestTorque:
         assert watched.run(5)[-1].known_for == pytest.approx(0.005)
 
     def test_joint_states_without_efforts_make_it_blind_and_the_message_says_what_to_do(self, watched):
-        for _ in range(PATIENCE):
+        for _ in range(GAPS_IN_A_ROW):
             report = watched.observer.update(watched.state(torque=None))
         assert "blind: joint_states carry no effort: let the driver fill it, or set torque_source" in report.reason
 
@@ -309,7 +310,7 @@ def test_states_that_come_too_seldom_make_it_blind_and_the_rate_is_named(period_
     watched.period_ms = period_ms
     reports = watched.run(200)
     assert reports[0].doubt and not reports[0].reason
-    for report in reports[PATIENCE:]:
+    for report in reports[GAPS_IN_A_ROW:]:
         assert report.level is SafetyLevel.BLIND
         assert (
             f"joint states come at {1000 / period_ms:.0f} Hz, expected 1000 Hz: set the parameter state_rate"
@@ -335,8 +336,8 @@ def test_single_long_gaps_are_no_blindness(watched):
 def test_stamps_that_stop_make_it_blind_and_ones_that_go_on_make_it_see(watched):
     state = watched.state()
     watched.observer.update(state)
-    reports = [watched.observer.update(state) for _ in range(4 * PATIENCE)]
-    assert reports[:-1] == [None] * (4 * PATIENCE - 1)
+    reports = [watched.observer.update(state) for _ in range(4 * GAPS_IN_A_ROW)]
+    assert reports[:-1] == [None] * (4 * GAPS_IN_A_ROW - 1)
     assert reports[-1].due and "the stamps of joint_states do not advance" in reports[-1].reason
     assert not watched.run(1)[0].reason
 
