@@ -146,8 +146,10 @@ class Controller:
             for `not_yet` or because it is outside its limits. Nothing may be sent then.
         """
         stamp_ns, q, v, _ = state
-        if self._started and not self.order.is_new(stamp_ns):
-            return None
+        if self._started:
+            self.supervisor.pass_time(clock_ns)
+            if not self.order.is_new(stamp_ns):
+                return None
         self.stamp_ns = stamp_ns
         if not self._started:
             self.not_vouched = self.supervisor.not_vouched(clock_ns)

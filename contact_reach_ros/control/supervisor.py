@@ -252,11 +252,8 @@ class Supervisor:
             doubt = doubt or self._own.reason or self._own.doubt
         return f"the observer does not vouch for the arm: {doubt}" if doubt else ""
 
-    def watch_observer(self, clock_ns: int) -> None:
-        """Stop when the observer has been silent for too long; unless required, it may never have reported.
-
-        While the controller's own watch vouches for the arm, nothing goes unseen meanwhile, and it may take longer.
-        """
+    def pass_time(self, clock_ns: int) -> None:
+        """Note that a joint state has arrived, even one that is refused: this process is not held up."""
         self._heard_before_time(clock_ns)
         pause_ns = 0 if self._clock_ns is None else clock_ns - self._clock_ns
         self._clock_ns = clock_ns
@@ -266,6 +263,13 @@ class Supervisor:
             if self._observer_ns is not None and not self._has_forgiven:
                 self._observer_ns += pause_ns
                 self._has_forgiven = True
+
+    def watch_observer(self, clock_ns: int) -> None:
+        """Stop when the observer has been silent for too long; unless required, it may never have reported.
+
+        While the controller's own watch vouches for the arm, nothing goes unseen meanwhile, and it may take longer.
+        """
+        self.pass_time(clock_ns)
         silence_ns = self._silent_for(clock_ns)
         self.longest_silence = max(self.longest_silence, silence_ns / NANOSECONDS)
         if silence_ns > (self._patience_ns if self._own_vouches(clock_ns) else self._timeout_ns):
