@@ -81,9 +81,19 @@ def _parser() -> argparse.ArgumentParser:
     goto = add("goto", _goto, "send a goal to the running stack, and wait until it is taken or refused")
     for axis in ("x", "y", "z"):
         goto.add_argument(axis, type=float, metavar=axis.upper(), help=f"flange position along {axis}, m, base frame")
-    goto.add_argument("--wait", action="store_true", help="also wait until it is reached")
-    goto.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
-    _add_discovery(goto, "how far to look for the stack")
+    goto.add_argument(
+        "--rpy",
+        nargs=3,
+        type=float,
+        metavar=("R", "P", "Y"),
+        help="orientation of the flange: rotations about the base frame's x, y and z, rad; for a planner with "
+        "goal_orientation: pose",
+    )
+    home = add("home", _home, "send the flange to where it is in the arm's home posture, as goto")
+    for moving in (goto, home):
+        moving.add_argument("--wait", action="store_true", help="also wait until it has settled there")
+        moving.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
+        _add_discovery(moving, "how far to look for the stack")
     stop = add("stop", _stop, "stop the arm of the running stack, compliantly, until reset")
     _add_discovery(stop, "how far to look for the stack")
     reset = add("reset", _reset, "release all stops of the running stack; the arm then waits for a new goal")
@@ -180,6 +190,12 @@ def _goto(x: float, y: float, z: float, **options: Any) -> int:
     from contact_reach_ros.bringup.commands import goto
 
     return goto((x, y, z), **options)
+
+
+def _home(**options: Any) -> int:
+    from contact_reach_ros.bringup.commands import home
+
+    return home(**options)
 
 
 def _stop(**options: Any) -> int:

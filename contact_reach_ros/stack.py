@@ -21,6 +21,7 @@ from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import Planner, PlanningCore, ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -98,6 +99,8 @@ class Result(NamedTuple):
     """Why the arm was stopped, or why there is no plan; empty otherwise."""
     plans: int
     """Number of plans made."""
+    settled: bool = False
+    """Whether the tip had stayed at the goal, at rest, by the end of the run."""
 
 
 class Stack:
@@ -311,7 +314,12 @@ class Stack:
         self.controller.reset(self._clock_ns)
 
     def run(
-        self, goal: Task, timeout: float = 20.0, watch: Callable[[Tick], None] | None = None, linger: float = 0.0
+        self,
+        goal: Task,
+        timeout: float = 20.0,
+        watch: Callable[[Tick], None] | None = None,
+        linger: float = 0.0,
+        until_settled: bool = False,
     ) -> Result:
         """Move the arm to a goal. A stop ends the run, including one that was latched before and not reset.
 
@@ -325,6 +333,9 @@ class Stack:
             Called after each step from the goal on.
         linger
             Time to keep stepping after the goal was reached or the arm was stopped, s.
+        until_settled
+            Whether to wait until the tip has settled instead, which it does in `ReplanningSettings.settle_time` at
+            rest.
 
         Raises
         ------
@@ -350,11 +361,19 @@ class Stack:
                 watch(tick)
             if np.isnan(duration) and not self.stop_reason and goal.reached(self.tip_position, target):
                 duration = (self._clock_ns - begin_ns) / NANOSECONDS
-            if not has_ended and (not np.isnan(duration) or self.stop_reason):
+            is_done = self.settled if until_settled else not np.isnan(duration)
+            if not has_ended and (is_done or self.stop_reason):
                 has_ended, end_ns = True, self._clock_ns + round(linger * NANOSECONDS)
         reason = self.failure or self.stop_reason
         distance = float(np.linalg.norm(self.tip_position - target.position))
-        return Result(not np.isnan(duration) and not reason, duration, distance, peak, reason, plans)
+        is_reached = not np.isnan(duration) and not reason
+        return Result(is_reached, duration, distance, peak, reason, plans, self.settled and not reason)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the tip has stayed at the last goal, at rest."""
+        state = self.planner.goal_state
+        return state is not None and state.phase is GoalPhase.SETTLED
 
     # The phases of a step; experiments that delay or drop messages override them.
 
@@ -396,7 +415,7 @@ class Stack:
                 self.controller.hear(report.verdict, self._clock_ns)
                 self.planner.hear(report)
         if self.stop_reason and self.planner.goal is not None:
-            self.planner.withdraw()
+            self.planner.withdraw(f"the arm was stopped ({self.stop_reason})")
         return report
 
     def _look(self) -> None:

@@ -186,6 +186,14 @@ class TestRun:
         assert result.reached and result.duration == 0.001
         assert len(seen) == 251
 
+    def test_it_waits_until_the_tip_has_settled_if_asked_to(self):
+        stack, seen = staying(), []
+        goal = Goal(stack.tip_position, tolerance=0.05)
+        assert not stack.run(goal, 1.0).settled
+        assert stack.run(goal, 1.0, seen.append, until_settled=True).settled
+        assert 200 <= len(seen) <= 210
+        assert not stack.run(dataclasses.replace(goal, rest_speed=1e-6), 0.5, until_settled=True).settled
+
     @pytest.mark.parametrize("act", [Stack.run, Stack.plan, Stack.command])
     def test_a_goal_that_cannot_be_reached_is_refused_before_anything_moves(self, act):
         stack = staying()

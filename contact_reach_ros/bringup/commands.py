@@ -1,4 +1,4 @@
-"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `stop` and `reset`.
+"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `home`, `stop` and `reset`.
 
 Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError` stands for 2, no stack or bad input.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
+from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arms import load_arm
@@ -24,16 +24,17 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
-from contact_reach_ros.messages.joint_order import JointOrder
+from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
+from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.stopping import Outcome, release, stop_arm
-from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.task import Goal
+from contact_reach_ros.world.orientations import POSE
 
 Diagnostics = Mapping[str, Mapping[str, str]]
 """Newest values by name, of each node."""
@@ -67,26 +68,48 @@ def up(**options: Any) -> int:
     return run_bringup(arguments)
 
 
-def goto(position: Sequence[float], wait: bool = False, timeout: float = 30.0, discovery: str = "host") -> int:
+def goto(
+    position: Sequence[float],
+    rpy: Sequence[float] | None = None,
+    wait: bool = False,
+    timeout: float = 30.0,
+    discovery: str = "host",
+) -> int:
     """Send a goal, and wait until it is taken or refused.
 
     Parameters
     ----------
     position
-        (3,) m of the flange, base frame; its orientation stays as it is, unless the planner's settings differ.
+        (3,) m of the flange, base frame.
+    rpy
+        Orientation of the flange: rotations (3,), rad, about the base frame's x, y and z axes, in that order. None
+        where the planner's setting `goal_orientation` needs none.
     wait
-        Also wait until the flange is there.
+        Also wait until the flange has settled there.
     timeout
         For that, s of the robot's clock.
     discovery
         How far to look for the stack.
     """
+    rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
     with _operator(discovery) as operator:
         operator.find_stack()
-        outcome = operator.command(np.array(position, float))
-        if outcome.done and wait:
-            print(outcome.text, flush=True)
-            outcome = operator.watch(np.array(position, float), timeout)
+        operator.check_orientation(rpy is not None)
+        outcome = operator.go(np.array(position, float), rotation, wait, timeout)
+    return _tell(outcome)
+
+
+def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host") -> int:
+    """Send the flange to where it is in the arm's home posture, as `goto`; the posture itself is the planner's choice.
+
+    The orientation is that of the home posture if the planner takes orientations from goals.
+    """
+    from contact_reach_ros.arm.model import RobotModel
+
+    with _operator(discovery) as operator:
+        operator.find_stack()
+        position, rotation = RobotModel(operator.arm).tip_pose(np.array(operator.arm.home))
+        outcome = operator.go(position, rotation, wait, timeout)
     return _tell(outcome)
 
 
@@ -116,23 +139,23 @@ def _tell(outcome: Outcome) -> int:
     return 0 if outcome.done else 1
 
 
-def judge_goal(before: Diagnostics, now: Diagnostics) -> Outcome | None:
-    """What became of a goal, by the diagnostics from before it was sent and after; None while that is open."""
+def judge_goal(state: GoalState | None, before: Mapping[str, str], now: Mapping[str, str]) -> Outcome | None:
+    """Judge whether a goal is taken, by its state and the controller's diagnostics from before it was sent and after.
 
-    def more(node: str, *keys: str) -> bool:
-        return any(int(now[node].get(key, 0)) > int(before[node].get(key, 0)) for key in keys)
-
-    goals = topics.GOAL_POSE.contents
-    if more(_PLANNER, f"refused {goals}"):
-        return Outcome(False, f"the planner refused the goal: {now[_PLANNER].get(f'last refusal of {goals}', '')}")
-    if not more(_PLANNER, goals):
+    None while that is open.
+    """
+    if state is None:
         return None
-    if more(_CONTROLLER, _FOLLOWED):
+    if state.phase.is_over:
+        return Outcome(False, f"the planner did not take the goal: {describe(state)}")
+
+    def more(*keys: str) -> bool:
+        return any(int(now.get(key, 0)) > int(before.get(key, 0)) for key in keys)
+
+    if more(_FOLLOWED):
         return Outcome(True, "the goal is taken: the controller follows the plans for it")
-    if more(_CONTROLLER, *_REFUSED):
-        reasons = [
-            text for key, text in now[_CONTROLLER].items() if key.replace("last refusal of", "refused") in _REFUSED
-        ]
+    if more(*_REFUSED):
+        reasons = [text for key, text in now.items() if key.replace("last refusal of", "refused") in _REFUSED]
         return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
     return None
 
@@ -152,6 +175,8 @@ class _Operator:
 
     Attributes
     ----------
+    arm
+        The stack's.
     diagnostics
         Newest values by name, of each node.
     stops
@@ -160,7 +185,7 @@ class _Operator:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._arm = load_arm()
+        self.arm = load_arm()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._goals = node.create_publisher(
@@ -169,11 +194,17 @@ class _Operator:
         self.diagnostics: dict[str, dict[str, str]] = {}
         self.stops: dict[str, str] = {}
         self._heard: set[str] = set()
-        self._state: JointState | None = None
+        self._goal_ns = 0
+        self._goal_state: GoalState | None = None
+        """Of the goal with this stamp."""
+        self._orientation: str | None = None
+        """The planner's setting; None before it was heard."""
         # What is malformed is the sender's affair, whose boundary names it.
         self._inbox = Inbox(node, lambda what, error: None)
         self._inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self._inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
+        self._inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.LATCHED)
+        self._inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
 
     def close(self) -> None:
         """Leave the executor."""
@@ -232,18 +263,39 @@ class _Operator:
         if _CONTROLLER not in self._heard:
             raise ContactReachError("no safety state from the controller: contact-reach doctor")
 
-    def command(self, position: Array) -> Outcome:
-        """Send a goal (3,), m, unless the arm is stopped; returns what became of it."""
+    def check_orientation(self, has_one: bool) -> None:
+        """Raise `ContactReachError` if a goal has an orientation that the planner would ignore, or lacks one."""
+        self._until(lambda: self._orientation is not None, _FOUND_S)
+        if has_one == (self._orientation == POSE):
+            return
+        if has_one:
+            raise ContactReachError(
+                f"the planner has goal_orientation = {self._orientation}: give no --rpy, or start it with "
+                "goal_orientation = pose"
+            )
+        raise ContactReachError("the planner has goal_orientation = pose: give the orientation with --rpy")
+
+    def go(self, position: Array, rotation: Array | None, wait: bool, timeout: float) -> Outcome:
+        """Send a goal, and wait until it is taken or refused, and if wanted until it is done, as `goto`."""
+        outcome = self.command(position, rotation)
+        if outcome.done and wait:
+            print(outcome.text, flush=True)
+            outcome = self.watch(timeout)
+        return outcome
+
+    def command(self, position: Array, rotation: Array | None = None) -> Outcome:
+        """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
         self.hear_everybody()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self._why_stopped()}; first: contact-reach reset")
-        before = dict(self.diagnostics)
+        before = self.diagnostics[_CONTROLLER]
         stamp = self._node.get_clock().now().to_msg()
-        self._goals.publish(to_goal_pose(position.tolist(), self._arm.base_frame, stamp))
+        self._goal_ns, self._goal_state = nanoseconds(stamp), None
+        self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, stamp, rotation))
         judged: list[Outcome] = []
 
         def is_judged() -> bool:
-            outcome = judge_goal(before, self.diagnostics)
+            outcome = judge_goal(self._goal_state, before, self.diagnostics[_CONTROLLER])
             judged.extend([outcome] if outcome else [])
             return outcome is not None or bool(self.stops)
 
@@ -252,29 +304,20 @@ class _Operator:
             return Outcome(False, f"stopped: {self._why_stopped()}")
         return judged[-1] if judged else Outcome(False, "nothing followed the goal: contact-reach doctor")
 
-    def watch(self, position: Array, timeout: float) -> Outcome:
-        """Wait until the flange is at a position (3,), m, for at most some time of the robot's clock, s."""
-        from contact_reach_ros.arm.model import RobotModel
-
-        model, order = RobotModel(self._arm), JointOrder(self._arm.joint_names)
-        self._inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
-        began_ns: int | None = None
+    def watch(self, timeout: float) -> Outcome:
+        """Wait until the flange has settled at the goal, for at most some time of the robot's clock, s."""
         while True:
-            self._state = None
-            if not self._until(lambda: self._state is not None or bool(self.stops), _SILENCE_S):
-                return Outcome(False, f"no joint states for {_SILENCE_S:g} s")
+            state, self._goal_state = self._goal_state, None
+            if state is None and self._until(lambda: self._goal_state is not None or bool(self.stops), _SILENCE_S):
+                state = self._goal_state
             if self.stops:
                 return Outcome(False, f"stopped: {self._why_stopped()}")
-            state: Any = self._state
-            now_ns = nanoseconds(state.header.stamp)
-            began_ns = now_ns if began_ns is None else began_ns
-            tip, _ = model.tip_pose(order.pick(state, "position", topics.JOINT_STATES.name))
-            distance, took = float(np.linalg.norm(tip - position)), (now_ns - began_ns) / NANOSECONDS
-            where = f"{1000 * distance:.1f} mm from the goal after {took:.2f} s"
-            if distance <= Goal(position).tolerance:
-                return Outcome(True, f"reached: {where}")
-            if took > timeout:
-                return Outcome(False, f"not reached: {where}")
+            if state is None:
+                return Outcome(False, f"nothing heard of the goal for {_SILENCE_S:g} s: contact-reach doctor")
+            if not state.phase.is_open:
+                return Outcome(state.phase is GoalPhase.SETTLED, describe(state))
+            if state.elapsed > timeout:
+                return Outcome(False, f"not settled; {describe(state)}")
 
     def call(self, service: str) -> Any:
         """Call a Trigger service and return its answer.
@@ -311,8 +354,14 @@ class _Operator:
     def _why_stopped(self) -> str:
         return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
 
-    def _on_state(self, message: JointState) -> None:
-        self._state = message
+    def _on_goal_state(self, message: DiagnosticStatus) -> None:
+        stamp_ns, state = read_goal_state(message)
+        if stamp_ns == self._goal_ns:
+            self._goal_state = state
+
+    def _on_settings(self, message: DiagnosticStatus) -> None:
+        if message.name == _PLANNER:
+            self._orientation = read_settings(message).get("goal_orientation")
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         self._heard.add(message.name)

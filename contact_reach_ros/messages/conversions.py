@@ -36,13 +36,13 @@ def to_point(position: Sequence[float]) -> Point:
     return Point(x=float(position[0]), y=float(position[1]), z=float(position[2]))
 
 
-def to_goal_pose(position: Sequence[float], frame: str, stamp: Time) -> PoseStamped:
-    """A goal for `goal_pose`: a position (3,), m, in a frame; its orientation is the identity."""
+def to_goal_pose(position: Sequence[float], frame: str, stamp: Time, rotation: Array | None = None) -> PoseStamped:
+    """A goal for `goal_pose`: a position (3,), m, in a frame, and an orientation (3, 3), by default the identity."""
     goal = PoseStamped()
     goal.header.frame_id = frame
     goal.header.stamp = stamp
     goal.pose.position = to_point(position)
-    goal.pose.orientation.w = 1.0
+    goal.pose.orientation = to_quaternion(np.eye(3) if rotation is None else rotation)
     return goal
 
 

@@ -5,11 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from contact_reach_ros.messages.values import quaternion, vector
+from contact_reach_ros.planning.node_settings import PlannerNodeSettings
 from contact_reach_ros.world.task import POSE, Goal
 
 
-def to_goal(message: Any, orientation: str) -> Goal:
-    """The goal in a PoseStamped; `orientation` is one of `ORIENTATIONS`, 'pose' for that of the message."""
-    pose = message.pose
-    chosen = quaternion(pose.orientation) if orientation == POSE else orientation
-    return Goal(vector(pose.position), chosen, frame=message.header.frame_id)
+def to_goal(message: Any, settings: PlannerNodeSettings) -> Goal:
+    """The goal in a PoseStamped; the settings give its tolerances, and whether its orientation counts."""
+    pose, orientation = message.pose, settings.goal_orientation
+    return Goal(
+        vector(pose.position),
+        quaternion(pose.orientation) if orientation == POSE else orientation,
+        frame=message.header.frame_id,
+        tolerance=settings.goal_tolerance,
+        angle_tolerance=settings.goal_angle_tolerance,
+        rest_speed=settings.rest_speed,
+    )

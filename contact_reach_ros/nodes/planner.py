@@ -21,6 +21,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
+from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.goals import to_goal
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
@@ -29,7 +30,9 @@ from contact_reach_ros.messages.plan_markers import PlanMarkers
 from contact_reach_ros.messages.plan_messages import to_path, to_references, to_solution, to_statistics
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader
+from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.latency import LatencyEstimate
 from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, PlannerNodeSettings
 from contact_reach_ros.planning.plan import Plan
@@ -51,7 +54,7 @@ NAME = "planner"
 
 _IDLE_NS = 100_000_000
 _POLL_S = 0.003
-_MARKERS_EVERY_NS = 100_000_000
+_MARKERS_EVERY_NS = _GOAL_STATE_EVERY_NS = 100_000_000
 OBSERVER, CONTROLLER = "observer", "controller"
 _GAINS = "impedance"
 """Section of the controller's parameters that the planner reads, too: plans hold for these gains only."""
@@ -68,6 +71,7 @@ class PlannerNode(ManagedNode):
         self._poses = self.make_publisher(topics.REFERENCE_POSE)
         self._postures = self.make_publisher(topics.REFERENCE_POSTURE)
         self._path = self.make_publisher(topics.PLAN_PATH)
+        self._goal_states = self.make_publisher(topics.GOAL_STATE)
         self._marker_publisher = self.make_publisher(topics.PLAN_MARKERS)
         self._statistics = self.make_publisher(topics.PLAN_STATISTICS)
         self._solutions = self.make_publisher(topics.PLAN_SOLUTION)
@@ -101,6 +105,10 @@ class PlannerNode(ManagedNode):
         self._markers = PlanMarkers(self.arm, self._budget.permitted_force)
         self._markers_due_ns = 0
         self._goals = 0
+        self._goal_ns = 0
+        """Stamp of the last goal that was taken."""
+        self._published_goal: tuple[int, GoalPhase] | None = None
+        self._goal_state_due_ns = 0
         self._late = 0
         self._solve_times = Histogram(bucket_us=100)
         self._rivalry = ""
@@ -122,7 +130,7 @@ class PlannerNode(ManagedNode):
 
     def activate(self) -> None:
         """Wait for a goal."""
-        self._withdraw()
+        self._withdraw("the planner was activated")
 
     def files(self) -> Mapping[str, Settings]:
         """The contact budget, and the controller's gains."""
@@ -178,6 +186,7 @@ class PlannerNode(ManagedNode):
             request = planner.request(self._reader.read(data), clock_ns)
             if request is not None:
                 self._solve(request)
+            self._report_goal()
         finally:
             # Also with one that was refused: others wait for it.
             self._lockstep.done(stamp_in(data))
@@ -233,14 +242,35 @@ class PlannerNode(ManagedNode):
         self._path.publish(to_path(plan, self.arm))
 
     def _on_goal(self, message: PoseStamped) -> None:
-        goal = to_goal(message, self.settings[""].goal_orientation)
-        self._planner.command(goal)
+        stamp_ns = nanoseconds(message.header.stamp)
+        try:
+            goal = to_goal(message, self.settings[""])
+            self._planner.command(goal)
+        except InputError as error:
+            refused = GoalState(GoalPhase.REFUSED, str(error))
+            self._goal_states.publish(to_goal_state(refused, stamp_ns, NAME, self.arm))
+            self._published_goal = None
+            raise
+        self._goal_ns, self._published_goal = stamp_ns, None
+        self._report_goal()
         if self._rivalry:
-            self._withdraw_noted()
-            raise InputError(f"{self._rivalry}: no goal is taken; end the others")
+            why = f"{self._rivalry}: no goal is taken; end the others"
+            self._withdraw_noted(why)
+            raise InputError(why)
         self._goals += 1
         waiting = "; waiting for the first joint state" if self._planner.state is None else ""
         self.get_logger().info(f"goal {self._goals}: {np.round(np.asarray(goal.position), 3).tolist()} m{waiting}")
+
+    def _report_goal(self) -> None:
+        """Publish what happened to the goal when that changes, and on its way some times a second."""
+        state = self._planner.goal_state
+        if state is None:
+            return
+        now_ns = 0 if self._planner.state is None else self._planner.state.stamp_ns
+        is_new = (self._goal_ns, state.phase) != self._published_goal
+        if is_new or (state.phase.is_open and now_ns >= self._goal_state_due_ns):
+            self._published_goal, self._goal_state_due_ns = (self._goal_ns, state.phase), now_ns + _GOAL_STATE_EVERY_NS
+            self._goal_states.publish(to_goal_state(state, self._goal_ns, NAME, self.arm))
 
     def _on_obstacles(self, data: bytes) -> None:
         self._planner.see(self._obstacle_reader.read_serialized(data), self._obstacle_reader.stamp_ns)
@@ -249,8 +279,9 @@ class PlannerNode(ManagedNode):
         if self._planner.goal is None:
             return
         if is_stopped(message):
-            self.get_logger().warning(f"goal withdrawn: {message.name} stopped the arm ({message.message})")
-            self._withdraw()
+            why = f"{message.name} stopped the arm ({message.message})"
+            self.get_logger().warning(f"goal withdrawn: {why}")
+            self._withdraw(why)
         elif message.name == OBSERVER:
             self._on_contact(message)
 
@@ -272,17 +303,18 @@ class PlannerNode(ManagedNode):
         if self._planner.goal is None:
             return
         self.get_logger().warning(f"goal withdrawn: {self._rivalry}")
-        self._withdraw_noted()
+        self._withdraw_noted(self._rivalry)
 
-    def _withdraw_noted(self) -> None:
+    def _withdraw_noted(self, why: str) -> None:
         self.inbox.note(Taken.STOP)
-        self._withdraw()
+        self._withdraw(why)
 
-    def _withdraw(self) -> None:
+    def _withdraw(self, why: str) -> None:
         """Forget the goal: after a stop the arm moves again only with a new one."""
         if self._planner.plan is not None:
             self._marker_publisher.publish(self._markers.clear())
-        self._planner.withdraw()
+        self._planner.withdraw(why)
+        self._report_goal()
 
 
 def main() -> None:

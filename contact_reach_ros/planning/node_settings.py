@@ -8,6 +8,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.settings import Sections, Settings, setting
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.orientations import HOLD, ORIENTATIONS
+from contact_reach_ros.world.task import ANGLE_TOLERANCE, REST_SPEED, TOLERANCE
 
 IGNORE, REPLAN, RETREAT = REACTIONS = ("ignore", "replan", "retreat")
 """Reaction to contact that no known obstacle explains."""
@@ -34,6 +35,12 @@ class ReplanningSettings(Settings):
     )
     require_obstacles: bool = setting(
         True, "refuse goals and plans before the first message of obstacles; false declares the scene empty until then"
+    )
+    settle_time: float = setting(
+        0.2, "time at rest within the goal's tolerances after which it has settled", unit="s", minimum=0.0, maximum=10.0
+    )
+    goal_timeout: float = setting(
+        0.0, "time without settling after which a goal is withdrawn, 0 for none", unit="s", minimum=0.0, maximum=3600.0
     )
 
     @property
@@ -72,6 +79,15 @@ class PlannerNodeSettings(ReplanningSettings):
         HOLD,
         "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
         choices=ORIENTATIONS,
+    )
+    goal_tolerance: float = setting(
+        TOLERANCE, "distance from a goal that counts as reached", unit="m", minimum=0.0001, maximum=1.0
+    )
+    goal_angle_tolerance: float = setting(
+        ANGLE_TOLERANCE, "angle from its orientation with which it has settled", unit="rad", minimum=0.001, maximum=3.2
+    )
+    rest_speed: float = setting(
+        REST_SPEED, "speed of the flange up to which it is at rest", unit="m/s", minimum=0.0001, maximum=1.0
     )
     contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
     max_spheres: int = setting(

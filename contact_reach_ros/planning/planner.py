@@ -14,8 +14,9 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
 from contact_reach_ros.planning.known_obstacles import KnownObstacles
-from contact_reach_ros.planning.node_settings import ReplanningSettings
+from contact_reach_ros.planning.node_settings import RETREAT, ReplanningSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.stop_reasons import is_missing_states
@@ -127,6 +128,7 @@ class Planner:
         self._latency = latency or (lambda: settings.latency_ns)
         self._refuse, self._note = refuse or _raise, refuse or _ignore
         self._pending: Task | None = None
+        self._progress: GoalProgress | None = None
         self.obstacles = KnownObstacles(settings.max_obstacle_age, settings.require_obstacles)
 
     def command(self, goal: Task) -> None:
@@ -138,17 +140,28 @@ class Planner:
             If the goal cannot be reached, see `Task.resolve` and `check_goal`, or the obstacles are unknown; the
             previous one stays.
         """
-        if self.state is None:
+        if self.state is not None:
+            target = self._resolve(goal, self.state)
+            problem = self.obstacles.problem(self.state.stamp_ns)
+            if problem:
+                raise InputError(problem)
+            self._pursue(target)
+        else:
             self._pending = goal
-            return
-        target = self._resolve(goal, self.state)
-        problem = self.obstacles.problem(self.state.stamp_ns)
-        if problem:
-            raise InputError(problem)
-        self._pursue(target)
+        self._progress = GoalProgress(goal, self.settings.settle_time, self.settings.goal_timeout)
 
-    def withdraw(self) -> None:
-        """Forget goal and plans: after a stop the arm moves again only with a new goal."""
+    @property
+    def goal_state(self) -> GoalState | None:
+        """What happened to the last goal that was taken; None before the first."""
+        return None if self._progress is None else self._progress.state
+
+    def withdraw(self, reason: str = "withdrawn", phase: GoalPhase = GoalPhase.WITHDRAWN) -> None:
+        """Forget goal and plans: after a stop the arm moves again only with a new goal.
+
+        `reason` and `phase` are what `goal_state` has from then on.
+        """
+        if self._progress is not None:
+            self._progress.end(phase, reason)
         self.goal = self._pending = None
         self.plan = None
         self.reaction.reset()
@@ -166,7 +179,7 @@ class Planner:
         One that missed states is no stop: the controller decides about that.
         """
         if report.reason and not is_missing_states(report.reason):
-            self.withdraw()
+            self.withdraw(f"the observer stopped the arm ({report.reason})")
         else:
             self.touched(report.contact)
 
@@ -177,6 +190,8 @@ class Planner:
         changes = self.reaction.report(contact, self.state.q, self.obstacles.spheres, self.state.stamp_ns)
         if changes:
             self.due_ns = self.state.stamp_ns
+        if self._progress is not None and self.reaction.reason and self.reaction.reaction == RETREAT:
+            self._progress.end(GoalPhase.WITHDRAWN, f"{RETREAT}: {self.reaction.reason}")
         return changes
 
     def request(self, state: JointState, clock_ns: int | None = None) -> Request | None:
@@ -195,9 +210,9 @@ class Planner:
         clock_ns = stamp_ns if clock_ns is None else clock_ns
         paused_ns, self._clock_ns = clock_ns - (self._clock_ns or clock_ns), clock_ns
         if paused_ns > _ABANDONED_NS and self.goal is not None:
-            self.withdraw()
-            paused = paused_ns / NANOSECONDS
-            self._note("goals", InputError(f"joint states paused for {paused:.1f} s: send the goal again to go on"))
+            why = f"joint states paused for {paused_ns / NANOSECONDS:.1f} s: send the goal again to go on"
+            self.withdraw(why)
+            self._note("goals", InputError(why))
         self.state = state
         self.obstacles.advance(stamp_ns)
         if self._pending is not None:
@@ -205,7 +220,9 @@ class Planner:
             try:
                 self._pursue(self._resolve(pending, state))
             except InputError as error:
+                self.withdraw(str(error), GoalPhase.REFUSED)
                 self._refuse("goals", error)
+        self._follow_progress(state)
         if self.goal is None or stamp_ns < self.due_ns:
             return None
         self.due_ns = stamp_ns + self.settings.period_ns
@@ -230,7 +247,19 @@ class Planner:
         if self.core is None:
             raise PlanningError("the planner has no core to make plans with: pass one to it")
         self.plan = self.core.plan(*request)
+        if self._progress is not None:
+            self._progress.planned()
         return self.plan
+
+    def _follow_progress(self, state: JointState) -> None:
+        if self._progress is None or self.goal is None:
+            return
+        model = self._model
+        model.update(state.q, state.v)
+        speed = float(np.linalg.norm(model.twist[:3]))
+        if self._progress.update(self.goal, model.position, model.rotation, speed, state.stamp_ns):
+            self.withdraw()
+            self._note("goals", InputError(f"{self._progress.state.reason}: the goal is withdrawn"))
 
     def _resolve(self, goal: Task, state: JointState) -> Target:
         target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1])

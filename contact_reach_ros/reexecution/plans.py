@@ -290,7 +290,7 @@ class RecordedPlans:
             spheres = obstacles.read(message)
             planner.see(spheres, obstacles.stamp_ns)
         elif row.what is Taken.GOAL_POSE:
-            planner.command(to_goal(message, self._settings[""].goal_orientation))
+            planner.command(to_goal(message, self._settings[""]))
         elif row.what is Taken.SAFETY_STATE and planner.goal is not None:
             if is_stopped(message):
                 planner.withdraw()

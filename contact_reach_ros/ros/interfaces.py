@@ -165,6 +165,7 @@ MANAGED = {
         [
             topics.REFERENCE_POSE,
             topics.REFERENCE_POSTURE,
+            topics.GOAL_STATE,
             topics.PLAN_PATH,
             topics.PLAN_MARKERS,
             topics.PLAN_STATISTICS,
@@ -216,7 +217,7 @@ INTERFACES = {
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],
-        [topics.JOINT_STATES, topics.SAFETY_STATE, topics.DIAGNOSTICS],
+        [topics.GOAL_STATE, topics.SAFETY_STATE, topics.DIAGNOSTICS, topics.SETTINGS],
         calls=_STOP_AND_RESET,
     ),
     # Where security is on, replay may publish nothing that an arm might follow.

@@ -42,14 +42,18 @@ class Target:
                 )
             object.__setattr__(self, "rotation", rotation)
 
+    def angle(self, rotation: Array) -> float:
+        """Angle from an orientation (3, 3) to the target's, rad; 0 where any will do."""
+        if self.rotation is None:
+            return 0.0
+        # ‖R - R'‖ / √2 is 2 sin(angle / 2).
+        return 2.0 * math.asin(min(1.0, float(np.linalg.norm(self.rotation - rotation)) / math.sqrt(8.0)))
+
     def same_as(self, other: Target | None) -> bool:
         """Whether both ask for the same pose, to 1 mm and 10 mrad, so that plans for one are a start for the other."""
         if other is None or (self.rotation is None) != (other.rotation is None):
             return False
-        turned = 0.0
-        if self.rotation is not None:
-            # ‖R - R'‖ / √2 is 2 sin(angle / 2).
-            turned = float(np.linalg.norm(self.rotation - np.asarray(other.rotation))) / math.sqrt(2.0)
+        turned = 0.0 if other.rotation is None else self.angle(other.rotation)
         return turned <= _SAME_ROTATION and math.dist(self.position, other.position) <= _SAME_POSITION
 
 

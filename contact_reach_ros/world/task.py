@@ -14,6 +14,9 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.goal import Target, make_goal
 from contact_reach_ros.world.orientations import FREE, HOLD, POSE
 
+TOLERANCE, ANGLE_TOLERANCE, REST_SPEED = 0.01, 0.05, 0.01
+"""What counts as there and at rest by default: m, rad and m/s."""
+
 
 @runtime_checkable
 class Task(Protocol):
@@ -24,6 +27,9 @@ class Task(Protocol):
 
     def reached(self, position: Array, target: Target) -> bool:
         """Whether the tip at `position` (3,), m, base frame, has completed the task."""
+
+    def settled(self, position: Array, rotation: Array, speed: float, target: Target) -> bool:
+        """Whether the tip in a pose, base frame, at `speed`, m/s, has completed the task and is at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +47,18 @@ class Goal:
         Frame of position and orientation: the arm's base frame, which an empty name stands for, too.
     tolerance
         Distance from the position that counts as reached, m.
+    angle_tolerance
+        Angle from the orientation with which the tip has settled, rad, unless any will do.
+    rest_speed
+        Speed of the tip up to which it is at rest, m/s.
     """
 
     position: ArrayLike
     orientation: str | ArrayLike = HOLD
     frame: str = field(default="", kw_only=True)
-    tolerance: float = field(default=0.01, kw_only=True)
+    tolerance: float = field(default=TOLERANCE, kw_only=True)
+    angle_tolerance: float = field(default=ANGLE_TOLERANCE, kw_only=True)
+    rest_speed: float = field(default=REST_SPEED, kw_only=True)
 
     def __post_init__(self) -> None:
         """Check everything that does not depend on the arm.
@@ -62,8 +74,13 @@ class Goal:
             _check_numbers("orientation", self.orientation, 4, expected)
         elif self.orientation not in (HOLD, FREE):
             raise InputError(f"goal: orientation = '{self.orientation}'; expected {expected}")
-        if not self.tolerance > 0.0:
-            raise InputError(f"goal: tolerance = {self.tolerance}; expected a positive distance in m")
+        for name, what in (
+            ("tolerance", "distance in m"),
+            ("angle_tolerance", "angle in rad"),
+            ("rest_speed", "speed in m/s"),
+        ):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"goal: {name} = {getattr(self, name)}; expected a positive {what}")
 
     def resolve(self, arm: Arm, present_rotation: Array) -> Target:
         """The pose to plan for, given the tip's present rotation (3, 3).
@@ -83,6 +100,11 @@ class Goal:
     def reached(self, position: Array, target: Target) -> bool:
         """Whether the tip at `position` (3,), m, base frame, is where `target` asks it to be."""
         return float(np.linalg.norm(position - target.position)) <= self.tolerance
+
+    def settled(self, position: Array, rotation: Array, speed: float, target: Target) -> bool:
+        """Whether the tip in a pose, base frame, at `speed`, m/s, is where `target` asks it to be, and at rest."""
+        is_there = speed <= self.rest_speed and self.reached(position, target)
+        return is_there and target.angle(rotation) <= self.angle_tolerance
 
 
 def _check_numbers(name: str, values: ArrayLike, count: int, expected: str) -> None:

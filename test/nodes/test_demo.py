@@ -16,6 +16,8 @@ from rosbags.highlevel import AnyReader
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
 
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.messages.goal_state import read_goal_state
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.world.files import scene_names
 from contact_reach_ros.world.kinds.wall import WallSettings
 from contact_reach_ros.world.spheres import MAX_SPHERES
@@ -24,6 +26,7 @@ TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
     "/effort_controller/commands": "std_msgs/msg/Float64MultiArray",
     "/goal_pose": "geometry_msgs/msg/PoseStamped",
+    "/goal/state": "diagnostic_msgs/msg/DiagnosticStatus",
     "/reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
     "/reference/posture": "trajectory_msgs/msg/JointTrajectory",
     "/obstacles": "visualization_msgs/msg/MarkerArray",
@@ -123,6 +126,16 @@ def test_the_bag_opens_with_rosbags_and_the_counts_agree(ball):
         assert counted == {name: topic.msgcount for name, topic in reader.topics.items()}
         for connection, _, data in reader.messages():
             reader.deserialize(data, connection.msgtype)
+
+
+def test_the_bag_tells_what_happened_to_the_goal(ball):
+    _, report = ball
+    read = [read_goal_state(message.message) for message in BagReader(Path(report["bag"])).messages(["/goal/state"])]
+    phases = list(dict.fromkeys(state.phase for _, state in read))
+    assert phases[:3] == [GoalPhase.ACCEPTED, GoalPhase.RUNNING, GoalPhase.REACHED]
+    assert {stamp for stamp, _ in read} == {GOAL_TICK * 1_000_000}
+    reached = next(state for _, state in read if state.phase is GoalPhase.REACHED)
+    assert reached.distance <= 0.01 and reached.elapsed == pytest.approx(report["duration_s"], abs=0.01)
 
 
 def reexecuted(bag: str, folder: Path, *arguments: str) -> dict:

@@ -240,11 +240,22 @@ def test_without_a_stack_a_command_names_the_domain_and_what_to_start():
 
 
 def test_goals_stops_and_resets_from_the_command_line(stack):
-    refused, reached, stopped, kept, released = command_lines(
-        stack, "goto 2.0 0.0 0.3", "goto 0.51 0.025 0.145 --wait", "stop", "goto 0.5 0.1 0.3", "reset"
+    refused, turned, settled, late, home, stopped, kept, released = command_lines(
+        stack,
+        "goto 2.0 0.0 0.3",
+        "goto 0.51 0.025 0.145 --rpy 0 3.14 0",
+        "goto 0.51 0.025 0.145 --wait",
+        "home --wait --timeout 0.1",
+        "home --wait",
+        "stop",
+        "goto 0.5 0.1 0.3",
+        "reset",
     )
-    assert refused[0] == 1 and "the planner refused the goal" in refused[1] and "position" in refused[1]
-    assert reached[0] == 0 and reached[1].startswith("reached: ")
+    assert refused[0] == 1 and "refused: goal: position" in refused[1]
+    assert turned[0] == 2 and "goal_orientation = hold" in turned[1]
+    assert settled[0] == 0 and settled[1].startswith("settled: ")
+    assert late[0] == 1 and late[1].startswith("not settled; ")
+    assert home[0] == 0 and home[1].startswith("settled: ")
     # By the controller, unless the observer was discovered a second before it.
     assert stopped in [(0, "controller: compliant stop"), (0, "observer: stopped")]
     assert kept[0] == 1 and "stop service called" in kept[1] and "contact-reach reset" in kept[1]

@@ -1,0 +1,170 @@
+"""What happened to a goal: from accepted to settled, or to another end."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, REST, TICK_NS
+from test_planner import BEYOND, GOAL, SETTINGS, TIP, Core, make, report, requests, state, touch
+
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
+from contact_reach_ros.planning.unexpected_contact import REPLAN, RETREAT
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.task import FREE, Goal
+
+HERE = Goal(TIP)
+MOVING = np.eye(ARM.n)[0] * 0.05
+"""rad/s, of the first joint."""
+TARGET = Target(np.zeros(3), np.eye(3))
+FAR, NEAR = np.array([0.1, 0.0, 0.0]), np.array([0.009, 0.0, 0.0])
+
+
+def turned(angle: float) -> np.ndarray:
+    return np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]])
+
+
+class TestProgress:
+    @pytest.fixture
+    def progress(self) -> GoalProgress:
+        return GoalProgress(Goal(TARGET.position), settle_time=0.2, timeout=1.0)
+
+    def follow(self, progress, ticks, position=NEAR, angle=0.04, speed=0.009, target=TARGET):
+        return [progress.update(target, position, turned(angle), speed, tick * TICK_NS) for tick in ticks]
+
+    def test_it_is_reached_at_once_and_settled_after_a_while_at_rest(self, progress):
+        progress.planned()
+        self.follow(progress, [0], FAR)
+        assert progress.state.phase is GoalPhase.RUNNING
+        self.follow(progress, range(100, 300))
+        assert progress.state.phase is GoalPhase.REACHED
+        self.follow(progress, [300])
+        assert progress.state.phase is GoalPhase.SETTLED
+        assert progress.state.elapsed == pytest.approx(0.3)
+        assert (progress.state.distance, progress.state.angle) == pytest.approx((0.009, 0.04))
+
+    @pytest.mark.parametrize("unquiet", [{"position": FAR}, {"angle": 0.06}, {"speed": 0.011}])
+    def test_whatever_is_unquiet_begins_the_wait_again(self, progress, unquiet):
+        self.follow(progress, range(150))
+        self.follow(progress, [150], **unquiet)
+        self.follow(progress, range(151, 351))
+        assert progress.state.phase is GoalPhase.REACHED
+        self.follow(progress, [351])
+        assert progress.state.phase is GoalPhase.SETTLED
+
+    def test_any_orientation_will_do_where_the_goal_has_none(self, progress):
+        self.follow(progress, range(201), angle=2.0, target=Target(np.zeros(3)))
+        assert progress.state.phase is GoalPhase.SETTLED and progress.state.angle == 0.0
+
+    def test_it_stays_settled_when_the_arm_is_pushed_away_and_its_time_stands_still(self, progress):
+        self.follow(progress, range(201))
+        self.follow(progress, [3000], FAR)
+        assert progress.state.phase is GoalPhase.SETTLED
+        assert (progress.state.elapsed, progress.state.distance) == pytest.approx((0.2, 0.1))
+
+    def test_its_time_is_over_only_once_and_not_after_it_settled(self, progress):
+        assert self.follow(progress, [0, 999, 1000, 1001], FAR) == [False, False, True, False]
+        assert progress.state.phase is GoalPhase.TIMED_OUT and "1 s" in progress.state.reason
+        settled = GoalProgress(Goal(TARGET.position), 0.2, 1.0)
+        assert not any(self.follow(settled, [*range(201), 2000]))
+
+    def test_without_a_timeout_it_never_is(self):
+        progress = GoalProgress(Goal(TARGET.position), 0.2, 0.0)
+        assert not any(self.follow(progress, range(0, 10_000_000, 1_000_000), FAR))
+
+    def test_a_clock_that_is_set_back_begins_its_time_again(self, progress):
+        self.follow(progress, [5000, 5100])
+        self.follow(progress, range(200))
+        assert progress.state.phase is GoalPhase.REACHED
+        self.follow(progress, [200])
+        assert progress.state.phase is GoalPhase.SETTLED and progress.state.elapsed == pytest.approx(0.2)
+
+    def test_the_first_end_counts(self, progress):
+        progress.end(GoalPhase.WITHDRAWN, "first")
+        progress.end(GoalPhase.TIMED_OUT, "second")
+        progress.planned()
+        self.follow(progress, range(300))
+        assert (progress.state.phase, progress.state.reason) == (GoalPhase.WITHDRAWN, "first")
+
+
+class TestPlanner:
+    def phases(self, planner, first, last, q=HOME, v=REST):
+        """Phases in their order, from the state of one tick to that of another, with a plan for each request."""
+        seen = [planner.goal_state.phase]
+        for tick in range(first, last + 1):
+            request = planner.request(JointState(tick * TICK_NS, q, v, None))
+            phase = planner.goal_state.phase
+            if request is not None:
+                planner.solve(request)
+            for seen_now in (phase, planner.goal_state.phase):
+                if seen_now is not seen[-1]:
+                    seen.append(seen_now)
+        return seen
+
+    def test_a_goal_far_away_is_accepted_and_runs(self):
+        planner = make(Core())
+        assert planner.goal_state is None
+        planner.command(GOAL)
+        assert self.phases(planner, 0, 100) == [GoalPhase.ACCEPTED, GoalPhase.RUNNING]
+
+    def test_one_where_the_arm_is_settles(self):
+        planner = make(Core())
+        planner.command(HERE)
+        assert self.phases(planner, 0, 200) == [GoalPhase.ACCEPTED, GoalPhase.REACHED, GoalPhase.SETTLED]
+        assert planner.goal is not None
+
+    def test_but_not_while_it_moves(self):
+        planner = make(Core())
+        planner.command(HERE)
+        assert self.phases(planner, 0, 500, v=MOVING) == [GoalPhase.ACCEPTED, GoalPhase.REACHED]
+
+    def test_tolerances_are_those_of_the_goal(self):
+        planner = make(Core())
+        planner.command(Goal(TIP + np.full(3, 0.03), FREE, tolerance=0.06, rest_speed=0.1))
+        assert self.phases(planner, 0, 200, v=MOVING)[-1] is GoalPhase.SETTLED
+
+    def test_a_timeout_withdraws_it(self):
+        noted = []
+        settings = dataclasses.replace(SETTINGS, goal_timeout=0.1)
+        planner = make(Core(), settings=settings, refuse=lambda what, error: noted.append((what, str(error))))
+        planner.command(GOAL)
+        assert self.phases(planner, 0, 99)[-1] is GoalPhase.RUNNING
+        assert self.phases(planner, 100, 200) == [GoalPhase.RUNNING, GoalPhase.TIMED_OUT]
+        assert planner.goal is None
+        assert noted == [("goals", "not settled within 0.1 s: the goal is withdrawn")]
+
+    def test_a_stop_withdraws_it_with_its_reason(self):
+        planner = make(Core())
+        planner.command(GOAL)
+        planner.hear(report("too much torque"))
+        state = planner.goal_state
+        assert state.phase is GoalPhase.WITHDRAWN and "too much torque" in state.reason
+
+    def test_one_that_waited_and_is_refused_says_why(self):
+        planner = make(refuse=lambda what, error: None)
+        planner.command(BEYOND)
+        assert planner.goal_state.phase is GoalPhase.ACCEPTED
+        requests(planner, 0, 0)
+        assert planner.goal_state.phase is GoalPhase.REFUSED and "position is" in planner.goal_state.reason
+
+    def test_one_that_is_refused_leaves_the_state_of_the_one_before(self):
+        planner = make(Core())
+        planner.command(HERE)
+        self.phases(planner, 0, 200)
+        with pytest.raises(InputError):
+            planner.command(BEYOND)
+        assert planner.goal_state.phase is GoalPhase.SETTLED
+
+    @pytest.mark.parametrize(("reaction", "phase"), [(RETREAT, GoalPhase.WITHDRAWN), (REPLAN, GoalPhase.RUNNING)])
+    def test_a_retreat_gives_it_up(self, reaction, phase):
+        planner = make(Core(), reaction)
+        planner.command(GOAL)
+        self.phases(planner, 0, 60)
+        for tick in range(61, 90):
+            planner.request(state(tick))
+            planner.hear(report(contact=touch()))
+        assert planner.goal_state.phase is phase
+        assert ("contact" in planner.goal_state.reason) == (phase is GoalPhase.WITHDRAWN)
+        assert planner.goal is not None, "it still leads the arm back"
