@@ -51,6 +51,7 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.nodes.viewer import ViewerNode
 from contact_reach_ros.ros import inbox as inbox_module
+from contact_reach_ros.ros.interfaces import HEARD_BY_VIEWER
 from contact_reach_ros.ros.qos import qos_profile
 
 ARM = iiwa14.ARM
@@ -212,17 +213,7 @@ ATTACKS = {
     DriverNode: (topics.COMMANDS, topics.SIM_FAULTS, topics.LOCKSTEP_HORIZON),
     ObserverNode: (topics.JOINT_STATES, topics.COMMANDS, topics.CLOCK),
     PlannerNode: (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.CLOCK),
-    ViewerNode: (
-        topics.JOINT_STATES,
-        topics.EXTERNAL_TORQUE,
-        topics.OBSTACLES,
-        topics.PLAN_MARKERS,
-        topics.REFERENCE_POSE,
-        topics.SIM_CONTACTS,
-        topics.PLAN_STATISTICS,
-        topics.SAFETY_STATE,
-        topics.DIAGNOSTICS,
-    ),
+    ViewerNode: HEARD_BY_VIEWER,
     AdapterNode: (topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.SETTINGS),
     RecorderNode: (topics.JOINT_STATES, topics.REFERENCE_POSTURE, topics.OBSTACLES, topics.SIM_FAULTS),
 }
