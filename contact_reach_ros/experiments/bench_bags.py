@@ -100,6 +100,7 @@ def _recording(bag: Path, seconds: float) -> dict[str, Any]:
             count = load.stdout.readline()
             busy, took = _cpu_seconds(recorder.pid) - before, time.monotonic() - began
             memory = memory_mb(recorder.pid, "VmHWM")
+            load.wait(_PATIENCE_S)
         finally:
             _end(load)
         _end(recorder)
