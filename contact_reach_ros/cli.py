@@ -73,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--no-driver", dest="driver", action="store_false", help="do not simulate: a real robot is there")
     up.add_argument("--adapter", metavar="KIND", help="adapter between controller and drive, see docs/adapter.md")
     _add_discovery(up, "who hears the nodes")
+    _add_namespace(up)
     up.add_argument("--view", action="store_true", help="serve a page for browsers")
     up.add_argument(
         "--set", dest="overrides", nargs="+", metavar="NODE:PARAMETER=VALUE", help="parameters besides the file's"
@@ -94,10 +95,13 @@ def _parser() -> argparse.ArgumentParser:
         moving.add_argument("--wait", action="store_true", help="also wait until it has settled there")
         moving.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
         _add_discovery(moving, "how far to look for the stack")
+        _add_namespace(moving)
     stop = add("stop", _stop, "stop the arm of the running stack, compliantly, until reset")
     _add_discovery(stop, "how far to look for the stack")
+    _add_namespace(stop)
     reset = add("reset", _reset, "release all stops of the running stack; the arm then waits for a new goal")
     _add_discovery(reset, "how far to look for the stack")
+    _add_namespace(reset)
 
     view = add("view", _view, "serve a page for browsers that shows the running stack, or a bag")
     # Without a default of its own, argparse passes on the name of the suppressed one.
@@ -106,6 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
     view.add_argument("--dark", action="store_true", help="a dark page")
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
+    _add_namespace(view)
 
     doctor = add("doctor", _doctor, "check machine, software and the running stack before a run")
     doctor.add_argument("--parameters", help="parameter file for the nodes (default: the package's)")
@@ -162,6 +167,10 @@ def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument("--discovery", choices=("host", "subnet"), help=f"{what} (default: host)")
 
 
+def _add_namespace(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--namespace", metavar="NS", help="of the stack, such as left (default: none)")
+
+
 # rclpy is only needed, and only has to be installed, for the commands that use it.
 
 
@@ -210,11 +219,11 @@ def _reset(**options: Any) -> int:
     return reset(**options)
 
 
-def _view(parameters: Path | None = None, **chosen: Any) -> int:
+def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:
     _check(parameters)
     from contact_reach_ros.nodes.viewer import view
 
-    return view(chosen, parameters)
+    return view(chosen, parameters, namespace)
 
 
 def _doctor(**options: Any) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -145,6 +147,23 @@ def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
                 raise SettingsError(f"{file}: {pattern}.ros__parameters is not a mapping of keys to values")
             found.update(_flatten(parameters))
     return found
+
+
+def as_arguments(parameters: Mapping[str, Any]) -> list[str]:
+    """ROS arguments that set parameters of the one node of a process."""
+    # JSON is YAML: quoted, an empty or blank-separated string stays a string.
+    pairs = (["-p", f"{name}:={json.dumps(value)}"] for name, value in parameters.items())
+    return list(itertools.chain.from_iterable(pairs))
+
+
+def namespace_arguments(namespace: str, file: Path, node_name: str) -> list[str]:
+    """ROS arguments that put a node into a namespace, with what a parameter file has for it; none for the root.
+
+    ROS would ignore the file's sections there, unless they begin with a wildcard, and share one clock.
+    """
+    if namespace == "/":
+        return []
+    return ["-r", f"__ns:={namespace}", "-r", "/clock:=clock", *as_arguments(parameters_in(file, node_name))]
 
 
 def _is_for(pattern: str, node_name: str) -> bool:

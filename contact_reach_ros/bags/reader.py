@@ -19,6 +19,8 @@ from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, read_of
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
+_STATES = "/joint_states"
+
 
 class RawMessage(NamedTuple):
     """A serialised message, with times of reception and sending in ns since the epoch and its publisher's number."""
@@ -80,14 +82,17 @@ class BagReader:
     ----------
     path :
         The bag.
+    of_stack :
+        Whether topics go without the namespace of the stack that was recorded.
 
     Raises
     ------
     BagError
-        If it is missing, empty or no bag, or if it is not stored as mcap, or compressed by other means than mcap's own.
+        If it is missing, empty or no bag, or if it is not stored as mcap, or compressed by other means than mcap's own;
+        with `of_stack` also if it has several stacks.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, of_stack: bool = False) -> None:
         self._path = Path(path)
         # Not Path.exists, which raises for a name that is too long.
         if not os.path.exists(self._path):
@@ -95,6 +100,8 @@ class BagReader:
         self._notes: list[str] = []
         information = self._read_information() if self._path.is_dir() else None
         self._files = self._open(self._find_files(information))
+        if of_stack:
+            self._leave_namespace()
         self._times: list[dict[int, np.ndarray]] | None = None
         self.summary = self._summarise(information)
         self._decoder = Decoder(self.summary.topics, self.definition)
@@ -219,6 +226,21 @@ class BagReader:
             raise errors[0]
         self._notes += [str(error) for error in errors]
         return files
+
+    def _leave_namespace(self) -> None:
+        """Take the namespace of the joint states off all topics."""
+        names = {channel.topic for file in self._files for channel in file.contents.channels.values()}
+        spaces = sorted(name.removesuffix(_STATES) for name in names if name.endswith(_STATES))
+        if len(spaces) > 1:
+            raise BagError(
+                f"bag '{self._path}' has several stacks: {', '.join(space or '/' for space in spaces)}; expected one: "
+                "record each with its own bring-up"
+            )
+        space = (spaces or [""])[0]
+        for file in self._files if space else ():
+            channels = file.contents.channels
+            for number, channel in channels.items():
+                channels[number] = dataclasses.replace(channel, topic=channel.topic.removeprefix(space))
 
     def _find_files(self, information: Mapping[str, Any] | None) -> list[Path]:
         if not self._path.is_dir():

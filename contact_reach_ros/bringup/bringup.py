@@ -67,7 +67,8 @@ def run_bringup(arguments: list[str]) -> int:
             _say_discovery(node, options.discovery)
             table = processes(options)
             refuse_beside_another(node, [process.name for process in table], began)
-            stack = StackProcesses(node, table, options.parameter_file, interruption)
+            passed_on = _remappings(arguments)
+            stack = StackProcesses(node, table, options.parameter_file, interruption, passed_on=passed_on)
             try:
                 _supervise(configuration, stack)
             except StackError as error:
@@ -79,6 +80,15 @@ def run_bringup(arguments: list[str]) -> int:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _remappings(arguments: Sequence[str]) -> list[str]:
+    """The remappings of topics and services on the command line: they hold for all nodes."""
+    found = []
+    for option, value in itertools.pairwise(arguments):
+        if option in ("-r", "--remap") and not value.startswith("__"):
+            found += [option, value]
+    return found
 
 
 def _check_own_files(arguments: Sequence[str], options: BringupOptions) -> None:

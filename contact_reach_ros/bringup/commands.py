@@ -5,7 +5,6 @@ Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError`
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,10 +27,11 @@ from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.parameter_files import as_arguments
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
-from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.process import bare_node, in_namespace
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.stopping import Outcome, release, stop_arm
 from contact_reach_ros.world.orientations import POSE
@@ -56,16 +56,15 @@ _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
 
 
-def up(**options: Any) -> int:
-    """Start the stack and supervise it until Ctrl-C, as the executable does; options as in `BringupOptions`."""
+def up(namespace: str = "", **options: Any) -> int:
+    """Start the stack, in a namespace, and supervise it until Ctrl-C, as the executable does.
+
+    Options are those of `BringupOptions`.
+    """
     # What it imports would delay a stop by seconds.
     from contact_reach_ros.bringup.bringup import NAME, run_bringup
 
-    arguments = [NAME, "--ros-args"]
-    for name, value in options.items():
-        # JSON is YAML: a quoted text stays a text.
-        arguments += ["-p", f"{name}:={json.dumps(value)}"]
-    return run_bringup(arguments)
+    return run_bringup([NAME, "--ros-args", *as_arguments(options), *in_namespace(namespace)])
 
 
 def goto(
@@ -74,6 +73,7 @@ def goto(
     wait: bool = False,
     timeout: float = 30.0,
     discovery: str = "host",
+    namespace: str = "",
 ) -> int:
     """Send a goal, and wait until it is taken or refused.
 
@@ -90,40 +90,42 @@ def goto(
         For that, s of the robot's clock.
     discovery
         How far to look for the stack.
+    namespace
+        Of the stack.
     """
     rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
-    with _operator(discovery) as operator:
+    with _operator(discovery, namespace) as operator:
         operator.find_stack()
         operator.check_orientation(rpy is not None)
         outcome = operator.go(np.array(position, float), rotation, wait, timeout)
     return _tell(outcome)
 
 
-def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host") -> int:
+def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", namespace: str = "") -> int:
     """Send the flange to where it is in the arm's home posture, as `goto`; the posture itself is the planner's choice.
 
     The orientation is that of the home posture if the planner takes orientations from goals.
     """
     from contact_reach_ros.arm.model import RobotModel
 
-    with _operator(discovery) as operator:
+    with _operator(discovery, namespace) as operator:
         operator.find_stack()
         position, rotation = RobotModel(operator.arm).tip_pose(np.array(operator.arm.home))
         outcome = operator.go(position, rotation, wait, timeout)
     return _tell(outcome)
 
 
-def stop(discovery: str = "host") -> int:
+def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
-    with _operator(discovery) as operator:
+    with _operator(discovery, namespace) as operator:
         operator.find_service("stop")
         outcome = stop_arm(operator.call)
     return _tell(outcome)
 
 
-def reset(discovery: str = "host") -> int:
+def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
-    with _operator(discovery) as operator:
+    with _operator(discovery, namespace) as operator:
         operator.find_service("reset")
         operator.hear_everybody()
         give_up = time.monotonic() + _REST_S
@@ -161,8 +163,8 @@ def judge_goal(state: GoalState | None, before: Mapping[str, str], now: Mapping[
 
 
 @contextmanager
-def _operator(discovery: str) -> Iterator[_Operator]:
-    with bare_node(OPERATOR, discovery) as node:
+def _operator(discovery: str, namespace: str) -> Iterator[_Operator]:
+    with bare_node(OPERATOR, discovery, namespace=namespace) as node:
         operator = _Operator(node)
         try:
             yield operator
@@ -223,7 +225,7 @@ class _Operator:
         for client in clients:
             self._node.destroy_client(client)
         if not found:
-            raise ContactReachError(_no_stack())
+            raise ContactReachError(_no_stack(self._node))
 
     def find_stack(self) -> None:
         """Wait until planner and controller have reported what they do, and the planner hears goals.
@@ -239,7 +241,7 @@ class _Operator:
             return all(name in self.diagnostics for name in wanted) and bool(self._goals.get_subscription_count())
 
         if not self._until(lambda: bool(self._heard or self.diagnostics), _FOUND_S):
-            raise ContactReachError(_no_stack())
+            raise ContactReachError(_no_stack(self._node))
         if not self._until(is_there, _FOUND_S):
             missing = [name for name in wanted if name not in self.diagnostics]
             raise ContactReachError(f"no answer from {missing[0] if missing else _PLANNER}: contact-reach doctor")
@@ -374,9 +376,9 @@ class _Operator:
             self.diagnostics[status.name] = {entry.key: entry.value for entry in status.values}
 
 
-def _no_stack() -> str:
-    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+def _no_stack(node: Node) -> str:
+    domain, namespace = os.environ.get("ROS_DOMAIN_ID", "0"), node.get_namespace()
     return (
-        f"no stack answers in ROS domain {domain}: start one with 'contact-reach up', or set ROS_DOMAIN_ID to its "
-        "domain and --discovery to what it was started with"
+        f"no stack answers in ROS domain {domain}, namespace {namespace}: start one with 'contact-reach up', or set "
+        "ROS_DOMAIN_ID to its domain, and --namespace and --discovery to what it was started with"
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import signal
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.parameter_files import as_arguments, namespace_arguments
 from contact_reach_ros.ros.boundary import Boundary
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import RECORDER
@@ -66,6 +66,8 @@ class StackProcesses:
         Checked by `check`, and so during every wait.
     log
         File for the output of the processes; their own terminal when None.
+    passed_on
+        ROS arguments for every process, such as remappings. All have the node's namespace.
     """
 
     def __init__(
@@ -75,8 +77,10 @@ class StackProcesses:
         parameter_file: Path,
         interruption: Interruption,
         log: Path | None = None,
+        passed_on: Sequence[str] = (),
     ) -> None:
         self._node = node
+        self._passed_on = passed_on
         self._interruption = interruption
         self._table = list(table)
         self.parameter_file = parameter_file
@@ -204,7 +208,7 @@ class StackProcesses:
         self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
     ) -> None:
         clients = {
-            process.name: self._node.create_client(GetState, f"/{process.name}/get_state") for process in processes
+            process.name: self._node.create_client(GetState, f"{process.name}/get_state") for process in processes
         }
         missing = {process.name: "no such node yet" for process in processes}
         try:
@@ -274,11 +278,13 @@ class StackProcesses:
                 self.spin(_WATCHDOG_S)
 
     def _arguments(self, process: Process) -> list[str]:
-        arguments = ["--ros-args", "--enclave", process.enclave, "--params-file", str(self.parameter_file)]
-        for key, value in process.parameters.items():
-            # JSON is YAML: quoted, an empty or blank-separated string stays a string.
-            arguments += ["-p", f"{key}:={json.dumps(value)}"]
-        return arguments
+        file = self.parameter_file
+        return [
+            *("--ros-args", "--enclave", process.enclave, "--params-file", str(file)),
+            *namespace_arguments(self._node.get_namespace(), file, process.name),
+            *self._passed_on,
+            *as_arguments(process.parameters),
+        ]
 
     def _state_of(self, client: Client) -> str:
         """Lifecycle state of a node; empty while unknown."""
@@ -301,7 +307,7 @@ class StackProcesses:
         if controller is None or controller.poll() is not None:
             self.spin(_WATCHDOG_S)
             return
-        client = self._node.create_client(Trigger, "/controller/stop")
+        client = self._node.create_client(Trigger, "controller/stop")
         if client.service_is_ready() or client.wait_for_service(timeout_sec=0.5):
             self._call(client, Trigger.Request(), 0.5)
         deadline = time.monotonic() + _REST_TIMEOUT_S

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Mapping
@@ -22,7 +21,7 @@ from contact_reach_ros.messages.values import checked_stamp
 from contact_reach_ros.nodes.viewer_actions import StackActions
 from contact_reach_ros.nodes.viewer_messages import make_decoders, numbers_in, planned_goal, read_plan, status_in
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
@@ -170,7 +169,7 @@ class ViewerNode(ManagedNode):
         self.live.on_numbers(numbers_in(message))
 
 
-def view(chosen: Mapping[str, Any], parameters: Path | None) -> int:
+def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:
     """Run the viewer with some of its parameters; returns the exit code.
 
     Parameters
@@ -179,12 +178,13 @@ def view(chosen: Mapping[str, Any], parameters: Path | None) -> int:
         Parameters by the names of `ViewerSettings`.
     parameters
         Parameter file; None for the package's own.
+    namespace
+        Of the stack that it shows.
     """
     file = parameters or config_file(DEFAULT_PARAMETERS)
-    arguments = [VIEWER, "--ros-args", "--params-file", str(file)]
-    for name, value in chosen.items():
-        # JSON is YAML: a quoted text stays a text.
-        arguments += ["-p", f"{name}:={json.dumps(value if isinstance(value, int) else str(value))}"]
+    texts = {name: value if isinstance(value, int) else str(value) for name, value in chosen.items()}
+    space = namespace_arguments(f"/{namespace.strip('/')}", file, VIEWER)
+    arguments = [VIEWER, "--ros-args", "--params-file", str(file), *space, *as_arguments(texts)]
     return run(ViewerNode, Role.ONLOOKER, arguments)
 
 

@@ -44,7 +44,7 @@ def run_reexecution(options: ReexecutionOptions) -> int:
     BagError, SettingsError
         If the bag lacks what is needed, or the changed settings are not accepted.
     """
-    bag, changes = BagReader(options.bag), ChangedSettings(options.changes)
+    bag, changes = BagReader(options.bag, of_stack=True), ChangedSettings(options.changes)
     inputs = RecordedInputs(bag)
     for note in bag.notes:
         print(f"note: {note}")

@@ -112,7 +112,7 @@ def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) 
     BagError
         If the file is no bag.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, of_stack=True)
     signals = read_signals(reader, arm.joint_names)
     notes = list(reader.notes)
     if not reader.summary.message_count:

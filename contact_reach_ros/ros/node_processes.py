@@ -12,10 +12,13 @@ from contact_reach_ros.ros.interfaces import INTERFACES
 
 _TABLES = ("udp", "udp6", "tcp", "tcp6")
 _MODULE = re.compile(rf"{PACKAGE}\.(?:nodes|bringup)\.(\w+)")
+_NAMESPACE = "__ns:="
 _PROC = Path("/proc")
 
 
-def node_processes(domain: str, proc: Path = _PROC, user: int | None = None) -> dict[int, str]:
+def node_processes(
+    domain: str, proc: Path = _PROC, user: int | None = None, namespace: str | None = None
+) -> dict[int, str]:
     """Find the processes of this package's nodes in a ROS domain; returns the node's name by process id.
 
     Parameters
@@ -26,6 +29,8 @@ def node_processes(domain: str, proc: Path = _PROC, user: int | None = None) -> 
         Where procfs is mounted.
     user
         Who owns the processes; None for everybody whose processes may be looked at.
+    namespace
+        Of the nodes; None for any.
     """
     found = {}
     for folder in proc.iterdir():
@@ -40,6 +45,9 @@ def node_processes(domain: str, proc: Path = _PROC, user: int | None = None) -> 
             continue
         name = _node_name(arguments)
         domains = [entry.partition(b"=")[2].decode() for entry in env if entry.startswith(b"ROS_DOMAIN_ID=")]
+        spaces = [argument.removeprefix(_NAMESPACE) for argument in arguments if argument.startswith(_NAMESPACE)]
+        if namespace is not None and (spaces or ["/"])[-1] != namespace:
+            continue
         if name and (domains or ["0"])[0] == domain:
             found[int(folder.name)] = name
     return found

@@ -96,8 +96,13 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
 
+def in_namespace(namespace: str) -> list[str]:
+    """ROS arguments for a node in a namespace, such as left or /left; none if it is empty."""
+    return ["--ros-args", "-r", f"__ns:=/{namespace.strip('/')}"] if namespace.strip("/") else []
+
+
 @contextlib.contextmanager
-def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ()) -> Iterator[Node]:
+def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (), namespace: str = "") -> Iterator[Node]:
     """A node without a lifecycle, for a tool or a supervisor; ROS ends with it.
 
     Parameters
@@ -108,13 +113,15 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ())
         How far it can be heard, as for `initialise`.
     arguments
         Command line, program name first; ROS gets only the node's name when empty.
+    namespace
+        Of the node, unless the arguments have one.
 
     Raises
     ------
     ContactReachError
         If ROS does not start it.
     """
-    initialise(arguments or [name], discovery)
+    initialise(arguments or [name, *in_namespace(namespace)], discovery)
     try:
         try:
             node = Node(name)

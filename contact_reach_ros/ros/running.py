@@ -28,19 +28,24 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
     Parameters
     ----------
     node
-        Whose graph is looked at; it counts as own.
+        Whose graph is looked at, in its namespace; it counts as own.
     planned
         Names of the nodes that are to be started.
     own
         Names of those of them that are running, as children of this process.
     """
     mine = {node.get_name(): 1, **dict.fromkeys(own, 1)}
-    names = Counter(name for name, _ in node.get_node_names_and_namespaces())
-    found = {f"/{name}" for name in (*planned, *_SUPERVISORS) if names[name] > mine.get(name, 0)}
+    space = node.get_namespace()
+    names = Counter(name for name, other in node.get_node_names_and_namespaces() if other == space)
+    found = {_full(space, name) for name in (*planned, *_SUPERVISORS) if names[name] > mine.get(name, 0)}
     for topic in ALONE:
         if any(topic.name in MANAGED[name].publishes for name in planned):
-            publishers = {info.node_name for info in node.get_publishers_info_by_topic(f"/{topic.name}")}
-            found |= {f"/{name} (on {topic.name})" for name in publishers - {UNKNOWN_NODE, *planned}}
+            publishers = node.get_publishers_info_by_topic(topic.name)
+            found |= {
+                f"{_full(info.node_namespace, info.node_name)} (on {topic.name})"
+                for info in publishers
+                if info.node_name not in (UNKNOWN_NODE, *planned)
+            }
     return sorted(found)
 
 
@@ -55,9 +60,10 @@ def refuse_beside_another(node: Node, planned: Collection[str], since: float) ->
         If there is one, with its nodes, the domain, and how to choose another.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
-    processes = node_processes(domain)
+    space = node.get_namespace()
+    processes = node_processes(domain, namespace=space)
     processes.pop(os.getpid(), None)
-    found = sorted(f"/{name}" for name in {*processes.values()} & {*planned, *_SUPERVISORS})
+    found = sorted(_full(space, name) for name in {*processes.values()} & {*planned, *_SUPERVISORS})
     while not found and time.monotonic() < since + LOOK_S:
         time.sleep(_POLL_S)
         found = running(node, planned)
@@ -65,5 +71,9 @@ def refuse_beside_another(node: Node, planned: Collection[str], since: float) ->
         other = (int(domain) + 1) % _DOMAINS if domain.isdigit() else 1
         raise InputError(
             f"a stack is already running in ROS domain {domain}: {', '.join(found)}. A second one would stop its arm: "
-            f"end it, or start this one in another domain: export ROS_DOMAIN_ID={other}"
+            f"end it, or start this one in another domain: export ROS_DOMAIN_ID={other}, or in a namespace"
         )
+
+
+def _full(namespace: str, name: str) -> str:
+    return f"{namespace.rstrip('/')}/{name}"

@@ -98,7 +98,7 @@ class Recording:
         self.path = path
         self._arm = arm
         self._decode = decoders
-        self._reader = BagReader(path)
+        self._reader = BagReader(path, of_stack=True)
         self._read()
         self.events = self._find_events()
         self._table = self._make_table()

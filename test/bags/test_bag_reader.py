@@ -53,6 +53,30 @@ def test_decoded_messages_by_topic(shared_sample: SampleBag) -> None:
             np.testing.assert_array_equal(item.message.position, message.position)
 
 
+def write_stacks(path: Path, *names: str) -> Path:
+    recorded = [RecordedTopic(name, "std_msgs/msg/String") for name in names]
+    with BagWriter(path, recorded) as writer:
+        for name in names:
+            writer.write(name, serialize_message(String(data=name)), START_NS)
+    return path
+
+
+def test_topics_of_a_stack_go_without_its_namespace(tmp_path: Path) -> None:
+    bag = write_stacks(tmp_path / "bag", "/a/left/joint_states", "/a/left/goal/state", "/tf")
+    assert set(BagReader(bag).topics()) == {"/a/left/joint_states", "/a/left/goal/state", "/tf"}
+    reader = BagReader(bag, of_stack=True)
+    assert set(reader.topics()) == {"/joint_states", "/goal/state", "/tf"}
+    (read,) = reader.messages(["/goal/state"])
+    assert (read.topic, read.message.data) == ("/goal/state", "/a/left/goal/state")
+    assert len(reader.reception_times("/joint_states")) == 1
+
+
+def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:
+    bag = write_stacks(tmp_path / "bag", "/left/joint_states", "/joint_states")
+    with pytest.raises(BagError, match=r"several stacks: /, /left; expected one"):
+        BagReader(bag, of_stack=True)
+
+
 def test_messages_come_by_time_of_reception(tmp_path: Path) -> None:
     times = [5, 3, 9, 1, 7]
     with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "std_msgs/msg/String")]) as writer:

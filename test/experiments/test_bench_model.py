@@ -73,6 +73,7 @@ def test_errors_are_those_of_the_flange(free):
     np.testing.assert_allclose(motion_errors(rollout, turned).commonly().rotation, np.pi, rtol=0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_report_has_a_row_for_each_number_of_substeps(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_model, "SUBSTEPS", (4,))
     monkeypatch.setattr(bench_model, "culling_errors", lambda *_: {})

@@ -129,6 +129,14 @@ def test_processes_are_those_of_the_node_and_the_domain(tmp_path):
     assert node_processes("7", tmp_path, user + 1) == {}
 
 
+def test_processes_of_one_namespace_can_be_chosen(tmp_path):
+    fake_process(tmp_path, 1, ["python", "-m", "contact_reach_ros.nodes.planner", "--ros-args"], "7")
+    fake_process(tmp_path, 2, ["python", "-m", "contact_reach_ros.nodes.driver", "-r", "__ns:=/left"], "7")
+    assert node_processes("7", tmp_path, namespace="/") == {1: "planner"}
+    assert node_processes("7", tmp_path, namespace="/left") == {2: "driver"}
+    assert len(node_processes("7", tmp_path)) == 2
+
+
 def test_rate_and_time_are_checked():
     with pytest.raises(InputError, match="rate 0"):
         tool.disturb(topics.COMMANDS.name, "nan", 0.0, 1.0)

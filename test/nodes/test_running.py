@@ -25,7 +25,7 @@ def node():
 def other():
     context = rclpy.Context()
     rclpy.init(context=context)
-    yield lambda name: rclpy.create_node(name, context=context)
+    yield lambda name, namespace="": rclpy.create_node(name, context=context, namespace=namespace)
     rclpy.shutdown(context=context)
 
 
@@ -34,6 +34,16 @@ def test_nodes_that_are_to_be_started_are_found(node, other):
     wait_for(lambda: running_parts(node, ["planner", "controller"]) == ["/planner"], 10, "the planner is found")
     assert running_parts(node, ["planner"], own=["planner"]) == []
     assert running_parts(node, ["driver", "controller"]) == []
+
+
+def test_those_in_another_namespace_are_another_stack(node, other):
+    _other = other("planner", "left")
+    robot = other("robot", "left")
+    _publisher = robot.create_publisher(JointState, "joint_states", qos_profile(topics.JOINT_STATES.qos))
+    seen = ("planner", "/left")
+    wait_for(lambda: seen in node.get_node_names_and_namespaces(), 10, "the planner is discovered")
+    wait_for(lambda: node.count_publishers("/left/joint_states"), 10, "the driver is discovered")
+    assert running_parts(node, ["planner", "driver"]) == []
 
 
 def test_a_robots_driver_of_any_name_is_found_where_one_is_to_be_started(node, other):

@@ -74,6 +74,7 @@ def test_arm_reaches_a_free_goal(planner):
     assert 0.15 / 0.088 < tick / 1000 < 2 * 0.15 / 0.088
 
 
+@pytest.mark.slow
 def test_law_6_pulls_to_one_posture_and_leaves_the_rest_to_the_task():
     posture = (0.1, 0.2, 0.3, -0.4, 0.5, 0.6, 0.7)
     planner = make_planner(null_space="reference_posture", reference_posture=posture)

@@ -1,0 +1,75 @@
+"""Two stacks on one host, in one ROS domain, each in a namespace of its own."""
+
+import signal
+import subprocess
+from contextlib import ExitStack
+
+import pytest
+from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, processes_of_domain, running, wait_for
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bringup.bringup import _remappings
+from contact_reach_ros.parameter_files import namespace_arguments
+
+NAMES = ("left", "right")
+READY = "all nodes are active"
+
+
+def test_a_file_counts_in_a_namespace_as_in_the_root(tmp_path):
+    """ROS itself ignores a section without a wildcard there."""
+    file = parameter_file(tmp_path / "own.yaml", planner={"period": 0.1, "planning": {"solver": "cma_es"}}, driver={})
+    assert namespace_arguments("/", file, "planner") == []
+    arguments = namespace_arguments("/left", file, "planner")
+    assert arguments[:4] == ["-r", "__ns:=/left", "-r", "/clock:=clock"]
+    assert arguments[4:] == ["-p", "period:=0.1", "-p", 'planning.solver:="cma_es"']
+    assert namespace_arguments("/left", file, "driver") == arguments[:4]
+
+
+def test_remappings_of_bringup_hold_for_all_nodes():
+    given = ["bringup", "--ros-args", "-r", "__ns:=/left", "--remap", "a:=b", "-p", "seed:=1", "-r", "/c:=d"]
+    assert _remappings(given) == ["--remap", "a:=b", "-r", "/c:=d"]
+
+
+@pytest.mark.slow
+def test_two_stacks_reach_their_goals_beside_each_other(tmp_path):
+    env = environment()
+    file = parameter_file(
+        tmp_path / "small.yaml", planner=SMALL_PLANNER, controller={"supervision": {"hold_limit": 1000.0}}
+    )
+    options = ["--lockstep", "--scene", "free", "--parameters", str(file)]
+
+    def command(name, *arguments):
+        line = [*module("cli"), *arguments, "--namespace", name]
+        return subprocess.run(line, env=env, capture_output=True, text=True, timeout=300)
+
+    with ExitStack() as stack:
+        outputs = {name: tmp_path / f"{name}.txt" for name in NAMES}
+        processes = {
+            name: stack.enter_context(
+                running(
+                    [*module("cli"), "up", "--namespace", name, "--bag", str(tmp_path / name), *options],
+                    env,
+                    outputs[name],
+                )
+            )
+            for name in NAMES
+        }
+        for name in NAMES:
+            wait_for(lambda name=name: READY in outputs[name].read_text(), 300, f"{name} is active")
+        for name in NAMES:
+            result = command(name, "goto", "0.5", "0.1", "0.3", "--wait", "--timeout", "60")
+            assert result.returncode == 0 and "settled: " in result.stdout, result.stdout + result.stderr
+        assert command("left", "stop").returncode == 0
+        assert command("right", "goto", "0.5", "0.0", "0.3").returncode == 0, "the other one is not stopped"
+        assert "namespace /: start one" in command("", "stop").stderr, "there is none outside of the namespaces"
+        for name in NAMES:
+            processes[name].send_signal(signal.SIGINT)
+        for name in NAMES:
+            assert processes[name].wait(60) == 0
+    wait_for(lambda: not processes_of_domain(env["ROS_DOMAIN_ID"]), 20, "all processes have ended")
+    for name in NAMES:
+        topics = BagReader(tmp_path / name).topics()
+        assert f"/{name}/joint_states" in topics and all(topic.startswith(f"/{name}/") for topic in topics)
+        again = [*module("cli"), "reexecute", str(tmp_path / name)]
+        result = subprocess.run(again, env=env, capture_output=True, text=True, timeout=300)
+        assert result.returncode == 0 and result.stdout.count("identical") == 2, result.stdout + result.stderr
