@@ -122,6 +122,7 @@ NOT_RUN = {
     r"ros2 |source /opt/ros|source install|cd \$\(ros2|for policy|export ROS_SEC|ROS_SECURITY": "needs ROS 2 sourced",
     r"contact-reach bench ": "takes minutes to hours; test/experiments runs them smaller",
     r"--no-driver": "needs a robot",
+    r"--namespace": "needs two stacks; test/nodes/test_namespaces.py has them",
     r"--discovery subnet": "opens the nodes to the network",
     r"make (test|build|venv)|\bown\b": "installs: see the test of installation; make build: test_package",
 }
@@ -132,7 +133,7 @@ ENDLESS = {
     r"\.venv/bin/(?!replay|contact-reach)": "active",
 }
 """Commands that run until Ctrl-C, with what they print when they are up."""
-WITH_STACK = r"contact-reach (goto|stop|reset|doctor)"
+WITH_STACK = r"contact-reach (goto|home|stop|reset|doctor)"
 OTHER_CODES = {r"contact-reach doctor": (0, 1), r"\.venv/bin/(?!replay|contact-reach)": (0, -signal.SIGINT)}
 """The doctor may find fault with the machine; a node that has just become active ends by the signal itself."""
 SMALL = {"planner": {"planning": {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}}}
