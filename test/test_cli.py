@@ -49,7 +49,7 @@ def test_replay_names_the_two_commands_that_were_meant(
 )
 def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch, arguments, expected):
     given = []
-    monkeypatch.setattr("contact_reach_ros.nodes.viewer.view", lambda chosen, parameters: given.append(chosen) or 0)
+    monkeypatch.setattr("contact_reach_ros.nodes.viewer.view", lambda chosen, *_: given.append(chosen) or 0)
     with pytest.raises(SystemExit) as ended:
         main(["view", *arguments])
     assert ended.value.code == 0 and given == [expected]

@@ -19,7 +19,8 @@ from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, read_of
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
-_STATES = "/joint_states"
+_STATES, _SAFETY = "/joint_states", "/safety_state"
+"""Topics that every stack has."""
 
 
 class RawMessage(NamedTuple):
@@ -230,7 +231,8 @@ class BagReader:
     def _leave_namespace(self) -> None:
         """Take the namespace of the joint states off all topics."""
         names = {channel.topic for file in self._files for channel in file.contents.channels.values()}
-        spaces = sorted(name.removesuffix(_STATES) for name in names if name.endswith(_STATES))
+        found = (name.removesuffix(_STATES) for name in names if name.endswith(_STATES))
+        spaces = sorted(space for space in found if space + _SAFETY in names)
         if len(spaces) > 1:
             raise BagError(
                 f"bag '{self._path}' has several stacks: {', '.join(space or '/' for space in spaces)}; expected one: "
@@ -240,7 +242,8 @@ class BagReader:
         for file in self._files if space else ():
             channels = file.contents.channels
             for number, channel in channels.items():
-                channels[number] = dataclasses.replace(channel, topic=channel.topic.removeprefix(space))
+                if channel.topic.startswith(f"{space}/"):
+                    channels[number] = dataclasses.replace(channel, topic=channel.topic.removeprefix(space))
 
     def _find_files(self, information: Mapping[str, Any] | None) -> list[Path]:
         if not self._path.is_dir():

@@ -205,7 +205,7 @@ class _Operator:
         self._inbox = Inbox(node, lambda what, error: None)
         self._inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self._inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
-        self._inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.LATCHED)
+        self._inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
         self._inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
 
     def close(self) -> None:

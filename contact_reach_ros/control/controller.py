@@ -107,7 +107,8 @@ class Controller:
     @property
     def watch_period(self) -> float:
         """Nominal time between the states that the controller's own watch takes, s."""
-        return self._period * max(1, round(1.0 / (self.settings.supervision.watch_rate * self._period)))
+        # Not more often: the next whole number, but for the rounding of the quotient.
+        return self._period * max(1, math.ceil(1.0 / (self.settings.supervision.watch_rate * self._period) - 1e-9))
 
     @property
     def started(self) -> bool:
@@ -127,6 +128,7 @@ class Controller:
     def activate(self) -> None:
         """Start again from the next joint state; a stop stays in force."""
         self._started = False
+        self.supervisor.wait()
 
     def update(self, state: JointState, clock_ns: int) -> Array | None:
         """Answer one joint state, which becomes `state` if it is new.

@@ -44,30 +44,35 @@ class Watcher(Protocol):
 
 
 class _Mean:
-    """Mean of torques (n,), N m; those that are not known count only while none is."""
+    """Mean of torques (n,), N m; those that are not known count only while none is.
+
+    Attributes
+    ----------
+    value
+        The mean; None while there is no torque.
+    """
 
     def __init__(self) -> None:
+        self.value: Array | None = None
         self._count = 0
-        self._mean: Array | None = None
 
     def add(self, torque: Array | None) -> None:
         """Take one more; None where it is not known."""
         # A sum is finite exactly when every summand is.
         if torque is None or not math.isfinite(sum(torque.tolist())):
             if self._count == 0:
-                self._mean = torque
+                self.value = torque
             return
         self._count += 1
-        if self._count == 1 or self._mean is None:
-            self._mean = torque
+        if self._count == 1 or self.value is None:
+            self.value = torque
         else:
             # In this form the mean of equal torques is exact: a sensor that is stuck stays recognisable.
-            self._mean = self._mean + (torque - self._mean) / self._count
+            self.value = self.value + (torque - self.value) / self._count
 
-    def take(self) -> Array | None:
-        """Return the mean, and begin another."""
-        mean, self._mean, self._count = self._mean, None, 0
-        return mean
+    def restart(self) -> None:
+        """Forget all torques."""
+        self.value, self._count = None, 0
 
 
 class OwnWatch:
@@ -81,13 +86,16 @@ class OwnWatch:
         """`period`: nominal time between joint states, s; `watch_period`: that of the watcher."""
         self._watcher = watcher
         self._supervisor = supervisor
-        self._step_ns = round((watch_period - 0.5 * period) * NANOSECONDS)
-        """Between two of the watcher's states; half a period less for the jitter of their stamps."""
+        # Half a period less for the jitter of stamps.
+        self._step_ns = round((watch_period - 0.5 * period) * NANOSECONDS) if watch_period > period else 0
+        """Least time between two of the watcher's states."""
         self._gap_ns = GAP_PERIODS * round(period * NANOSECONDS)
         self._gaps = 0
         """Steps between states in a row that were longer."""
         self._shown_ns: int | None = None
+        """Stamp of the watcher's last new state; None before the first."""
         self._last_ns = 0
+        """Stamp of the last new state."""
         self._measured = _Mean()
         self._commanded = _Mean()
         supervisor.hear_own(Verdict(doubt="the controller's own watch has seen nothing yet"), 0)
@@ -95,23 +103,29 @@ class OwnWatch:
     def see(self, state: JointState, started: bool, clock_ns: int) -> None:
         """Take a state, old ones included; `started`: whether the arm is commanded."""
         stamp_ns, q, v, torque = state
-        step_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
-        self._measured.add(torque)
-        self._gaps = self._gaps + 1 if step_ns > self._gap_ns else 0
-        # Whatever is not newer than the last state is shown at once: the watcher counts those.
-        if self._shown_ns is not None and step_ns > 0 and stamp_ns < self._shown_ns + self._step_ns:
-            return
-        self._shown_ns = stamp_ns
-        commanded = self._commanded.take()
-        if commanded is not None:
-            self._watcher.command(commanded)
-        report = self._watcher.update(JointState(stamp_ns, q, v, self._measured.take()))
+        shown_ns, step_ns = self._shown_ns, stamp_ns - self._last_ns
+        if shown_ns is None or step_ns > 0:
+            self._last_ns = stamp_ns
+            self._gaps = self._gaps + 1 if step_ns > self._gap_ns else 0
+            self._measured.add(torque)
+            if shown_ns is not None and stamp_ns < shown_ns + self._step_ns:
+                return
+            state = JointState(stamp_ns, q, v, self._measured.value)
+            if self._commanded.value is not None:
+                self._watcher.command(self._commanded.value)
+        elif step_ns == 0:
+            # The watcher counts states that come again, but may not have seen the first one.
+            state = JointState(shown_ns, q, v, torque)
+        report = self._watcher.update(state)
         if report is None:
             return
-        if self._gaps >= GAPS_IN_A_ROW:
-            self._supervisor.hear_own(_missed(report.verdict, step_ns), clock_ns)
-        elif report.due:
-            self._supervisor.hear_own(report.verdict, clock_ns)
+        if step_ns or shown_ns is None:
+            # Also when the clock was set back, and the watcher has agreed to that.
+            self._shown_ns = self._last_ns = stamp_ns
+            self._measured.restart()
+            self._commanded.restart()
+        if self._gaps >= GAPS_IN_A_ROW or report.due:
+            self._supervisor.hear_own(self._judge(report.verdict), clock_ns)
         if report.due and report.verdict.reason and not started:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
@@ -132,15 +146,14 @@ class OwnWatch:
         if not self._supervisor.own_reason:
             return
         self._watcher.reset()
-        self._supervisor.hear_own(self._watcher.report().verdict, clock_ns)
+        self._supervisor.hear_own(self._judge(self._watcher.report().verdict), clock_ns)
         if self._supervisor.own_reason:
             raise InputError(f"the controller's own watch is stopped ({self._supervisor.own_reason})")
 
-
-def _missed(verdict: Verdict, step_ns: int) -> Verdict:
-    """The verdict, with the reason that states were missed unless it has a worse one."""
-    if verdict.reason:
-        return verdict
-    text = f"blind: joint states are {step_ns / 1e6:.0f} ms apart: look at the driver and the network"
-    missed = StopReason(StopCode.MISSED_STATES, text)
-    return verdict._replace(reason=missed, doubt=missed)
+    def _judge(self, verdict: Verdict) -> Verdict:
+        """The watcher's verdict, with the reason that states were missed unless it has another."""
+        if verdict.reason or self._gaps < GAPS_IN_A_ROW:
+            return verdict
+        text = f"blind: {self._gaps} states in a row came too late: look at the driver and the network"
+        missed = StopReason(StopCode.MISSED_STATES, text)
+        return verdict._replace(reason=missed, doubt=missed)

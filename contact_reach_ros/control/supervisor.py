@@ -212,7 +212,7 @@ class Supervisor:
         self._is_early = clock_ns == 0 and not self._has_begun
         self._verdict = verdict
         self._missing_ns = _since(self._missing_ns, verdict, clock_ns)
-        if not (self._may_miss(self._missing_ns, clock_ns) and self._own_vouches(clock_ns)):
+        if not (self._may_miss(self._missing_ns, clock_ns) and self.own_vouches(clock_ns)):
             self._act_on(verdict)
 
     def hear_own(self, verdict: Verdict, clock_ns: int) -> None:
@@ -264,6 +264,10 @@ class Supervisor:
                 self._observer_ns += pause_ns
                 self._has_forgiven = True
 
+    def wait(self) -> None:
+        """Note that no joint states are taken for a while, which is no pause of this process."""
+        self._clock_ns = None
+
     def watch_observer(self, clock_ns: int) -> None:
         """Stop when the observer has been silent for too long; unless required, it may never have reported.
 
@@ -272,7 +276,7 @@ class Supervisor:
         self.pass_time(clock_ns)
         silence_ns = self._silent_for(clock_ns)
         self.longest_silence = max(self.longest_silence, silence_ns / NANOSECONDS)
-        if silence_ns > (self._patience_ns if self._own_vouches(clock_ns) else self._timeout_ns):
+        if silence_ns > (self._patience_ns if self.own_vouches(clock_ns) else self._timeout_ns):
             self.stop(StopReason(StopCode.OBSERVER_SILENT, f"observer silent for {silence_ns / 1e6:.0f} ms"))
 
     def watch_joints(self, q: Array, v: Array) -> None:
@@ -308,7 +312,7 @@ class Supervisor:
         heard = self._observer_ns is not None and self._silent_for(clock_ns) <= self._timeout_ns
         return heard and not self._verdict.reason and not self._verdict.doubt
 
-    def _own_vouches(self, clock_ns: int) -> bool:
+    def own_vouches(self, clock_ns: int) -> bool:
         """Whether the controller's own watch, which is not late, has nothing against the arm's motion."""
         own = self._own
         return own is not None and not own.doubt and clock_ns - self._own_ns <= self._timeout_ns

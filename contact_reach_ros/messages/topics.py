@@ -83,7 +83,7 @@ COMMANDS = Topic("effort_controller/commands", Float64MultiArray, called="comman
 ADAPTER_COMMANDS = Topic("adapter/commands", Float64MultiArray, called="commands")
 SHADOW_COMMANDS = Topic("shadow/commands", Float64MultiArray, called="commands")
 GOAL_POSE = Topic("goal_pose", PoseStamped, called="goals")
-GOAL_STATE = Topic("goal/state", DiagnosticStatus, LATCHED, called="goal states")
+GOAL_STATE = Topic("goal/state", DiagnosticStatus, LATCHED_EVENTS, called="goal states")
 REFERENCE_POSE = Topic("reference/pose", MultiDOFJointTrajectory, called="references")
 REFERENCE_POSTURE = Topic("reference/posture", JointTrajectory, called="references")
 OBSTACLES = Topic("obstacles", MarkerArray, LATCHED)

@@ -24,7 +24,7 @@ from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.scheduling import OBSERVER_PRIORITY, Role
 from contact_reach_ros.settings import Settings
-from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, requested
+from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, is_missing_states, requested
 
 NAME = "observer"
 
@@ -112,7 +112,9 @@ class ObserverNode(ManagedNode):
         if report.due:
             if report.reason and report.has_news:
                 why = report.reason if report.distrust in ("", report.reason) else f"{report.reason}; {report.distrust}"
-                self.say(LoggingSeverity.ERROR, f"stop: {why}; call ~/reset to continue")
+                # Nothing is latched here by missed states, and the controller decides.
+                is_stop = not is_missing_states(report.reason)
+                self.say(LoggingSeverity.ERROR, f"stop: {why}; call ~/reset to continue" if is_stop else why)
             self._safety.publish(to_safety_state(report, NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
             self._write_wrench(self._wrench_writer.write(report.stamp_ns, self._observer.momentum.flange_wrench()))

@@ -242,15 +242,17 @@ class PlannerNode(ManagedNode):
         self._path.publish(to_path(plan, self.arm))
 
     def _on_goal(self, message: PoseStamped) -> None:
-        stamp_ns = nanoseconds(message.header.stamp)
+        stamp_ns, before = nanoseconds(message.header.stamp), self._planner.goal_state
         try:
             goal = to_goal(message, self.settings[""])
             self._planner.command(goal)
         except InputError as error:
-            refused = GoalState(GoalPhase.REFUSED, str(error))
-            self._goal_states.publish(to_goal_state(refused, stamp_ns, NAME, self.arm))
+            self._publish_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
             self._published_goal = None
             raise
+        if before is not None and before.phase.is_open:
+            replaced = before._replace(phase=GoalPhase.WITHDRAWN, reason="another goal has replaced it")
+            self._publish_goal(replaced, self._goal_ns)
         self._goal_ns, self._published_goal = stamp_ns, None
         self._report_goal()
         if self._rivalry:
@@ -268,9 +270,14 @@ class PlannerNode(ManagedNode):
             return
         now_ns = 0 if self._planner.state is None else self._planner.state.stamp_ns
         is_new = (self._goal_ns, state.phase) != self._published_goal
-        if is_new or (state.phase.is_open and now_ns >= self._goal_state_due_ns):
+        # Also after the clock was set back.
+        is_due = not 0 < self._goal_state_due_ns - now_ns <= _GOAL_STATE_EVERY_NS
+        if is_new or (state.phase.is_open and is_due):
             self._published_goal, self._goal_state_due_ns = (self._goal_ns, state.phase), now_ns + _GOAL_STATE_EVERY_NS
-            self._goal_states.publish(to_goal_state(state, self._goal_ns, NAME, self.arm))
+            self._publish_goal(state, self._goal_ns)
+
+    def _publish_goal(self, state: GoalState, stamp_ns: int) -> None:
+        self._goal_states.publish(to_goal_state(state, stamp_ns, NAME, self.arm))
 
     def _on_obstacles(self, data: bytes) -> None:
         self._planner.see(self._obstacle_reader.read_serialized(data), self._obstacle_reader.stamp_ns)

@@ -20,7 +20,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_markers import ARM, ELBOW, FLANGE
-from contact_reach_ros.messages.safety_state import read_contact, read_level
+from contact_reach_ros.messages.safety_state import is_stopped, read_contact, read_level
 from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.viewer.frame import PlanPicture, SafetyLevel, SafetyStatus
@@ -122,9 +122,10 @@ def status_in(message: DiagnosticStatus, arm: Arm) -> tuple[str, SafetyStatus]:
         contact = read_contact(message, arm)
     except InputError:
         contact = None
-    return message.name, SafetyStatus(
-        SafetyLevel(min(read_level(message), SafetyLevel.STOP.value)), message.message, contact
+    level = (
+        SafetyLevel.STOP if is_stopped(message) else SafetyLevel(min(read_level(message), SafetyLevel.CONTACT.value))
     )
+    return message.name, SafetyStatus(level, message.message, contact)
 
 
 def numbers_in(message: DiagnosticArray) -> dict[str, float]:

@@ -44,7 +44,7 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
             found |= {
                 f"{_full(info.node_namespace, info.node_name)} (on {topic.name})"
                 for info in publishers
-                if info.node_name not in (UNKNOWN_NODE, *planned)
+                if info.node_name != UNKNOWN_NODE and (info.node_namespace != space or info.node_name not in planned)
             }
     return sorted(found)
 

@@ -62,17 +62,20 @@ def write_stacks(path: Path, *names: str) -> Path:
 
 
 def test_topics_of_a_stack_go_without_its_namespace(tmp_path: Path) -> None:
-    bag = write_stacks(tmp_path / "bag", "/a/left/joint_states", "/a/left/goal/state", "/tf")
-    assert set(BagReader(bag).topics()) == {"/a/left/joint_states", "/a/left/goal/state", "/tf"}
+    own = ["/a/left/joint_states", "/a/left/safety_state", "/a/left/goal/state"]
+    others = {"/a/left_hand/camera", "/tf", "/gripper/joint_states"}
+    bag = write_stacks(tmp_path / "bag", *own, *others)
+    assert set(BagReader(bag).topics()) == {*own, *others}
     reader = BagReader(bag, of_stack=True)
-    assert set(reader.topics()) == {"/joint_states", "/goal/state", "/tf"}
+    assert set(reader.topics()) == {"/joint_states", "/safety_state", "/goal/state", *others}
     (read,) = reader.messages(["/goal/state"])
     assert (read.topic, read.message.data) == ("/goal/state", "/a/left/goal/state")
     assert len(reader.reception_times("/joint_states")) == 1
 
 
 def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:
-    bag = write_stacks(tmp_path / "bag", "/left/joint_states", "/joint_states")
+    names = ("/joint_states", "/safety_state")
+    bag = write_stacks(tmp_path / "bag", *names, *(f"/left{name}" for name in names))
     with pytest.raises(BagError, match=r"several stacks: /, /left; expected one"):
         BagReader(bag, of_stack=True)
 

@@ -307,10 +307,33 @@ class TestRate:
         watcher = self.shown(stamps, [0.0] * 8)
         assert [state.stamp_ns for state in watcher.states] == [0, 3_980_000, 9_000_000, 13_010_000]
 
-    def test_states_that_are_not_newer_are_shown_at_once(self):
-        stamps = [tick * TICK_NS for tick in (1, 2, 2, 2, 1, 3, 4, 6)]
-        watcher = self.shown(stamps, [0.0] * 8)
-        assert [state.stamp_ns // TICK_NS for state in watcher.states] == [1, 2, 2, 1, 6]
+    def test_states_that_are_not_newer_are_shown_as_the_last_one_again(self):
+        stamps = [tick * TICK_NS for tick in (1, 2, 2, 2, 3, 6)]
+        watcher = self.shown(stamps, [0.0] * 6)
+        assert [state.stamp_ns // TICK_NS for state in watcher.states] == [1, 1, 1, 6]
+
+    @pytest.mark.parametrize("times", [2, 3])
+    def test_states_that_come_several_times_change_nothing(self, times):
+        controller = make_controller(True)
+        robot = SimulatedRobot(Scene("watch", ARM, 0, HOME, np.zeros(3)))
+        for tick in range(1, 500):
+            (state,) = robot.read()
+            controller.hear(Verdict(), tick * TICK_NS)
+            torque = controller.update(state, tick * TICK_NS)
+            for _ in range(times):
+                controller.watch(state, torque, tick * TICK_NS)
+            if torque is not None:
+                robot.command(torque, tick * TICK_NS)
+            robot.step(tick * TICK_NS)
+        assert controller.started and not controller.stop_reason
+        assert not controller.supervisor.own_reason and controller.supervisor.own_vouches(500 * TICK_NS)
+
+    def test_after_the_clock_was_set_back_states_are_shown_again(self):
+        controller, watcher = Controller(ARM, ControllerSettings()), make_observer(period=0.004)
+        controller.watch_with(watcher)
+        for tick in [*range(1000, 1020), *range(20)]:
+            controller.watch(JointState(tick * TICK_NS, HOME, REST, REST), None, tick * TICK_NS)
+        assert watcher.momentum.updated_ns == 17 * TICK_NS
 
     @pytest.mark.parametrize("torque", [None, np.nan])
     def test_the_mean_is_that_of_known_torques_and_exact_for_equal_ones(self, torque):
@@ -330,11 +353,15 @@ class TestRate:
             controller.update(JointState(4 * tick * TICK_NS, HOME, REST, None), 4 * tick * TICK_NS)
             controller.watch(controller.state, None, 4 * tick * TICK_NS)
         assert controller.supervisor.own_reason.code is StopCode.MISSED_STATES
+        with pytest.raises(InputError, match="the controller's own watch is stopped"):
+            controller.reset(36 * TICK_NS)
         for tick in range(37, 46):
             controller.watch(JointState(tick * TICK_NS, HOME, REST, None), None, tick * TICK_NS)
         assert not controller.supervisor.own_reason
 
-    @pytest.mark.parametrize(("rate", "every"), [(1000.0, 1), (500.0, 2), (250.0, 4), (200.0, 5), (100.0, 10)])
+    @pytest.mark.parametrize(
+        ("rate", "every"), [(1000.0, 1), (500.0, 2), (400.0, 3), (250.0, 4), (200.0, 5), (100.0, 10)]
+    )
     def test_its_period_is_a_whole_number_of_states(self, rate, every):
         controller = Controller(ARM, ControllerSettings(supervision=SupervisionSettings(watch_rate=rate)))
         assert controller.watch_period == pytest.approx(every / 1000)

@@ -92,6 +92,19 @@ def test_refused_states_are_no_pause_in_which_the_observer_may_be_silent():
     assert controller.stop_reason.startswith("observer silent for 129 ms")
 
 
+def test_time_in_which_the_controller_was_inactive_does_not_excuse_the_observer():
+    """Reports that waited meanwhile are heard when it is active again."""
+    controller = Controller(ARM, ControllerSettings())
+    controller.hear(Verdict(), TICK_NS)
+    update(controller, state(1))
+    controller.activate()
+    controller.hear(Verdict(), 60_000 * TICK_NS)
+    ticks = range(60_000, 60_200)
+    stops = [tick for tick in ticks if update(controller, state(tick)) is not None and controller.stop_reason]
+    assert stops[0] - ticks[0] == 1 + round(1000 * controller.settings.supervision.observer_timeout)
+    assert controller.stop_reason.startswith("observer silent for ")
+
+
 class TestNotYet:
     """Others command the arm, so nothing is commanded yet."""
 

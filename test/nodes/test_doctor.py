@@ -240,11 +240,11 @@ def test_without_a_stack_a_command_names_the_domain_and_what_to_start():
 
 
 def test_goals_stops_and_resets_from_the_command_line(stack):
-    refused, turned, settled, late, home, stopped, kept, released = command_lines(
+    turned, settled, refused, late, home, stopped, kept, released = command_lines(
         stack,
-        "goto 2.0 0.0 0.3",
         "goto 0.51 0.025 0.145 --rpy 0 3.14 0",
         "goto 0.51 0.025 0.145 --wait",
+        "goto 2.0 0.0 0.3",
         "home --wait --timeout 0.1",
         "home --wait",
         "stop",
