@@ -144,7 +144,7 @@ class SupervisionSettings(Settings):
     )
     stop_speed_gain: float = setting(
         0.5,
-        "increase in the speed of the fastest joint since the stop that has the same effect",
+        "increase in the speed of a joint since the stop that has the same effect",
         unit="rad/s",
         minimum=0.05,
         maximum=3.0,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
@@ -39,7 +37,8 @@ class StopWatch:
         self._rested_ns: int | None = None
         self._rest: Array | None = None
         """Where the arm came to rest, (n,), rad; None while it moves."""
-        self._slowest = math.inf
+        self._slowest: Array | None = None
+        """Least speed of each joint since the stop, (n,), rad/s; None before the first state."""
         self._speeding_up = 0
         self._rest_is_due = True
 
@@ -57,17 +56,20 @@ class StopWatch:
             self._began_ns = clock_ns
         settings = self._settings
         speeds = np.abs(v)
-        joint = int(speeds.argmax())
-        name, speed = self._names[joint], float(speeds[joint])
         since = (clock_ns - self._began_ns) / NANOSECONDS
-        self._slowest = min(self._slowest, speed)
-        self._speeding_up = self._speeding_up + 1 if speed > self._slowest + settings.stop_speed_gain else 0
+        # Each joint by itself: while one sinks, others slow down.
+        self._slowest = speeds if self._slowest is None else np.minimum(self._slowest, speeds)
+        gains = speeds - self._slowest
+        joint = int(gains.argmax())
+        self._speeding_up = self._speeding_up + 1 if gains[joint] > settings.stop_speed_gain else 0
         if self._speeding_up >= self._debounce:
-            return f"in the stop {name} got faster, {speed:.2f} rad/s after {1000 * since:.0f} ms"
+            return f"in the stop {self._names[joint]} got faster, {speeds[joint]:.2f} rad/s after {1000 * since:.0f} ms"
+        joint = int(speeds.argmax())
+        speed = float(speeds[joint])
         if self._rest_is_due and since >= settings.rest_within:
             self._rest_is_due = False
             if speed > settings.reset_velocity:
-                return f"{name} still moves with {speed:.2f} rad/s {1000 * since:.0f} ms after the stop"
+                return f"{self._names[joint]} still moves with {speed:.2f} rad/s {1000 * since:.0f} ms after the stop"
         return self._look_at_rest(q, speed, clock_ns)
 
     def _look_at_rest(self, q: Array, speed: float, clock_ns: int) -> str:

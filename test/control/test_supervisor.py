@@ -93,6 +93,15 @@ class TestStopThatBringsNoRest:
         assert stopped.mode is Mode.SILENT
         assert "in the stop lbr_A2 got faster" in stopped.stop_reason
 
+    def test_one_joint_that_sinks_while_a_faster_one_slows_down(self, stopped):
+        elbow, shoulder = np.eye(ARM.n)[3], np.eye(ARM.n)[1]
+        for ms in range(200):
+            stopped.watch_stop(HOME, (0.6 - ms / 1000) * elbow + (0.2 + ms / 400) * shoulder, ms * self.MS)
+        assert stopped.mode is Mode.STOPPED
+        self.watch(stopped, (0.21 + SETTINGS.stop_speed_gain) * shoulder, 200, 199 + SETTINGS.velocity_debounce)
+        assert stopped.mode is Mode.SILENT
+        assert "in the stop lbr_A2 got faster" in stopped.stop_reason
+
     def test_an_arm_that_slows_down_is_left_to_the_compliant_stop(self, stopped):
         for ms in range(400):
             stopped.watch_stop(HOME, np.full(ARM.n, 1.0 - ms / 400), ms * self.MS)

@@ -33,8 +33,8 @@ from contact_reach_ros.simulation.fault_schedules import parse_faults
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 
-NEAREST = (123, 156, 313, 320, 334, 378)
-"""Seeds of `bench faults --seed 100 --episodes 310` whose episodes came nearest to a bound."""
+NEAREST = (1700, 123, 156, 313, 320, 334, 378)
+"""Seeds of `bench faults` whose episodes came nearest to a bound; 1700 was beyond, while a joint could sink unnoticed."""
 UNTOLD = {"scene": "free", "planner": "small", "rate": 200, "faults": "push"}
 
 
