@@ -88,7 +88,12 @@ class Controller:
         """The last torque, which limits the change of the next one."""
         self._started = False
         nowhere = Reference(np.zeros(3), np.eye(3), np.zeros(arm.n))
-        self._hold = self._blend_from = self._last_reference = nowhere
+        self._hold = self._blend_from = self._followed = self._ramp_from = nowhere
+        """`_followed`: the reference of the last tick."""
+        self._target: Reference | None = None
+        """The knot to which the reference is moving, or has moved."""
+        self._ramp_ns = round(settings.impedance.reference_ramp * NANOSECONDS)
+        self._ramp_since_ns = 0
         self._hold_since_ns = 0
         self._started_ns = 0
         self._last_ns = 0
@@ -255,6 +260,7 @@ class Controller:
             # The clock was set back: the elapsed times must not shrink with it.
             self._started_ns -= self._last_ns - now_ns
             self._hold_since_ns -= self._last_ns - now_ns
+            self._ramp_since_ns -= self._last_ns - now_ns
         # A late tick must not make up for the change that the ticks before it missed.
         period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), self._period) or self._period
         if self.mode is Mode.STOPPED:
@@ -330,7 +336,7 @@ class Controller:
         """Hold the current pose, with authority ramping in; a stop stays in force."""
         self._started_ns = now_ns
         self._begin_hold(q, now_ns)
-        self._blend_from = self._hold
+        self._blend_from = self._followed = self._hold
         self._had_plan = False
 
     def _hold_torque(self) -> Array:
@@ -373,17 +379,26 @@ class Controller:
             if self.mode is not Mode.TRACKING:
                 self.supervisor.happens(Event.PLAN)
             self._had_plan = True
-            self._last_reference = reference
-            return reference
+            return self._move_to(reference, now_ns)
         if self.supervisor.happens(Event.PLAN_ENDED):
-            self._blend_from = self._last_reference
+            self._blend_from = self._followed
             self._begin_hold(q, now_ns)
-        return self._held(now_ns)
+        self._target, self._followed = None, self._held(now_ns)
+        return self._followed
+
+    def _move_to(self, target: Reference, now_ns: int) -> Reference:
+        """The reference on the way from what was followed before to the knot in force; a step would jerk the arm."""
+        if target is not self._target:
+            self._ramp_from, self._ramp_since_ns, self._target = self._followed, now_ns, target
+        elapsed_ns = now_ns - self._ramp_since_ns
+        is_there = elapsed_ns >= self._ramp_ns
+        self._followed = target if is_there else blend(self._ramp_from, target, elapsed_ns / self._ramp_ns)
+        return self._followed
 
     def _too_far(self, reference: Reference, q: Array) -> str:
         """In what the reference is further from the arm than the planner asks for; empty when in nothing."""
         limits, model = self.settings.supervision, self.model
-        if reference is not self._last_reference:
+        if reference is not self._target:
             distance = math.dist(reference.position.tolist(), model.position.tolist())
             cosine = 0.5 * (float(np.vdot(reference.rotation, model.rotation)) - 1.0)
             angle = math.acos(min(max(cosine, -1.0), 1.0))

@@ -181,6 +181,53 @@ def pose_error(position: Array, rotation: Array, reference_position: Array, refe
     return error
 
 
+@_compiled(_RESULT, _VECTOR, _VECTOR, float64)
+def between(start: Array, end: Array, share: float) -> Array:
+    """The vector at `share` (0 to 1) of the way from `start` to `end`."""
+    found = np.empty(len(start))
+    for i in range(len(start)):
+        found[i] = start[i] + share * (end[i] - start[i])
+    return found
+
+
+@_compiled(float64[:, ::1], _MATRIX, _MATRIX, float64)
+def turned(start: Array, end: Array, share: float) -> Array:
+    """The rotation (3, 3) at `share` (0 to 1) of the way from `start` to `end`, along the shortest arc."""
+    turn = np.empty((3, 3))
+    for row in range(3):
+        for column in range(3):
+            total = 0.0
+            for k in range(3):
+                total += end[row, k] * start[column, k]
+            turn[row, column] = total
+    vector = rotation_vector(turn)
+    x, y, z = share * vector[0], share * vector[1], share * vector[2]
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    # Rodrigues' formula, its quotients by their series where the angle is small.
+    sine = np.sin(angle) / angle if angle > 1e-4 else 1.0 - square / 6.0
+    cosine = (1.0 - np.cos(angle)) / square if angle > 1e-4 else 0.5 - square / 24.0
+    vector[0], vector[1], vector[2] = x, y, z
+    for row in range(3):
+        for column in range(3):
+            turn[row, column] = cosine * vector[row] * vector[column]
+        turn[row, row] += 1.0 - cosine * square
+    turn[0, 1] -= sine * z
+    turn[1, 0] += sine * z
+    turn[0, 2] += sine * y
+    turn[2, 0] -= sine * y
+    turn[1, 2] -= sine * x
+    turn[2, 1] += sine * x
+    found = np.empty((3, 3))
+    for row in range(3):
+        for column in range(3):
+            total = 0.0
+            for k in range(3):
+                total += turn[row, k] * start[k, column]
+            found[row, column] = total
+    return found
+
+
 @_compiled()
 def solve_bounded(matrix: Array, vector: Array, floor: float) -> Array:
     """A⁻¹ b for a symmetric positive semi-definite A, by an inverse whose norm stays at or below 2 / floor.

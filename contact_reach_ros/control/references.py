@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import pinocchio as pin
 
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.control import kernels
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.units import NANOSECONDS
@@ -224,9 +224,8 @@ class ReferenceQueue:
 
 def blend(start: Reference, end: Reference, share: float) -> Reference:
     """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
-    turn = pin.exp3(share * pin.log3(end.rotation @ start.rotation.T))
     return Reference(
-        position=start.position + share * (end.position - start.position),
-        rotation=turn @ start.rotation,
-        posture=start.posture + share * (end.posture - start.posture),
+        position=kernels.between(start.position, end.position, share),
+        rotation=kernels.turned(start.rotation, end.rotation, share),
+        posture=kernels.between(start.posture, end.posture, share),
     )

@@ -9,7 +9,7 @@ from contact_reach_ros.settings import Sections, Settings, setting
 
 @dataclass(frozen=True)
 class ImpedanceSettings(Settings):
-    """Gains of the laws (1) and (2); each multiplies the identity, as in the paper's Section V."""
+    """Gains of the laws (1) and (2), which multiply the identity as in the paper's Section V, and their references."""
 
     task_stiffness: float = setting(880.0, "Kp of law (1)", unit="1/s²", minimum=0.0, maximum=2500.0)
     task_damping: float = setting(100.0, "Kd of law (1)", unit="1/s", minimum=0.0, maximum=300.0)
@@ -17,6 +17,13 @@ class ImpedanceSettings(Settings):
     null_damping: float = setting(1.0, "Kqd of law (2)", unit="Nm s/rad", minimum=0.0, maximum=50.0)
     singularity_floor: float = setting(
         0.03, "eigenvalues of J M⁻¹ Jᵀ below this are lifted, which bounds Λ", unit="1/kg", minimum=1e-6, maximum=1.0
+    )
+    reference_ramp: float = setting(
+        0.03,
+        "time in which x_d and q_d move to those of a new plan or knot; 0 for steps, as in the paper",
+        unit="s",
+        minimum=0.0,
+        maximum=0.2,
     )
 
 

@@ -101,6 +101,15 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     stops.add_argument("--postures", type=int, help="random postures of each scene (default: 200)")
     stops.add_argument("--scenes", nargs="+", metavar="SCENE", help="whose mismatch it has (default: ball_mismatch)")
     stops.add_argument("--workers", dest="count", type=int, metavar="W", help="processes (default: one per core)")
+    smoothness = add("smoothness", _plain("bench_smoothness"), "vibration of the commanded torques, jerk of the tip")
+    smoothness.add_argument(
+        "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)"
+    )
+    smoothness.add_argument("--seeds", type=int, help="runs per scene and ramp (default: 10)")
+    smoothness.add_argument(
+        "--ramps", type=float, nargs="+", metavar="SECONDS", help="of the references (default: 0, and the shipped one)"
+    )
+    smoothness.add_argument("--workers", dest="count", type=int, metavar="W", help="processes (default: one per core)")
     table1 = add("table1", _table1, "the paper's Table I: every method in every scene")
     table1.add_argument(
         "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: those of the paper)"

@@ -14,6 +14,7 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.references import blend
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.objectives import action_bounds
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -80,16 +81,21 @@ def simulate(case: Case) -> Motion:
     plant.set_actuation(Actuation.COMMANDED)
     data = plant.data
     data.qvel[: arm.n] = case.v
-    law, model = ImpedanceLaw(arm, ImpedanceSettings()), RobotModel(arm)
+    gains = ImpedanceSettings()
+    law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
+    position, rotation = model.tip_pose(case.q)
+    before = Reference(position, rotation, case.q)
     positions, rotations, forces = [], [], []
     speed, margin, eigenvalue = 0.0, np.inf, np.inf
     for action in case.actions:
         q, v = data.qpos[: arm.n], data.qvel[: arm.n]
-        model.update(q, v)
-        rotation = pin.exp3(action[3:6]) @ model.rotation
-        reference = Reference(model.position + action[:3], rotation, q + action[6:])
+        ahead = q + 0.5 * gains.reference_ramp * v
+        position, rotation = model.tip_pose(ahead)
+        knot = Reference(position + action[:3], pin.exp3(action[3:6]) @ rotation, ahead + action[6:])
         force = np.zeros(len(plant.contact_links))
         for tick in range(round(PlanningSettings().knot_duration / TICK)):
+            share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
+            reference = blend(before, knot, share)
             model.update(q, v)
             error = pose_error(model.position, model.rotation, reference)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
@@ -98,6 +104,7 @@ def simulate(case: Case) -> Motion:
             margin = min(margin, float(np.minimum(arm.upper - q, q - arm.lower).min()))
             if tick % 10 == 0:
                 eigenvalue = min(eigenvalue, model.smallest_mobility())
+        before = knot
         model.update(q, v)
         positions.append(model.position.copy())
         rotations.append(model.rotation.copy())

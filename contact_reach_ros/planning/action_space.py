@@ -35,11 +35,14 @@ class ActionSpace(Protocol):
         (N,) bounds of the decision variables, knot after knot.
     vectors_per_knot
         Number of vectors of decision variables in a knot, one after the other in time.
+    ramp_s
+        Time in which what is in force moves to that of a knot, s; 0 if it steps.
     """
 
     objective: Objective
     bounds: Array
     vectors_per_knot: int
+    ramp_s: float
 
     def actions(self, points: jax.Array) -> jax.Array:
         """Actions (H, A, B) of points (N, B), as the objective takes them."""
@@ -65,6 +68,7 @@ class ReferenceSpace:
     def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
         self._arm = arm
         self.objective = make_objective(arm, settings, gains)
+        self.ramp_s = gains.reference_ramp
         self.bounds = action_bounds(arm, settings)
 
     def actions(self, points: jax.Array) -> jax.Array:

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from contact_reach_ros.planning.problem import Problem, Rollout
+from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.terms import Context, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.clearance import Capsules, place_capsules
@@ -44,22 +45,32 @@ class Objective:
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model under the actions (H, 6 + n, B), knot by knot."""
-        start = self.start(problem, actions.shape[-1])
+        lanes = actions.shape[-1]
+        start = self.start(problem, lanes)
         pose = pipeline.tip_pose(self.system, start)
+        before = self.before(problem, start.q, pose)
 
-        def knot(carry: tuple[State, Pose], action: jax.Array) -> tuple[tuple[State, Pose], tuple]:
-            state, pose = carry
-            reference = self._latch(state.q, pose, action)
+        def knot(carry: tuple[State, Pose, Reference | None], action: jax.Array) -> tuple[tuple, tuple]:
+            state, pose, before = carry
+            reference = self._latch(state.q, state.qd, pose, action)
 
-            def substep(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array]]:
-                state = pipeline.step(self.system, state, reference)
+            def substep(state: State, share: jax.Array | None) -> tuple[State, tuple[jax.Array, jax.Array]]:
+                state = pipeline.step(self.system, state, on_the_way(before, reference, share))
                 return state, (state.link_force, self._measure(state.link_force))
 
-            state, (link_force, contact) = jax.lax.scan(substep, state, None, length=self.substeps)
+            state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
             pose, capsules = self.end_of_knot(problem, state.q)
-            return (state, pose), (state.q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
+            before = self.reached(before, reference)
+            return (state, pose, before), (
+                state.q,
+                pose,
+                reference,
+                link_force.max(axis=0),
+                contact.max(axis=0),
+                capsules,
+            )
 
-        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, (start, pose), actions)
+        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, (start, pose, before), actions)
         return Rollout(
             q=jnp.concatenate([start.q[None], q]),
             pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
@@ -75,6 +86,37 @@ class Objective:
             self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), _obstacles(problem.obstacles, lanes)
         )
 
+    @property
+    def ramp(self) -> float:
+        """Time in which the reference moves to that of a knot, s; 0 if it steps."""
+        return self.system.gains.reference_ramp
+
+    def before(self, problem: Problem, q: jax.Array, pose: Pose) -> Reference | None:
+        """The reference from which the first knot's is approached; None if it steps.
+
+        Unless the problem has one, it holds the arm at `q` (n, B), where the flange has this pose.
+        """
+        if not self.ramp:
+            return None
+        if problem.before is None:
+            return Reference(pose.position, pose.rotation, q)
+        return jax.tree.map(lambda array: _spread(array, q.shape[-1]), problem.before)
+
+    def shares(self) -> jax.Array | None:
+        """How far the reference has moved, in the mean over each step of a knot, (substeps,); None if it steps."""
+        if not self.ramp:
+            return None
+        ends = np.arange(self.substeps + 1) * float(self.system.timestep) / self.ramp
+        integrals = np.where(ends < 1.0, 0.5 * ends**2, ends - 0.5)
+        return jnp.asarray(np.diff(integrals) / ends[1], jnp.float32)
+
+    def reached(self, before: Reference | None, reference: Reference) -> Reference | None:
+        """The reference in force at the end of a knot; None if it steps."""
+        if before is None:
+            return None
+        share = min(1.0, self.substeps * float(self.system.timestep) / self.ramp)
+        return reference if share == 1.0 else on_the_way(before, reference, share)
+
     def end_of_knot(self, problem: Problem, q: jax.Array) -> tuple[Pose, Capsules | None]:
         """Flange pose, and the capsules where a term needs them, at joint angles `q` (n, B)."""
         arm, keep = self.system.arm, make_keep(q)
@@ -87,8 +129,14 @@ class Objective:
         duration = self.system.timestep * self.substeps
         return weighted_terms(Context(self.system.arm, duration, problem, actions, rollout))
 
-    def _latch(self, q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
-        """The reference that an action (6 + n, B) stands for at joint angles `q` (n, B)."""
+    def _latch(self, q: jax.Array, v: jax.Array, pose: Pose, action: jax.Array) -> Reference:
+        """The reference that an action (6 + n, B) stands for at joint angles `q` (n, B) and speeds `v`.
+
+        One that moves lags behind by half of its ramp: it is that of where the arm will be by then at these speeds.
+        """
+        if self.ramp:
+            q = q + 0.5 * self.ramp * v
+            pose = pipeline.tip_pose(self.system, pipeline.init(self.system, q, v))
         reference = pipeline.latch(q, pose, action)
         if self.posture is None:
             return reference
@@ -97,6 +145,13 @@ class Objective:
     def _measure(self, link_force: jax.Array) -> jax.Array:
         """contact(·) (B,) of the forces (L, B) on the links."""
         return link_force.max(axis=0) if self.contact_measure == "largest" else sum_over(link_force, 0)
+
+
+def on_the_way(before: Reference | None, reference: Reference, share: Number | None) -> Reference:
+    """The reference at a share of the way from the one before; rotations are as close as needed for small turns."""
+    if before is None or share is None:
+        return reference
+    return jax.tree.map(lambda start, end: start + share * (end - start), before, reference)
 
 
 def _spread(array: jax.Array, lanes: int) -> jax.Array:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.references import References
+from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import References, blend
 
 
 class HeldReference(NamedTuple):
@@ -63,6 +64,10 @@ class Plan:
     """Candidates whose cost was not finite."""
     left_out: int
     """Obstacle spheres beyond the planner's capacity, which were ignored."""
+    before: HeldReference | None = None
+    """What is in force at the effect, from which the reference moves to knot 0; None if it steps."""
+    ramp_s: float = 0.0
+    """Time in which the reference moves to a knot, from its beginning on, s."""
 
     @property
     def knot_duration_ns(self) -> int:
@@ -76,12 +81,22 @@ class Plan:
 
     @property
     def changes_ns(self) -> list[int]:
-        """Times at which what is in force changes, ns: effect, ends of the knots but the last, and expiry."""
-        return [self.effect_ns + knot * self.knot_duration_ns for knot in range(len(self.positions) + 1)]
+        """Times at which what is in force begins, or ends, to change, ns, from the effect to the expiry."""
+        begins = [self.effect_ns + knot * self.knot_duration_ns for knot in range(len(self.positions) + 1)]
+        ramp_ns = round(1e9 * self.ramp_s)
+        ends = [begin + ramp_ns for begin in begins[:-1]] if 0 < ramp_ns < self.knot_duration_ns else []
+        return sorted([*begins, *ends])
 
     def in_force(self, time_ns: int) -> Held | None:
         """What is in force at a time after the effect, ns; None once the plan has run out."""
         knot = (time_ns - self.effect_ns - 1) // self.knot_duration_ns
         if knot >= len(self.positions):
             return None
-        return HeldReference(self.positions[knot], self.rotations[knot], self.postures[knot])
+        target = HeldReference(self.positions[knot], self.rotations[knot], self.postures[knot])
+        elapsed = (time_ns - self.effect_ns - knot * self.knot_duration_ns) * 1e-9
+        if elapsed >= self.ramp_s or self.before is None:
+            return target
+        # Where the knot before it ended.
+        start: Any = self.before if knot == 0 else self.in_force(self.effect_ns + knot * self.knot_duration_ns)
+        moved = blend(Reference(*start), Reference(*target), elapsed / self.ramp_s)
+        return HeldReference(moved.position, moved.rotation, moved.posture)

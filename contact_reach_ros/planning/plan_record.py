@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.planning.memory import Memory
-from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.plan import HeldReference, Plan
 from contact_reach_ros.planning.solver.solver import State
 
 Floats = NDArray[np.float32]
@@ -18,6 +18,8 @@ KEYFRAME_EVERY = 10
 """The solver's state is large and recorded only for every so many plans; the plans in between follow from it."""
 
 _PLAN_PARTS = ("plan", "positions", "rotations", "postures", "best", "approach")
+_BEFORE = "before"
+"""The reference from which the first knot is approached: position, rotation, posture."""
 
 
 def plan_statistics(plan: Plan) -> dict[str, Any]:
@@ -46,6 +48,8 @@ def solution_parts(plan: Plan, memory: Memory) -> dict[str, Floats]:
         np.array(memory.approach),
     )
     parts = dict(zip(_PLAN_PARTS, values, strict=True))
+    if plan.before is not None:
+        parts[_BEFORE] = np.concatenate([np.ravel(part) for part in plan.before])
     if plan.number % KEYFRAME_EVERY == 1:
         parts |= memory.state._asdict()
     return {name: np.asarray(part, dtype=np.float32) for name, part in parts.items()}
@@ -53,7 +57,15 @@ def solution_parts(plan: Plan, memory: Memory) -> dict[str, Floats]:
 
 def is_keyframe(parts: Mapping[str, Floats]) -> bool:
     """Whether the parts include the solver's state."""
-    return any(name not in _PLAN_PARTS for name in parts)
+    return any(name not in (*_PLAN_PARTS, _BEFORE) for name in parts)
+
+
+def before_in(parts: Mapping[str, Floats]) -> HeldReference | None:
+    """The reference from which the first knot was approached; None where it stepped."""
+    if _BEFORE not in parts:
+        return None
+    values = parts[_BEFORE].astype(float)
+    return HeldReference(values[:3], values[3:12].reshape(3, 3), values[12:])
 
 
 def state_in(parts: Mapping[str, Floats], like: State) -> State:

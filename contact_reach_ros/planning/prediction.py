@@ -30,7 +30,7 @@ def hold_at(arm: Arm, q: Array) -> HeldReference:
 
 
 class Piece(NamedTuple):
-    """A stretch of time during which nothing changes."""
+    """A short stretch of time, with the mean of what is in force."""
 
     duration: float
     """s."""
@@ -46,7 +46,7 @@ def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
 
 
 def pieces_between(plans: Sequence[Plan], hold: Held, start_ns: int, end_ns: int, longest: float) -> list[Piece]:
-    """Cut (start, end] where what is in force changes, and into pieces of at most `longest` seconds.
+    """Cut (start, end] where what is in force begins to change, and into pieces of at most `longest` seconds.
 
     `hold` is in force without a plan.
     """
@@ -54,10 +54,12 @@ def pieces_between(plans: Sequence[Plan], hold: Held, start_ns: int, end_ns: int
     instants = [start_ns, *sorted(instant for instant in changes if start_ns < instant < end_ns), end_ns]
     pieces = []
     for begin, end in itertools.pairwise(instants):
-        held = reference_at(plans, end) or hold
         duration = (end - begin) * 1e-9
         count = max(1, int(np.ceil(duration / longest - 1e-9)))
-        pieces += [Piece(duration / count, held)] * count
+        for index in range(count):
+            # Its mean, as it changes linearly.
+            middle = begin + round((index + 0.5) * (end - begin) / count)
+            pieces.append(Piece(duration / count, reference_at(plans, middle) or hold))
     return pieces
 
 

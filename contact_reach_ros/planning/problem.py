@@ -36,6 +36,8 @@ class Problem(NamedTuple):
     """Distance of capsules from rigid bodies, and from the arm's other capsules, at which its cost starts, m."""
     bodies: Bodies | None = None
     """Rigid bodies; None for a program that knows the arm's own capsules only."""
+    before: Reference | None = None
+    """The reference in force when the plan takes effect, with one lane; None where the arm is held at `q`."""
 
 
 class Rollout(NamedTuple):

@@ -22,8 +22,8 @@ from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
-from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between
+from contact_reach_ros.planning.plan import Held, HeldReference, Plan
+from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -32,6 +32,7 @@ from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Sol
 from contact_reach_ros.planning.speed_limit import steady_speed
 from contact_reach_ros.planning.terms import term_weights
 from contact_reach_ros.planning.transfer.clearance import Bodies
+from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.warm_start import shift_solution
@@ -121,7 +122,8 @@ class RecedingHorizonPlanner:
         progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
         self._predictor.predict(q, v, obstacles, pieces)
         progress("planner: preparing the evaluation of plans")
-        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal, self._bodies(q, ()))
+        before = self._before(self._space.hold(q))
+        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal, self._bodies(q, ()), before)
         jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
         progress("planner: preparing the solver, the longest part (up to a minute the first time)")
         step = self._solver.warm_up(problem, self.fresh_state)
@@ -218,9 +220,11 @@ class RecedingHorizonPlanner:
         self._reset_if_jumped(q, state_ns)
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
-        pieces = pieces_between(self._plans, self._space.hold(q), state_ns, effect_ns, timestep)
+        hold = self._space.hold(q)
+        pieces = pieces_between(self._plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
-        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal, bodies)
+        before = self._before(reference_at(self._plans, effect_ns) or hold)
+        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal, bodies, before)
 
         state, start_cost = self._start(problem, goal, effect_ns)
         until = begin + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
@@ -235,7 +239,7 @@ class RecedingHorizonPlanner:
         check_motion(self._arm, predicted_q, spheres.environment, self._settings.collision_tolerance)
         self._number += 1
         self._since_reset += 1
-        plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin)
+        plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin, before)
         self._plans.append(plan)
         approach = self._approach_of(plan, goal)
         self._memory = Memory(plan, goal, solution.best, solution.state, approach)
@@ -280,8 +284,20 @@ class RecedingHorizonPlanner:
         """Rigid bodies for a program, which has none where they cost nothing."""
         return nearest_bodies(self._arm, q, environment) if self._settings.clearance_weight else None
 
+    def _before(self, held: Held) -> HeldReference | None:
+        """What is in force at the effect, in single precision as in records; None for a space in which it steps."""
+        if not self._space.ramp_s:
+            return None
+        return HeldReference(*(np.asarray(part, np.float32).astype(float) for part in held))
+
     def _problem(
-        self, q: jax.Array, v: jax.Array, obstacles: Obstacles | None, goal: Target, bodies: Bodies | None
+        self,
+        q: jax.Array,
+        v: jax.Array,
+        obstacles: Obstacles | None,
+        goal: Target,
+        bodies: Bodies | None,
+        before: HeldReference | None,
     ) -> Problem:
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
         problem = Problem(
@@ -295,6 +311,7 @@ class RecedingHorizonPlanner:
             joint_limit_margin=single(self._settings.joint_limit_margin),
             clearance_margin=single(self._settings.clearance_margin),
             bodies=bodies,
+            before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
         )
         return _on_device(problem)
 
@@ -341,6 +358,7 @@ class RecedingHorizonPlanner:
         effect_ns: int,
         left_out: int,
         begin: float,
+        before: HeldReference | None,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
         cost_terms = {name: float(np.asarray(values)[0]) for name, values in terms.items()}
@@ -361,6 +379,8 @@ class RecedingHorizonPlanner:
             solve_s=time.perf_counter() - begin,
             rejected=solution.rejected,
             left_out=left_out,
+            before=before,
+            ramp_s=self._space.ramp_s,
         )
         return self._space.finish(plan, solution.best)
 

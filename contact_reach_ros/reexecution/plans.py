@@ -29,7 +29,7 @@ from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
 from contact_reach_ros.planning.patience import Approach
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.plan_record import is_keyframe, plan_statistics, solution_parts, state_in
+from contact_reach_ros.planning.plan_record import before_in, is_keyframe, plan_statistics, solution_parts, state_in
 from contact_reach_ros.planning.planner import Planner, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
@@ -241,6 +241,8 @@ class RecordedPlans:
             solve_s=0.0,
             rejected=0,
             left_out=0,
+            before=before_in(parts),
+            ramp_s=self._settings["impedance"].reference_ramp,
         )
 
     def _compare(

@@ -37,6 +37,7 @@ RENAMED = {
 
 FORMERLY: Mapping[str, Mapping[str, Any]] = {
     "controller": {
+        "impedance.reference_ramp": 0.0,
         "supervision.require_observer": False,
         "supervision.correct_stop": False,
         "supervision.watch_itself": False,
@@ -53,6 +54,7 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
         "commanded.lost": 0,
     },
     "planner": {
+        "impedance.reference_ramp": 0.0,
         "max_obstacle_age": 0.0,
         "require_obstacles": False,
         "planning.clearance_weight": 0.0,

@@ -143,7 +143,8 @@ def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> 
 
     reader = BagReader(recorder.directory)
     assert reader.summary.notes == ()
-    counts = {name: topic.message_count for name, topic in reader.topics().items()}
+    # What a stack that has just ended in this domain offered is still known to the middleware for a while.
+    counts = {name: topic.message_count for name, topic in reader.topics().items() if topic.message_count}
     counts.pop("/diagnostics", None)
     assert counts == {
         "/robot_description": 1,

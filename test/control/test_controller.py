@@ -12,12 +12,13 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.stop_reasons import Verdict
 
 SETTINGS = UNWATCHED
+RAMP_TICKS = round(1000 * SETTINGS.impedance.reference_ramp)
 PLAN_NS = SECOND_NS // 10
 STEP = torque_rates(ARM, SETTINGS.limits) * TICK_NS / SECOND_NS
 
@@ -78,7 +79,9 @@ class TestStart:
         bench.plan((0.01, 0.01, 0.01))
         np.testing.assert_allclose(bench.tick(), gravity(), rtol=0, atol=1e-9)
 
-    def test_authority_ramps_in(self, bench):
+    def test_authority_ramps_in(self):
+        steps = dataclasses.replace(SETTINGS, impedance=ImpedanceSettings(reference_ramp=0.0))
+        bench = Bench(steps).start()
         bench.plan((0.002, 0.0, 0.0), (0.002, 0.0, 0.0), (0.002, 0.0, 0.0), (0.002, 0.0, 0.0))
         pulls = [np.linalg.norm(bench.tick() - gravity()) for _ in range(400)]
         ramp = SETTINGS.supervision.start_ramp
@@ -158,8 +161,25 @@ class TestPlans:
         assert set(modes[:100]) == {Mode.HOLDING}
         assert set(modes[100:300]) == {Mode.TRACKING}
         assert set(modes[300:]) == {Mode.HOLDING}
-        np.testing.assert_allclose([error for _, error in seen[100:200]], 0.01, atol=1e-9)
-        np.testing.assert_allclose([error for _, error in seen[200:300]], 0.02, atol=1e-9)
+        moved = 0.01 * np.minimum(np.arange(100) / RAMP_TICKS, 1.0)
+        np.testing.assert_allclose([error for _, error in seen[100:200]], moved, atol=1e-9)
+        np.testing.assert_allclose([error for _, error in seen[200:300]], 0.01 + moved, atol=1e-9)
+
+    def test_a_plan_takes_over_from_one_whose_knot_was_not_reached_yet(self, bench):
+        bench.plan((0.02, 0.0, 0.0))
+        bench.tick(count=RAMP_TICKS // 2 + 1)
+        bench.plan((0.0, 0.0, 0.0))
+        errors = []
+        for _ in range(RAMP_TICKS + 1):
+            bench.tick()
+            errors.append(-bench.controller.error[0])
+        np.testing.assert_allclose(errors, np.linspace(0.01, 0.0, RAMP_TICKS + 1), atol=1e-9)
+
+    def test_without_a_ramp_references_step(self):
+        bench = Bench(dataclasses.replace(SETTINGS, impedance=ImpedanceSettings(reference_ramp=0.0))).start()
+        bench.plan((0.01, 0.0, 0.0))
+        bench.tick()
+        assert bench.controller.error[0] == pytest.approx(-0.01)
 
     def test_later_knots_bridge_a_planner_that_is_late(self, bench):
         bench.plan((0.01, 0.0, 0.0), (0.02, 0.0, 0.0), (0.03, 0.0, 0.0))
@@ -167,7 +187,7 @@ class TestPlans:
         assert bench.controller.mode is Mode.TRACKING
         assert bench.controller.error[0] == pytest.approx(-0.03)
         bench.plan((0.005, 0.0, 0.0))
-        bench.tick()
+        bench.tick(count=RAMP_TICKS + 1)
         assert bench.controller.mode is Mode.TRACKING
         assert bench.controller.error[0] == pytest.approx(-0.005)
 

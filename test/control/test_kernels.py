@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, TICK_NS, ClosedLoop, ideal_plant, offer_plan
+from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, ClosedLoop, ideal_plant, offer_plan
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
@@ -78,7 +78,11 @@ def test_arrays_of_any_layout_are_taken_and_left_alone() -> None:
 def test_whole_numbers_in_a_plan_are_numbers_too() -> None:
     loop = ClosedLoop(ideal_plant())
     held = loop.reference()
-    offer_plan(loop.controller, [Reference(np.array([1, 0, 1]), np.eye(3, dtype=int), held.posture)], 0, (TICK_NS,), 0)
-    loop.finish(0.001)
+    offer_plan(
+        loop.controller, [Reference(np.array([1, 0, 1]), np.eye(3, dtype=int), held.posture)], 0, (9 * TICK_NS,), 0
+    )
+    loop.finish(0.002)
     assert loop.controller.mode is Mode.TRACKING
-    np.testing.assert_allclose(loop.controller.error[:3], held.position - [1, 0, 1], rtol=0, atol=1e-12)
+    # In one tick of the ramp.
+    share = TICK_NS / SECOND_NS / loop.controller.settings.impedance.reference_ramp
+    np.testing.assert_allclose(loop.controller.error[:3], share * (held.position - [1, 0, 1]), rtol=0, atol=1e-6)

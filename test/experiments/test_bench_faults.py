@@ -34,7 +34,7 @@ from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 
 NEAREST = (1700, 123, 156, 313, 320, 334, 378)
-"""Seeds of `bench faults` whose episodes came nearest to a bound; 1700 was beyond, while a joint could sink unnoticed."""
+"""Seeds of `bench faults` whose episodes came nearest to a bound; 1700 was beyond, when a joint sank unnoticed."""
 UNTOLD = {"scene": "free", "planner": "small", "rate": 200, "faults": "push"}
 
 

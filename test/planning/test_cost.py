@@ -11,6 +11,8 @@ from arm_simulation import ARM, HOME
 from planning_helpers import FAR_BALL, LANES, PERMITTED_FORCE, SMALL, ball, make_objective, make_problem
 
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -91,21 +93,34 @@ def test_null_motion_term_is_the_square_of_the_posture_change(roll_out):
     assert terms["null_motion"][0] == pytest.approx(3 * 7 * SMALL.null_motion_weight * 0.1**2, rel=1e-4)
 
 
-def test_references_are_the_predicted_pose_plus_the_action(roll_out):
+def test_references_are_the_pose_half_a_ramp_later_plus_the_action(roll_out):
     random = np.random.default_rng(0)
     actions = random.uniform(-0.01, 0.01, (3, 13, LANES))
-    rollout, _ = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), actions)
-    for knot in range(3):
-        start = np.asarray(rollout.pose.position)[knot]
-        np.testing.assert_allclose(rollout.reference.position[knot], start + actions[knot, :3], rtol=0, atol=1e-6)
-        posture = np.asarray(rollout.q)[knot] + actions[knot, 6:]
-        np.testing.assert_allclose(rollout.reference.posture[knot], posture, rtol=0, atol=1e-6)
-        turned = np.asarray(rollout.reference.rotation)[knot, :, :, 0]
-        angle = np.linalg.norm(actions[knot, 3:6, 0])
-        expected = (
-            rotation_about(actions[knot, 3:6, 0] / angle, angle) @ np.asarray(rollout.pose.rotation)[knot, :, :, 0]
-        )
-        np.testing.assert_allclose(turned, expected, rtol=0, atol=1e-5)
+    v = random.uniform(-1.0, 1.0, 7)
+    problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
+    rollout, _ = roll_out(problem._replace(v=jnp.asarray(v[:, None], jnp.float32)), actions)
+    ahead = HOME + 0.5 * ImpedanceSettings().reference_ramp * v
+    position, rotation = RobotModel(ARM).tip_pose(ahead)
+    reference = rollout.reference
+    np.testing.assert_allclose(reference.position[0], position[:, None] + actions[0, :3], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(reference.posture[0], ahead[:, None] + actions[0, 6:], rtol=0, atol=1e-6)
+    angle = np.linalg.norm(actions[0, 3:6, 0])
+    expected = rotation_about(actions[0, 3:6, 0] / angle, angle) @ rotation
+    np.testing.assert_allclose(np.asarray(reference.rotation)[0, :, :, 0], expected, rtol=0, atol=1e-5)
+
+
+def test_the_reference_moves_from_the_one_before(roll_out):
+    """One that is ahead pulls the arm on; actions are from where the arm is."""
+    problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
+    held, _ = roll_out(problem, np.zeros((3, 13, LANES)))
+    first = jax.tree.map(lambda array: array[0, ..., :1], held.reference)
+    ahead = first._replace(position=first.position + np.array([[0.01], [0.0], [0.0]]))
+    moved, _ = roll_out(problem._replace(before=ahead), np.zeros((3, 13, LANES)))
+    travel = np.asarray(moved.pose.position - held.pose.position)[1, :, 0]
+    # 0.01 m ahead in the mean for half a ramp, of which the damping makes so much speed.
+    gains = ImpedanceSettings()
+    expected = 0.01 * 0.5 * gains.reference_ramp * gains.task_stiffness / gains.task_damping
+    assert travel[0] == pytest.approx(expected, rel=0.5) and np.abs(travel[1:]).max() < 0.2 * travel[0]
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from planning_helpers import FAR_BALL, LANES, ball, make_problem
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.references import blend
 from contact_reach_ros.control.settings import ImpedanceSettings
 
 TICKS_PER_KNOT = 100
@@ -21,19 +22,22 @@ def simulate(q: np.ndarray, actions: np.ndarray) -> list[tuple[np.ndarray, np.nd
     plant = mujoco.MjModel.from_xml_string(build_mjcf(ARM))
     data = mujoco.MjData(plant)
     data.qpos[:] = q
-    law, model = ImpedanceLaw(ARM, ImpedanceSettings()), RobotModel(ARM)
+    gains = ImpedanceSettings()
+    law, model = ImpedanceLaw(ARM, gains), RobotModel(ARM)
     poses = []
+    before = Reference(*model.tip_pose(q), q)
     for action in actions:
-        model.update(data.qpos, data.qvel)
-        reference = Reference(
-            model.position + action[:3], pin.exp3(action[3:6]) @ model.rotation, data.qpos + action[6:]
-        )
-        for _ in range(TICKS_PER_KNOT):
+        ahead = data.qpos + 0.5 * gains.reference_ramp * data.qvel
+        position, rotation = model.tip_pose(ahead)
+        knot = Reference(position + action[:3], pin.exp3(action[3:6]) @ rotation, ahead + action[6:])
+        for tick in range(TICKS_PER_KNOT):
+            reference = blend(before, knot, min(1.0, 1e-3 * tick / gains.reference_ramp))
             model.update(data.qpos, data.qvel)
             error = pose_error(model.position, model.rotation, reference)
             torque = law.torque(model, data.qvel, data.qpos - reference.posture, error)
             data.qfrc_applied[:] = torque + model.bias
             mujoco.mj_step(plant, data)
+        before = knot
         model.update(data.qpos, data.qvel)
         poses.append((model.position.copy(), model.rotation.copy()))
     return poses

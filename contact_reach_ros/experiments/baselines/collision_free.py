@@ -6,6 +6,7 @@ bounds. Joints keep to their speed limits, which for the method is a matter of c
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import deque
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.baselines.rrt_star import JointPath, PathSettings, find_path
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.prediction import HeldReference, Piece, Predictor, hold_at, pieces_between
+from contact_reach_ros.planning.prediction import HeldReference, Piece, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.resources import cache_directory
@@ -89,6 +90,7 @@ class CollisionFreePlanner:
     ) -> None:
         configure_jax(cache_directory() / "jax", settings.device)
         self._arm, self._settings, self._path_settings, self._seed = arm, settings, path_settings, seed
+        self._ramp_s = gains.reference_ramp
         self._predictor = Predictor(make_objective(arm, settings, gains).system)
         # While Kp pulls against Kd, a reference that stays this far ahead moves a joint at its speed limit.
         lead = np.array(arm.velocity_limits) * gains.task_damping / max(gains.task_stiffness, 1e-9)
@@ -150,38 +152,57 @@ class CollisionFreePlanner:
             self._points, self._goal, self._progress = _Points.along(self._arm, self.path.postures), goal, 0
         settings = self._settings
         timestep = settings.knot_duration / settings.substeps
-        q, v = self._predict(q, v, pieces_between(self._plans, hold_at(self._arm, q), state_ns, effect_ns, timestep))
+        hold = hold_at(self._arm, q)
+        before: Any = reference_at(self._plans, effect_ns) or hold
+        q, v = self._predict(q, v, pieces_between(self._plans, hold, state_ns, effect_ns, timestep))
+        self._number += 1
         predicted, references = [q], []
         progress = self._progress
         for knot in range(settings.horizon):
-            progress = self._advance(progress, q)
+            # A reference that moves there lags behind by half of its time.
+            ahead = q + 0.5 * self._ramp_s * v
+            progress = self._advance(progress, ahead)
             if knot == 0:
                 self._progress = progress
-            references.append(self._reference(progress, q))
-            q, v = self._predict(q, v, [Piece(timestep, references[-1])] * settings.substeps)
+            references.append(self._reference(progress, ahead))
+            plan = self._plan_of(references, before, effect_ns)
+            begins_ns = effect_ns + knot * plan.knot_duration_ns
+            pieces = pieces_between([plan], hold, begins_ns, begins_ns + plan.knot_duration_ns, timestep)
+            q, v = self._predict(q, v, pieces)
             predicted.append(q)
-        self._number += 1
         _, origins = link_frames_of_many(self._arm, np.array(predicted))
-        plan = Plan(
+        plan = dataclasses.replace(
+            plan,
+            predicted_q=np.array(predicted),
+            predicted_positions=origins[-1].T,
+            solve_s=time.perf_counter() - begin,
+        )
+        self._plans.append(plan)
+        return plan
+
+    def _plan_of(self, references: list[HeldReference], before: HeldReference, effect_ns: int) -> Plan:
+        """A plan of these references, without the motion that follows from them."""
+        nothing = np.zeros(0)
+        return Plan(
             number=self._number,
             effect_ns=effect_ns,
-            knot_duration_s=settings.knot_duration,
+            knot_duration_s=self._settings.knot_duration,
             positions=np.array([reference.position for reference in references]),
             rotations=np.array([reference.rotation for reference in references]),
             postures=np.array([reference.posture for reference in references]),
-            predicted_q=np.array(predicted),
-            predicted_positions=origins[-1].T,
-            predicted_contact_forces=np.zeros((settings.horizon, len(self._arm.capsules))),
+            predicted_q=nothing,
+            predicted_positions=nothing,
+            predicted_contact_forces=np.zeros((self._settings.horizon, len(self._arm.capsules))),
             cost=0.0,
             cost_terms={},
             steps=0,
             stop_reason="tracking",
-            solve_s=time.perf_counter() - begin,
+            solve_s=0.0,
             rejected=0,
             left_out=0,
+            before=before,
+            ramp_s=self._ramp_s,
         )
-        self._plans.append(plan)
-        return plan
 
     def _predict(self, q: Array, v: Array, pieces: list[Piece]) -> tuple[Array, Array]:
         q, v, _ = self._predictor.predict(q, v, None, pieces)  # type: ignore[assignment]

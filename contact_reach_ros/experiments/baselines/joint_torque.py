@@ -143,7 +143,7 @@ def make_torque_objective(arm: Arm, settings: PlanningSettings, gains: Impedance
 class TorquePlan(Plan):
     """A plan of torques; `positions`, `rotations` and `postures` are what it expects at the ends of its knots."""
 
-    torques: Array
+    torques: Array = field(kw_only=True)
     """(S, 7) beyond C + g, N m, each in force for an equal part of the plan's time."""
 
     def references(self) -> TorqueReferences:
@@ -182,6 +182,7 @@ class TorqueSpace:
         bounds = torque_bounds(arm, settings, gains, np.array(arm.home))
         self.bounds = np.tile(bounds, settings.horizon * settings.substeps)
         self.vectors_per_knot = settings.substeps
+        self.ramp_s = 0.0
         self._settings = settings
         self._damping = damping
         self._model = RobotModel(arm)

@@ -45,7 +45,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.cost import Objective
+from contact_reach_ros.planning.cost import Objective, on_the_way
 from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles
@@ -94,25 +94,29 @@ class BraxObjective(Objective):
         state = world.init(q, v)
         pose = world.pose(q)
 
-        def knot(carry: tuple[Any, jax.Array, Pose], action: jax.Array) -> tuple[tuple, tuple]:
-            state, q, pose = carry
-            reference = self._latch(q, pose, action)
+        def knot(carry: tuple[Any, jax.Array, Pose, Reference | None], action: jax.Array) -> tuple[tuple, tuple]:
+            state, q, pose, before = carry
+            reference = self._latch(q, world.joints(state)[1], pose, action)
 
-            def window(state: Any, _: None) -> tuple[Any, jax.Array]:
+            def window(state: Any, share: jax.Array | None) -> tuple[Any, jax.Array]:
+                act = on_the_way(before, reference, share)
+
                 def step(_: int, carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
-                    state, force = world.step(carry[0], reference)
+                    state, force = world.step(carry[0], act)
                     return state, carry[1] + force
 
                 state, total = jax.lax.fori_loop(0, self.steps, step, (state, world.no_force(lanes)))
                 return state, world.link_force(state, total / self.steps)
 
-            state, link_force = jax.lax.scan(window, state, None, self.substeps)
+            state, link_force = jax.lax.scan(window, state, self.shares(), self.substeps)
             contact = jax.vmap(self._measure)(link_force)
             q = world.joints(state)[0]
             pose, capsules = self.end_of_knot(problem, q)
-            return (state, q, pose), (q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
+            carry = state, q, pose, self.reached(before, reference)
+            return carry, (q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
 
-        _, (later_q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, (state, q, pose), actions)
+        start = state, q, pose, self.before(problem, q, pose)
+        _, (later_q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, start, actions)
         return Rollout(
             q=jnp.concatenate([q[None], later_q]),
             pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
