@@ -92,24 +92,25 @@ def run_smoothness(case: Case) -> Report:
 def bench_smoothness(
     scenes: Sequence[str] = SCENES,
     seeds: int = 10,
+    seed: int = 0,
     ramps: Sequence[float] = (0.0, ImpedanceSettings().reference_ramp),
     count: int | None = None,
     file: Path | None = None,
 ) -> Report:
-    """Reach the goals of `seeds` seeds in each scene with each ramp of the references, s, and print a table.
+    """Reach the goals of `seeds` seeds from `seed` on, with each ramp of the references, s, and print a table.
 
     `count`: processes on this machine, by default one per core.
 
     Raises
     ------
     SettingsError
-        If there is no seed, or a ramp is out of range.
+        If there is no seed, or an option is out of range.
     """
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: expected at least 1")
     for ramp in ramps:
         ImpedanceSettings(reference_ramp=ramp)
-    cases = [Case(scene, seed, ramp) for scene in scenes for ramp in ramps for seed in range(seeds)]
+    cases = [Case(scene, number, ramp) for scene in scenes for ramp in ramps for number in range(seed, seed + seeds)]
     records: list[Report] = []
     with workers(count, None) as client:
         for _, record in run_all(client, run_smoothness, cases):

@@ -106,6 +106,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)"
     )
     smoothness.add_argument("--seeds", type=int, help="runs per scene and ramp (default: 10)")
+    smoothness.add_argument("--seed", type=int, help="of the first run (default: 0)")
     smoothness.add_argument(
         "--ramps", type=float, nargs="+", metavar="SECONDS", help="of the references (default: 0, and the shipped one)"
     )

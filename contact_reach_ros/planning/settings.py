@@ -99,6 +99,13 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=1.0,
     )
+    lead_change_weight: float = setting(
+        100.0,
+        "squared change of x_d's distance from the flange, so that plans do not jerk the arm",
+        unit="1/m²",
+        minimum=0.0,
+        maximum=10000.0,
+    )
     null_space: str = setting(
         "planned",
         "what moves the redundant joints: Δq of the plan, or law (6) for comparison: a steady pull to one posture",

@@ -167,6 +167,20 @@ def null_motion(context: Context) -> jax.Array:
 
 
 @term
+def lead_change(context: Context) -> jax.Array:
+    """Squared change of x_d's lead over the flange from knot to knot, and from the reference before, m²."""
+    lead = jnp.moveaxis(context.actions[:, :3], 1, 0)
+    before = context.problem.before
+    first = lead[:, :1]
+    if before is not None:
+        # Where the arm is half a ramp after the start.
+        start, ahead = context.position[:, 0], context.rollout.reference.position[0] - context.actions[0, :3]
+        first = (before.position - start + ahead - start)[:, None]
+    change = lead - jnp.concatenate([first, lead[:, :-1]], axis=1)
+    return sum_over(change * change, 0)
+
+
+@term
 def clearance(context: Context) -> jax.Array:
     """Squared intrusion into the margin around rigid bodies and the arm's own links at the ends of the knots, m²."""
     problem, capsules = context.problem, context.rollout.capsules

@@ -57,6 +57,7 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
         "impedance.reference_ramp": 0.0,
         "max_obstacle_age": 0.0,
         "require_obstacles": False,
+        "planning.lead_change_weight": 0.0,
         "planning.clearance_weight": 0.0,
         "planning.collision_tolerance": 1.0,
     },

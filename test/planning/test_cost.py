@@ -183,6 +183,21 @@ def test_joint_speeds_cost_from_their_limits_on(roll_out, share):
     assert terms["joint_speed"][0] == pytest.approx(SMALL.joint_speed_weight * (excess**2).sum(), rel=1e-3, abs=1e-9)
 
 
+def test_a_change_of_lead_costs_its_square(roll_out):
+    problem = make_problem(HOME, FLANGE, ball(FAR_BALL), lead_change=100.0)
+    actions = np.zeros((3, 13, LANES))
+    actions[:, 0, 1] = 0.01
+    actions[1:, 0, 2] = 0.01
+    rollout, _ = roll_out(problem, actions)
+    held = jax.tree.map(lambda array: array[0, ..., :1], rollout.reference)
+    _, terms = roll_out(problem._replace(before=held), actions)
+    # Nothing, one change at once, one change later.
+    np.testing.assert_allclose(np.asarray(terms["lead_change"])[:3], [0.0, 0.01, 0.01], rtol=0, atol=1e-6)
+    ahead = held._replace(position=FLANGE[:, None] + np.array([[0.01], [0.0], [0.0]]))
+    _, terms = roll_out(problem._replace(before=ahead), actions)
+    np.testing.assert_allclose(np.asarray(terms["lead_change"])[:2], [0.01, 0.0], rtol=0, atol=1e-6)
+
+
 class TestTerms:
     def test_each_has_a_weight_among_the_settings(self):
         names = {entry.name for entry in PlanningSettings.declared()}

@@ -120,8 +120,9 @@ class TorqueObjective(Objective):
         return Rollout(jnp.concatenate([start.q[None], q]), poses, reference, link_force, contact, capsules)
 
     def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
-        """As for references, less the cost of Δq, which does not exist."""
-        return super().terms(problem._replace(weights={**problem.weights, "null_motion": 0.0}), actions, rollout)
+        """As for references, less what Δx and Δq cost, which do not exist."""
+        weights = {**problem.weights, "null_motion": 0.0, "lead_change": 0.0}
+        return super().terms(problem._replace(weights=weights), actions, rollout)
 
     def advance(self, state: State, action: jax.Array) -> tuple[State, jax.Array]:
         """State after one knot under an action (7 * substeps, B), and the forces (substeps, 6, B) on the links."""
