@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt, welch
+from scipy.signal import butter, sosfiltfilt
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
@@ -18,6 +18,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.output import Report, say, table, write_report
 from contact_reach_ros.experiments.workers import run_all, workers
+from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
@@ -26,10 +27,8 @@ from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.task import Goal
 
 SCENES = ("free", "ball", "wall")
-BANDS = ((20.0, 50.0), (50.0, 150.0), (20.0, 500.0))
+BANDS = ((VIBRATION, 50.0), (50.0, 150.0), (VIBRATION, 500.0))
 """Of the commanded torque, Hz."""
-_SEGMENT = 1024
-"""Samples of one spectrum."""
 _CUT_OFF = 20.0
 """Of the tip's motion, Hz: beyond it the third derivative is that of the numbers' last digits."""
 _EDGE = 100
@@ -43,13 +42,6 @@ class Case(NamedTuple):
     seed: int
     ramp: float
     """`ImpedanceSettings.reference_ramp`, s."""
-
-
-def band_rms(torque: Array, low: float, high: float) -> Array:
-    """RMS of the torques (k, n), one each ms, between two frequencies, Hz: (n,), N m."""
-    frequency, density = welch(torque, 1.0 / TICK, nperseg=min(_SEGMENT, len(torque)), axis=0, detrend="linear")
-    inside = (frequency >= low) & (frequency < high)
-    return np.asarray(np.sqrt(density[inside].sum(axis=0) * (frequency[1] - frequency[0])))
 
 
 def jerk_rms(position: Array) -> float:
@@ -78,12 +70,13 @@ def run_smoothness(case: Case) -> Report:
 
     result = stack.run(Goal(scene.target), watch=watch)
     torque = np.array(torques)
+    bands = spectrum(np.linspace(0.0, TICK * len(torque), len(torque), endpoint=False), torque)
     return {
         **case._asdict(),
         "reached": result.reached,
         "duration_s": result.duration,
         "largest_force_N": result.max_contact_force,
-        "torque_rms_Nm": {f"{low:g}-{high:g} Hz": band_rms(torque, low, high).tolist() for low, high in BANDS},
+        "torque_rms_Nm": {f"{low:g}-{high:g} Hz": band_rms(*bands, low, high).tolist() for low, high in BANDS},
         "largest_step_Nm": np.abs(np.diff(torque, axis=0)).max(axis=0).tolist(),
         "jerk_rms_m_s3": jerk_rms(np.array(tips)),
     }

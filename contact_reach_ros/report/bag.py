@@ -21,6 +21,7 @@ from contact_reach_ros.reexecution.loops import Reexecution
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report.recorded_settings import recorded_section
 from contact_reach_ros.report.signals import EpisodeSignals, read_signals
+from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest
 from contact_reach_ros.timing import PERCENTILES
 
@@ -161,7 +162,8 @@ def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) 
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     """The numbers of the summary with their units, by name; NaN where unknown."""
     summary, signals = bag.summary, bag.signals
-    contact, torque = (s.between(bag.zero, bag.end) for s in (signals.contact_force, signals.external_torque))
+    recorded = signals.contact_force, signals.external_torque, signals.command
+    contact, torque, command = (series.between(bag.zero, bag.end) for series in recorded)
     nan = float("nan")
     found: dict[str, tuple[float, str]] = {
         "time to the goal": (summary.duration_s if summary else nan, "s"),
@@ -174,6 +176,7 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "largest external torque": (largest(np.abs(torque.values)), "Nm"),
         "of what stops the arm": (100 * largest(threshold_share(bag)), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
+        "command above 20 Hz, rms": (largest(band_rms(*spectrum(command.time, command.values), VIBRATION)), "Nm"),
         "ticks": (float(len(signals.position.time)), ""),
         "ticks missed": (summary.missed_ticks if summary else nan, ""),
     }

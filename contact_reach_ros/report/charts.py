@@ -22,6 +22,7 @@ from contact_reach_ros.report.curves import (
 )
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
 from contact_reach_ros.report.signals import Series
+from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.timing import PERCENTILES
 
 Chart = dict[str, Any]
@@ -113,6 +114,26 @@ def command_share_chart(bag: ReportBag) -> Chart:
     if data:
         data.append(level(100.0, "limit", VERMILION, span(bag)))
     return _chart(bag, data, "of the torque limit [%]", yaxis={"range": [0.0, 110.0]})
+
+
+def spectrum_chart(bag: ReportBag) -> Chart:
+    """Spectrum of each joint's commanded torque from the goal to its end."""
+    layout: dict[str, Any] = {
+        "xaxis": {"title": {"text": "frequency [Hz]"}, "type": "log"},
+        "yaxis": {"title": {"text": "commanded torque [Nm/√Hz]"}, "type": "log", "exponentformat": "power"},
+    }
+    command = bag.signals.command.between(bag.zero, bag.end)
+    frequency, density = spectrum(command.time, command.values)
+    if len(frequency) < 2:
+        return {"data": [], "layout": layout, "missing": "not recorded in this bag"}
+    data = [
+        curve(frequency[1:], np.sqrt(joint[1:]), f"A{index + 1}", JOINT_COLOURS[index % len(JOINT_COLOURS)], "Nm/√Hz")
+        for index, joint in enumerate(density.T)
+    ]
+    above = band_rms(frequency, density, VIBRATION)
+    joints = ", ".join(f"A{index + 1} {rms:.2f}" for index, rms in enumerate(above))
+    note = f"above {VIBRATION:g} Hz: {joints} Nm rms"
+    return {"data": data, "layout": layout, "note": note}
 
 
 def joint_chart(bag: ReportBag) -> Chart:

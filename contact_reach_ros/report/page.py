@@ -193,8 +193,9 @@ _SECTIONS = (
     _Section(
         "command",
         "Commanded torque",
-        "Sent by the controller; the limits of the strong joints lie outside of the picture.",
-        [charts.command_chart, charts.command_share_chart],
+        "Sent by the controller; the limits of the strong joints lie outside of the picture. The spectrum is that of "
+        "the way to the goal.",
+        [charts.command_chart, charts.command_share_chart, charts.spectrum_chart],
         _difference(_joints(lambda signals: signals.command), "commanded torque [Nm]", "Nm"),
     ),
     _Section(
