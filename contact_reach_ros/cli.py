@@ -96,6 +96,10 @@ def _parser() -> argparse.ArgumentParser:
         moving.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
         _add_discovery(moving, "how far to look for the stack")
         _add_namespace(moving)
+    speed = add("speed", _speed, "let the planner of the running stack use a share of its speed, from the next plan on")
+    speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
+    _add_discovery(speed, "how far to look for the stack")
+    _add_namespace(speed)
     stop = add("stop", _stop, "stop the arm of the running stack, compliantly, until reset")
     _add_discovery(stop, "how far to look for the stack")
     _add_namespace(stop)
@@ -205,6 +209,12 @@ def _home(**options: Any) -> int:
     from contact_reach_ros.bringup.commands import home
 
     return home(**options)
+
+
+def _speed(**options: Any) -> int:
+    from contact_reach_ros.bringup.commands import speed
+
+    return speed(**options)
 
 
 def _stop(**options: Any) -> int:

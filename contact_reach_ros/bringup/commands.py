@@ -1,4 +1,4 @@
-"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `home`, `stop` and `reset`.
+"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `home`, `speed`, `stop`, `reset`.
 
 Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError` stands for 2, no stack or bad input.
 """
@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger
 
@@ -29,6 +31,7 @@ from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.parameter_files import as_arguments
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.planning.node_settings import SPEED_SCALE
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
@@ -112,6 +115,13 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
         operator.find_stack()
         position, rotation = RobotModel(operator.arm).tip_pose(np.array(operator.arm.home))
         outcome = operator.go(position, rotation, wait, timeout)
+    return _tell(outcome)
+
+
+def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
+    """Let the planner use this share, 0.01 to 1, of the speed that its bounds permit, from the next plan on."""
+    with _operator(discovery, namespace) as operator:
+        outcome = operator.set_parameter(_PLANNER, SPEED_SCALE, scale)
     return _tell(outcome)
 
 
@@ -320,6 +330,24 @@ class _Operator:
                 return Outcome(state.phase is GoalPhase.SETTLED, describe(state))
             if state.elapsed > timeout:
                 return Outcome(False, f"not settled; {describe(state)}")
+
+    def set_parameter(self, node: str, name: str, value: float) -> Outcome:
+        """Change a parameter of a node, if the node lets it.
+
+        Raises
+        ------
+        ContactReachError
+            If there is no such node, or no answer.
+        """
+        client = self._node.create_client(SetParameters, f"{node}/set_parameters")
+        if not self._until(client.service_is_ready, _FOUND_S):
+            raise ContactReachError(_no_stack(self._node))
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        future = client.call_async(SetParameters.Request(parameters=[parameter]))
+        if not self._until(future.done, _ANSWER_S):
+            raise ContactReachError(f"no answer from {node} within {_ANSWER_S:g} s: contact-reach doctor")
+        result = future.result().results[0]
+        return Outcome(result.successful, f"{name} = {value:g}" if result.successful else result.reason)
 
     def call(self, service: str) -> Any:
         """Call a Trigger service and return its answer.

@@ -34,7 +34,7 @@ from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.latency import LatencyEstimate
-from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, PlannerNodeSettings
+from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.plan_record import plan_statistics, solution_parts
 from contact_reach_ros.planning.planner import Planner, Request
@@ -65,6 +65,7 @@ class PlannerNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = PLANNER_SECTIONS
+    CHANGEABLE = (SPEED_SCALE,)
 
     def __init__(self) -> None:
         super().__init__()
@@ -127,6 +128,10 @@ class PlannerNode(ManagedNode):
         self._core.warm_up(lambda line: self.get_logger().info(line))
         self._planner.core = self._core
         self.get_logger().info(f"compiled in {time.monotonic() - began:.1f} s")
+
+    def on_change(self) -> None:
+        """Use another speed from the next plan on."""
+        self._planner.speed_scale = self.settings[""].speed_scale
 
     def activate(self) -> None:
         """Wait for a goal."""

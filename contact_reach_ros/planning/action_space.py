@@ -44,7 +44,7 @@ class ActionSpace(Protocol):
     vectors_per_knot: int
     ramp_s: float
 
-    def actions(self, points: jax.Array) -> jax.Array:
+    def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
         """Actions (H, A, B) of points (N, B), as the objective takes them."""
 
     def step(self, system: System, state: State, held: Any) -> State:
@@ -71,9 +71,10 @@ class ReferenceSpace:
         self.ramp_s = gains.reference_ramp
         self.bounds = action_bounds(arm, settings)
 
-    def actions(self, points: jax.Array) -> jax.Array:
+    def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
         """Actions (H, 6 + n, B) of points (N, B), with zeros for Δq if the points have none."""
-        actions = (points * self.bounds[:, None]).reshape(self.objective.horizon, -1, points.shape[1])
+        actions = points * self.bounds[:, None] * problem.speed_scale
+        actions = actions.reshape(self.objective.horizon, -1, points.shape[1])
         missing = self.objective.system.action_size - actions.shape[1]
         return jnp.pad(actions, ((0, 0), (0, missing), (0, 0)))
 
@@ -98,6 +99,6 @@ def scaled_cost(space: ActionSpace) -> Callable[[Problem, jax.Array], jax.Array]
     """Cost (B,) of points (N, B), for the solver to minimise."""
 
     def cost(problem: Problem, points: jax.Array) -> jax.Array:
-        return space.objective.cost(problem, space.actions(points))
+        return space.objective.cost(problem, space.actions(points, problem))
 
     return cost

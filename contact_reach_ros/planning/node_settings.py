@@ -10,6 +10,9 @@ from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.orientations import HOLD, ORIENTATIONS
 from contact_reach_ros.world.task import ANGLE_TOLERANCE, REST_SPEED, TOLERANCE
 
+SPEED_SCALE = "speed_scale"
+"""Name of the setting that may be changed while the planner runs."""
+
 IGNORE, REPLAN, RETREAT = REACTIONS = ("ignore", "replan", "retreat")
 """Reaction to contact that no known obstacle explains."""
 
@@ -25,6 +28,12 @@ class ReplanningSettings(Settings):
         unit="s",
         minimum=0.001,
         maximum=0.5,
+    )
+    speed_scale: float = setting(
+        1.0,
+        "share of γ that plans use, and so of the speed; may be changed while the node runs",
+        minimum=0.01,
+        maximum=1.0,
     )
     max_obstacle_age: float = setting(
         0.5,

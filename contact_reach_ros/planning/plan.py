@@ -66,6 +66,8 @@ class Plan:
     """Obstacle spheres beyond the planner's capacity, which were ignored."""
     before: HeldReference | None = None
     """What is in force at the effect, from which the reference moves to knot 0; None if it steps."""
+    speed_scale: float = 1.0
+    """Share of γ that its actions are bounded by."""
     ramp_s: float = 0.0
     """Time in which the reference moves to a knot, from its beginning on, s."""
 

@@ -17,6 +17,8 @@ Floats = NDArray[np.float32]
 KEYFRAME_EVERY = 10
 """The solver's state is large and recorded only for every so many plans; the plans in between follow from it."""
 
+SPEED = "speed scale"
+
 _PLAN_PARTS = ("plan", "positions", "rotations", "postures", "best", "approach")
 _BEFORE = "before"
 """The reference from which the first knot is approached: position, rotation, posture."""
@@ -28,6 +30,7 @@ def plan_statistics(plan: Plan) -> dict[str, Any]:
         "steps": plan.steps,
         "non-finite candidates": plan.rejected,
         "spheres left out": plan.left_out,
+        SPEED: plan.speed_scale,
         "cost": plan.cost,
         **{f"cost {name}": value for name, value in plan.cost_terms.items()},
     }

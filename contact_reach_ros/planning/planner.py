@@ -89,6 +89,8 @@ class Planner:
         What is known of the obstacles.
     due_ns
         Stamp of the earliest joint state that leads to the next plan, ns.
+    speed_scale
+        Share of γ that further plans use, 0 to 1; initially that of the settings.
     """
 
     def __init__(
@@ -121,6 +123,7 @@ class Planner:
         self.plan: Plan | None = None
         self.state: JointState | None = None
         self.due_ns = 0
+        self.speed_scale = settings.speed_scale
         self._clock_ns: int | None = None
         self._arm = arm
         self._model = RobotModel(arm)
@@ -246,6 +249,11 @@ class Planner:
         """
         if self.core is None:
             raise PlanningError("the planner has no core to make plans with: pass one to it")
+        limit_speed = getattr(self.core, "limit_speed", None)
+        if limit_speed is not None:
+            limit_speed(self.speed_scale)
+        elif self.speed_scale != 1.0:
+            raise PlanningError(f"speed_scale = {self.speed_scale:g}: expected 1 for a core without limit_speed")
         self.plan = self.core.plan(*request)
         if self._progress is not None:
             self._progress.planned()

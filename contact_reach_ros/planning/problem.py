@@ -36,6 +36,8 @@ class Problem(NamedTuple):
     """Distance of capsules from rigid bodies, and from the arm's other capsules, at which its cost starts, m."""
     bodies: Bodies | None = None
     """Rigid bodies; None for a program that knows the arm's own capsules only."""
+    speed_scale: Number = 1.0
+    """Share of γ that bounds the actions."""
     before: Reference | None = None
     """The reference in force when the plan takes effect, with one lane; None where the arm is held at `q`."""
 

@@ -105,6 +105,7 @@ class RecedingHorizonPlanner:
         self._last_state: tuple[int, Array] | None = None
         self._number = 0
         self._since_reset = 0
+        self._speed_scale = 1.0
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.
@@ -187,6 +188,10 @@ class RecedingHorizonPlanner:
         """Take at most `steps` solver steps in each plan from now on; None for as many as the settings allow."""
         self._solver.max_steps = self._settings.max_steps if steps is None else steps
 
+    def limit_speed(self, scale: float) -> None:
+        """Bound the actions of further plans by this share of γ, 0 to 1, and so the speed."""
+        self._speed_scale = scale
+
     def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
         """Make the plan that takes effect at `effect_ns`.
 
@@ -255,7 +260,8 @@ class RecedingHorizonPlanner:
         elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
         firm_force = settings.contact_patience_share * self._permitted_force
         is_firm = bool((plan.predicted_contact_forces > firm_force).any())
-        return memory.approach.updated(distance, elapsed, settings.contact_patience, self._least_speed, is_firm)
+        least_speed = plan.speed_scale * self._least_speed
+        return memory.approach.updated(distance, elapsed, settings.contact_patience, least_speed, is_firm)
 
     def _joints(self, name: str, values: ArrayLike) -> Array:
         array = np.array(values, dtype=float)
@@ -311,6 +317,7 @@ class RecedingHorizonPlanner:
             joint_limit_margin=single(self._settings.joint_limit_margin),
             clearance_margin=single(self._settings.clearance_margin),
             bodies=bodies,
+            speed_scale=single(self._speed_scale),
             before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
         )
         return _on_device(problem)
@@ -346,7 +353,7 @@ class RecedingHorizonPlanner:
         return self._solver.shift(carried, best, self._spread, count, passed), float(costs[index])
 
     def _roll_out(self, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
-        actions = self._space.actions(points)
+        actions = self._space.actions(points, problem)
         rollout = self._space.objective.roll_out(problem, actions)
         return rollout, self._space.objective.terms(problem, actions, rollout)
 
@@ -380,6 +387,7 @@ class RecedingHorizonPlanner:
             rejected=solution.rejected,
             left_out=left_out,
             before=before,
+            speed_scale=self._speed_scale,
             ramp_s=self._space.ramp_s,
         )
         return self._space.finish(plan, solution.best)

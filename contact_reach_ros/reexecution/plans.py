@@ -29,7 +29,14 @@ from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
 from contact_reach_ros.planning.patience import Approach
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.plan_record import before_in, is_keyframe, plan_statistics, solution_parts, state_in
+from contact_reach_ros.planning.plan_record import (
+    SPEED,
+    before_in,
+    is_keyframe,
+    plan_statistics,
+    solution_parts,
+    state_in,
+)
 from contact_reach_ros.planning.planner import Planner, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
@@ -185,6 +192,8 @@ class RecordedPlans:
         statistics = self.statistics[number]
         stopped_by_clock = statistics.get("stop reason") == "deadline"
         planner.limit_steps(int(statistics["steps"]) if stopped_by_clock else None)
+        # It may have been changed from plan to plan.
+        planner.limit_speed(float(statistics.get(SPEED, 1.0)))
         return planner.plan(*self.requests[number])
 
     def _make_planner(self, settings: Mapping[str, Any]) -> RecedingHorizonPlanner:

@@ -55,6 +55,7 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
     },
     "planner": {
         "impedance.reference_ramp": 0.0,
+        "speed_scale": 1.0,
         "max_obstacle_age": 0.0,
         "require_obstacles": False,
         "planning.lead_change_weight": 0.0,

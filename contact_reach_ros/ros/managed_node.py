@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import threading
 from collections import deque
@@ -57,6 +58,8 @@ class ManagedNode(LifecycleNode):
 
     NAME: ClassVar[str]
     SECTIONS: ClassVar[Sections]
+    CHANGEABLE: ClassVar[Sequence[str]] = ()
+    """Settings without a prefix that may be changed while the node runs, see `on_change`."""
     ARGUMENTS: ClassVar[Sequence[str]] = ()
     """The command line of the process, which `run` sets."""
 
@@ -68,7 +71,7 @@ class ManagedNode(LifecycleNode):
         self.arm = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
         rate: Any = RATE.check(self.declare_parameter(RATE.name, RATE.default).value, f"{RATE.name} of {self.NAME}")
         self.period = 1.0 / rate
-        self.settings = declare(self, self.SECTIONS, self.arm)
+        self.settings = declare(self, self.SECTIONS, self.arm, self.CHANGEABLE)
         self.boundary = Boundary(lambda text: self.say(LoggingSeverity.ERROR, text), self.on_fault)
         self.inbox = Inbox(self, self.refuse)
         self.running = False
@@ -78,7 +81,7 @@ class ManagedNode(LifecycleNode):
         self._lines: deque[tuple[LoggingSeverity, str]] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.add_on_set_parameters_callback(self._refuse_parameters)
+        self.add_on_set_parameters_callback(self._on_parameters)
 
     @property
     def refused(self) -> dict[str, int]:
@@ -163,6 +166,9 @@ class ManagedNode(LifecycleNode):
         self._lines.append((severity, line))
         self._said.trigger()
 
+    def on_change(self) -> None:
+        """Take the values of settings that were changed, from `settings`; in the executor's thread."""
+
     def configure(self) -> None:
         """Prepare what must be ready before the first message; may raise."""
 
@@ -243,11 +249,24 @@ class ManagedNode(LifecycleNode):
                 return TransitionCallbackReturn.FAILURE
             return TransitionCallbackReturn.ERROR
 
-    def _refuse_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        names = ", ".join(parameter.name for parameter in parameters)
-        reason = f"{names}: parameters are set at the start; restart the node with other values"
-        self.refuse("parameters", InputError(reason))
-        return SetParametersResult(successful=False, reason=reason)
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._change(parameters)
+        except ContactReachError as error:
+            self.refuse("parameters", error)
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _change(self, parameters: Sequence[Parameter]) -> None:
+        fixed = ", ".join(parameter.name for parameter in parameters if parameter.name not in self.CHANGEABLE)
+        if fixed:
+            raise InputError(f"{fixed}: parameters are set at the start; restart the node with other values")
+        declared = {entry.name: entry for entry in self.settings[""].declared()}
+        values = {one.name: declared[one.name].check(one.value, f"{one.name} of {self.NAME}") for one in parameters}
+        self.settings[""] = dataclasses.replace(self.settings[""], **values)
+        self.on_change()
+        if self.running:
+            self._publish_settings()
 
     def _log_refusals(self) -> None:
         for line in self.boundary.last_refusals():

@@ -240,11 +240,12 @@ def test_without_a_stack_a_command_names_the_domain_and_what_to_start():
 
 
 def test_goals_stops_and_resets_from_the_command_line(stack):
-    turned, settled, refused, late, home, stopped, kept, released = command_lines(
+    turned, settled, refused, faster, late, home, stopped, kept, released = command_lines(
         stack,
         "goto 0.51 0.025 0.145 --rpy 0 3.14 0",
         "goto 0.51 0.025 0.145 --wait",
         "goto 2.0 0.0 0.3",
+        "speed 2",
         "home --wait --timeout 0.1",
         "home --wait",
         "stop",
@@ -254,6 +255,7 @@ def test_goals_stops_and_resets_from_the_command_line(stack):
     assert refused[0] == 1 and "refused: goal: position" in refused[1]
     assert turned[0] == 2 and "goal_orientation = hold" in turned[1]
     assert settled[0] == 0 and settled[1].startswith("settled: ")
+    assert faster[0] == 1 and "speed_scale" in faster[1]
     assert late[0] == 1 and late[1].startswith("not settled; ")
     assert home[0] == 0 and home[1].startswith("settled: ")
     # By the controller, unless the observer was discovered a second before it.

@@ -50,7 +50,7 @@ def test_a_page_with_json_and_tables(tmp_path: Path) -> None:
     assert text.count(library) == 1
     assert not re.search(r"https?://", text.replace(library, ""))
     found = titles(text)
-    assert len(found) == 12 and all("[" in title or "ticks" in title for title in found)
+    assert len(found) == 13 and all("[" in title or "ticks" in title for title in found)
     assert f"contact-reach view {SAMPLE}" in text
     (bag,) = json.loads((tmp_path / "r.json").read_text())["bags"]
     assert bag["verdict"] == "goal reached" and bag["summary"]["reached"]

@@ -188,7 +188,7 @@ class TorqueSpace:
         self._damping = damping
         self._model = RobotModel(arm)
 
-    def actions(self, points: jax.Array) -> jax.Array:
+    def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
         """Torques (H, n * substeps, B), N m, of points (N, B)."""
         return (points * self.bounds[:, None]).reshape(self.objective.horizon, -1, points.shape[1])
 
