@@ -235,6 +235,9 @@ class ControllerNode(ManagedNode):
     def _publish_safety(self) -> None:
         controller = self._controller
         self._published_mode = (controller.mode, controller.stop_reason)
+        if controller.stop_reason:
+            # Bags must not end between a stop and what led to it.
+            self._intake.flush()
         mode = controller.mode.value
         values = {"mode": mode, **observer_values(self.settings["supervision"].require_observer)}
         self._safety.publish(to_stop_state(NAME, self.arm, controller.stop_reason, mode, values))
@@ -250,7 +253,7 @@ class ControllerNode(ManagedNode):
         return "compliant stop"
 
     def _stop_for(self, reason: str) -> None:
-        self.inbox.note(Taken.STOP)
+        self.note_call(Taken.STOP)
         self._controller.stop(reason)
 
     def _answer_reset(self) -> str:
@@ -260,7 +263,7 @@ class ControllerNode(ManagedNode):
 
     def _reset(self) -> None:
         self._controller.check_ready()
-        self.inbox.note(Taken.RESET)
+        self.note_call(Taken.RESET)
         self._controller.reset(self._clock_ns())
 
 

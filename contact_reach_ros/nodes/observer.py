@@ -114,6 +114,8 @@ class ObserverNode(ManagedNode):
                 why = report.reason if report.distrust in ("", report.reason) else f"{report.reason}; {report.distrust}"
                 # Nothing is latched here by missed states, and the controller decides.
                 is_stop = not is_missing_states(report.reason)
+                # Bags must not end between a stop and what led to it.
+                self._intake.flush()
                 self.say(LoggingSeverity.ERROR, f"stop: {why}; call ~/reset to continue" if is_stop else why)
             self._safety.publish(to_safety_state(report, NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
@@ -132,7 +134,7 @@ class ObserverNode(ManagedNode):
             self.inbox.post(lambda: self._stop_for(reason))
 
     def _stop_for(self, reason: str) -> None:
-        self.inbox.note(Taken.STOP)
+        self.note_call(Taken.STOP)
         self._observer.stop(reason)
 
     def _answer_reset(self) -> str:
@@ -143,7 +145,7 @@ class ObserverNode(ManagedNode):
     def _reset(self) -> None:
         if self._rivalry:
             raise InputError(f"{self._rivalry}: end the others first")
-        self.inbox.note(Taken.RESET)
+        self.note_call(Taken.RESET)
         self._observer.reset()
 
 

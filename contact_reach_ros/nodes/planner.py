@@ -318,7 +318,7 @@ class PlannerNode(ManagedNode):
         self._withdraw_noted(self._rivalry)
 
     def _withdraw_noted(self, why: str) -> None:
-        self.inbox.note(Taken.STOP)
+        self.note_call(Taken.STOP)
         self._withdraw(why)
 
     def _withdraw(self, why: str) -> None:

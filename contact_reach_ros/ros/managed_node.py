@@ -148,6 +148,12 @@ class ManagedNode(LifecycleNode):
         self.inbox.intake = IntakeLog(self.make_publisher(topic).publish)
         return self.inbox.intake
 
+    def note_call(self, what: Taken) -> None:
+        """Record a call, for bags, before it is handled: at once, as it may be the last thing that happens."""
+        self.inbox.note(what)
+        if self.inbox.intake is not None and self.running:
+            self.inbox.intake.flush()
+
     def offer(self, name: str, act: Callable[[], str]) -> None:
         """Offer a Trigger service; `act` returns the text of the answer, or raises what the request is refused for."""
 
