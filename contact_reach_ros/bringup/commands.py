@@ -128,8 +128,7 @@ def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
 def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
     with _operator(discovery, namespace) as operator:
-        operator.find_service("stop")
-        outcome = stop_arm(operator.call)
+        outcome = stop_arm(operator.call, operator.find_service("stop"))
     return _tell(outcome)
 
 
@@ -222,20 +221,26 @@ class _Operator:
         """Leave the executor."""
         self._executor.shutdown()
 
-    def find_service(self, service: str) -> None:
-        """Wait until any node offers a service.
+    def find_service(self, service: str) -> list[str]:
+        """Wait until the controller offers a service, or for a second longer than until another node does.
+
+        Returns the stoppable nodes, those that offer it first.
 
         Raises
         ------
         ContactReachError
-            If none does within some seconds.
+            If no node does within some seconds.
         """
         clients = [self._node.create_client(Trigger, f"{name}/{service}") for name in STOPPABLE]
         found = self._until(lambda: any(client.service_is_ready() for client in clients), _FOUND_S)
+        if found:
+            self._until(clients[STOPPABLE.index(_CONTROLLER)].service_is_ready, _SETTLED_S)
+        offers = {name: client.service_is_ready() for name, client in zip(STOPPABLE, clients, strict=True)}
         for client in clients:
             self._node.destroy_client(client)
         if not found:
             raise ContactReachError(_no_stack(self._node))
+        return sorted(STOPPABLE, key=lambda name: not offers[name])
 
     def find_stack(self) -> None:
         """Wait until planner and controller have reported what they do, and the planner hears goals.

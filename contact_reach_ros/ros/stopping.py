@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 from contact_reach_ros.errors import ContactReachError
@@ -19,10 +19,10 @@ class Outcome(NamedTuple):
     text: str
 
 
-def stop_arm(call: Call) -> Outcome:
-    """Stop the arm by the controller, or by another node if that does not answer."""
+def stop_arm(call: Call, names: Sequence[str] = STOPPABLE) -> Outcome:
+    """Stop the arm by the first of these nodes that does it: by default the controller, or another if that fails."""
     failures = []
-    for name in STOPPABLE:
+    for name in names:
         try:
             answer = call(f"{name}/stop")
         except ContactReachError as error:
