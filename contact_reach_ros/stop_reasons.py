@@ -37,6 +37,8 @@ class StopCode(Enum):
     """A measured torque is stuck."""
     NO_COMMAND = "no command"
     """The drive, or the adapter before it, has received no command for too long."""
+    DRIVE = "drive"
+    """The drive takes no commands any more, as it reports itself."""
     INTERNAL = "internal error"
     """A fault of the node's own program, in handling a message or a request."""
 

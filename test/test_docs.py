@@ -31,6 +31,8 @@ COMMANDS = commands()
 PARSER = _parser()
 SHELL = ("cd", "export", "for", "printf", "source")
 INSTALLING = ("make venv", "make build", "python3 -m venv own", "own/bin/pip install")
+OF_DRIVERS = ("controller_manager", "franka_bringup", "lbr_bringup")
+"""Packages whose commands are theirs."""
 TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
 
 
@@ -49,6 +51,8 @@ def check_ros2(words):
         case ["launch", "contact_reach_ros", "bringup.launch.py", *arguments]:
             given = dict(text.split(":=") for text in arguments)
             BringupOptions.from_mapping({name: yaml.safe_load(text) for name, text in given.items()}, "launch")
+        case ["launch" | "run", package, *_] if package in OF_DRIVERS:
+            pass
         case ["topic", "pub", "--once", name, kind, content]:
             assert kind == topics.find(name).type_name and isinstance(yaml.safe_load(content), dict)
         case ["service", "call", name, "std_srvs/srv/Trigger"]:

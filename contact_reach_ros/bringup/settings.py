@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from contact_reach_ros.control.adapter_settings import FRANKA, KINDS, LBR
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import Sections, Settings, setting
@@ -27,7 +29,7 @@ class BringupOptions(Settings):
     adapter: str = setting(
         "none",
         "start the adapter of this kind between controller and drive, see docs/adapter.md",
-        choices=("none", "effort"),
+        choices=("none", *KINDS),
     )
     discovery: str = setting(
         "host",
@@ -39,10 +41,20 @@ class BringupOptions(Settings):
         (), "parameters of nodes besides the file's: node:parameter=value each, the value as YAML"
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.driver and self.adapter in (LBR, FRANKA):
+            raise SettingsError(
+                f"BringupOptions.adapter = {self.adapter}: expected driver = false (--no-driver); the simulated driver "
+                "has not the topics of that one"
+            )
+
     @property
     def parameter_file(self) -> Path:
-        """The parameter file in use."""
-        return Path(self.parameters) if self.parameters else config_file(DEFAULT_PARAMETERS)
+        """The parameter file in use: the user's, or the package's for the adapter."""
+        if self.parameters:
+            return Path(self.parameters)
+        return config_file(f"{self.adapter}.yaml" if self.adapter in (LBR, FRANKA) else DEFAULT_PARAMETERS)
 
 
 BRINGUP_SECTIONS: Sections = {"": BringupOptions}

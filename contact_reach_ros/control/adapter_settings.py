@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Settings, setting
 
 DAMPING, ZERO = "damping", "zero"
 """What is sent instead of commands."""
 
+EFFORT, LBR, FRANKA = KINDS = ("effort", "lbr", "franka")
+"""What takes the commands; each kind has a section of settings with its name."""
+
 
 @dataclass(frozen=True)
 class AdapterSettings(Settings):
     """When commands count as silent, and what is sent then."""
 
-    kind: str = setting("effort", "what takes the commands: an effort controller of ros2_control", choices=("effort",))
+    kind: str = setting(
+        EFFORT,
+        "what takes the commands: an effort controller of ros2_control, a KUKA LBR behind lbr_fri_ros2_stack, or an "
+        "arm of Franka's behind franka_ros2",
+        choices=KINDS,
+    )
     hold_after: float = setting(
         0.02, "time without a command after which harmless torques are sent", unit="s", minimum=0.002, maximum=1.0
     )
@@ -42,6 +50,13 @@ class AdapterSettings(Settings):
         minimum=0.0,
         maximum=50.0,
     )
+    torque_rate: float = setting(
+        4000.0,
+        "greatest rate of change of A1's harmless torque; the others' are in proportion to their torque limits",
+        unit="Nm/s",
+        minimum=1.0,
+        maximum=20000.0,
+    )
     resume_ramp: float = setting(
         0.5, "time in which commands reach full authority after a silence", unit="s", minimum=0.0, maximum=5.0
     )
@@ -58,6 +73,11 @@ class AdapterSettings(Settings):
                 "AdapterSettings.on_silence = zero: expected damping, or gravity_compensation = false; zero torques "
                 "would drop an arm that does not carry itself"
             )
+        if self.kind != EFFORT and self.gravity_compensation:
+            raise SettingsError(
+                f"AdapterSettings.gravity_compensation = true: expected false for kind = {self.kind}, whose drive "
+                "carries the arm; set supervision.gravity_compensation of the controller, too"
+            )
 
     def check_period(self, period: float) -> None:
         """Raise `SettingsError` if `hold_after` is less than two periods of the joint states, s."""
@@ -71,6 +91,11 @@ class AdapterSettings(Settings):
     def stop(self) -> SupervisionSettings:
         """The settings of the compliant stop whose torques are sent."""
         return SupervisionSettings(gravity_compensation=self.gravity_compensation, stop_damping=self.stop_damping)
+
+    @property
+    def limits(self) -> LimitSettings:
+        """The limits of these torques."""
+        return LimitSettings(torque_rate=self.torque_rate)
 
 
 @dataclass(frozen=True)
@@ -91,5 +116,63 @@ class EffortSettings(Settings):
     )
 
 
-ADAPTER_SECTIONS: Sections = {"": AdapterSettings, "effort": EffortSettings}
+@dataclass(frozen=True)
+class LbrSettings(Settings):
+    """KUKA's LBR arms with lbr_fri_ros2_stack, in torque command mode."""
+
+    driver: str = setting(
+        "lbr", "namespace of the driver: <driver>/state, <driver>/command/torque, <driver>/controller_manager"
+    )
+    velocity_cutoff: float = setting(
+        30.0,
+        "cut-off of the low-pass on the velocities, which are differences of positions; 0 for none",
+        unit="Hz",
+        minimum=0.0,
+        maximum=500.0,
+    )
+    torque_sign: str = setting(
+        "positive",
+        "sign with which the driver reports the torque that carries the arm: the doctor's check of gravity finds it",
+        choices=("positive", "negative"),
+    )
+    component: str = setting(
+        "lbr_system_interface",
+        "name of the hardware component that a stop deactivates, whereupon KUKA's controller closes the brakes; empty "
+        "to go on with harmless torques instead",
+    )
+
+
+@dataclass(frozen=True)
+class FrankaSettings(EffortSettings):
+    """An effort controller of ros2_control on franka_ros2, and the reflexes of the arm below it."""
+
+    brakes: bool = setting(True, "the drive holds the arm when the controller is deactivated, which a stop does")
+    reflex_torques: tuple[float, ...] = setting(
+        (35.0, 35.0, 32.0, 30.0, 29.0, 27.0, 24.0),
+        "external torque of each joint at which the arm's reflex stops it; not less than the contact budget's "
+        "`torque_thresholds`, or the reflex comes before the compliant stop",
+        unit="Nm",
+        minimum=1.0,
+        maximum=100.0,
+    )
+    reflex_force: float = setting(
+        60.0, "the same for external forces at the flange", unit="N", minimum=1.0, maximum=200.0
+    )
+    reflex_moment: float = setting(
+        30.0, "the same for external moments at the flange", unit="Nm", minimum=1.0, maximum=100.0
+    )
+    set_reflexes: bool = setting(
+        True,
+        "set these reflexes in the arm before anything is passed on, which needs franka_msgs; false if they are set "
+        "already",
+    )
+    reflexes: str = setting("service_server/set_full_collision_behavior", "name of the service that sets them")
+
+
+ADAPTER_SECTIONS: Sections = {
+    "": AdapterSettings,
+    EFFORT: EffortSettings,
+    LBR: LbrSettings,
+    FRANKA: FrankaSettings,
+}
 """Settings of the adapter by parameter prefix."""

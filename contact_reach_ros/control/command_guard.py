@@ -61,7 +61,7 @@ class CommandGuard:
         self._arm = arm
         self._model = RobotModel(arm)
         stop = settings.stop
-        self._constants = make_constants(arm, supervision=stop, period=period)
+        self._constants = make_constants(arm, limits=settings.limits, supervision=stop, period=period)
         self._damping = self._constants[Constant.STOP_DAMPING].copy()
         self._damps = settings.on_silence == DAMPING
         self._rest_speed = stop.reset_velocity

@@ -56,6 +56,9 @@ class Controller:
         Why the arm may not start yet; empty when it may.
     not_vouched
         Why the observer does not let the arm start; empty when it does.
+    in_force
+        Whether commands act on the arm, as an adapter reports. While they do not, the arm is held wherever it is, and
+        no plan is followed.
     error
         Δx of the last tick, (6,), m and rad.
     """
@@ -76,6 +79,7 @@ class Controller:
         self.state: JointState | None = None
         self.stamp_ns = 0
         self.not_yet = self.not_vouched = ""
+        self.in_force = not settings.supervision.adapter
         self.error = np.zeros(6)
         self._watch: OwnWatch | None = None
         self._period = period
@@ -250,8 +254,8 @@ class Controller:
         if self.mode is Mode.SILENT:
             self._last_ns = now_ns
             return None
-        if paused_ns > PAUSE * NANOSECONDS:
-            # Nobody knows what became of the arm meanwhile: it was guided by hand, or its driver started again.
+        if paused_ns > PAUSE * NANOSECONDS or not self.in_force:
+            # Others may move the arm meanwhile: it is guided by hand, or its driver starts again.
             self.references.clear(now_ns)
             self.supervisor.happens(Event.PLAN_ENDED)
             self.resume(self._hold_torque())

@@ -33,6 +33,8 @@ TORQUE = "acting torque"
 _OBSERVER = "observer"
 """Name of the node in its messages."""
 
+_ADAPTER, _WAITING = "adapter", "waiting"
+
 _KNOWN, _UNKNOWN = "known", "unknown"
 
 _MODEL_ERROR = "model error Nm"
@@ -90,6 +92,13 @@ def read_verdict(message: Any) -> Verdict:
         raise InputError(f"safety_state: {_MODEL_ERROR} must be numbers ({wrong})") from wrong
     known = values.get(TORQUE) != _UNKNOWN
     return Verdict(reason, values.get(DISTRUST, ""), values.get(DOUBT, ""), error, known)
+
+
+def read_in_force(message: Any, before: bool) -> bool:
+    """Whether commands act on the arm, by the adapter's safety state; as before, by that of another node."""
+    if message.name != _ADAPTER:
+        return before
+    return read_level(message) < ERROR and all(item.value != _WAITING for item in message.values if item.key == "state")
 
 
 def observer_values(is_required: bool) -> dict[str, str]:

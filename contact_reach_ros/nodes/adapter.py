@@ -13,15 +13,18 @@ from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from std_msgs.msg import Header
 
-from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS, AdapterSettings
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS, FRANKA, LBR, AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase
 from contact_reach_ros.control.supervisor import check_state
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
-from contact_reach_ros.messages.serialized import JointStateReader, read_command
+from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.nodes.effort_target import EffortTarget
+from contact_reach_ros.nodes.franka_target import FrankaTarget
+from contact_reach_ros.nodes.lbr_target import LbrTarget
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER, CONTROLLER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -31,9 +34,6 @@ from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, reque
 from contact_reach_ros.timing import Histogram, StampOrder
 
 NAME = "adapter"
-
-TARGETS = {"effort": EffortTarget}
-"""What takes the commands, by kind: each has a section of settings with the name of its kind."""
 
 _GRAVITY = "gravity_compensation"
 _IDLE_NS = 100_000_000
@@ -49,16 +49,22 @@ class AdapterNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        chosen: AdapterSettings = self.settings[""]
-        self._target = TARGETS[chosen.kind](self, self.arm, self.settings[chosen.kind], chosen.gravity_compensation)
+        self._target = self._make_target(self.settings[""])
         self._write = self.make_writer(self._target.topic.kept(self.lockstep))
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         self._published: tuple[Phase, str] | None = None
         # It answers the driver in the controller's name.
         self._lockstep = self.make_lockstep(CONTROLLER)
         qos = self._lockstep.qos
-        # Commands come at the same rate: a state need not wake the loop up as well, except where it has to be awaited.
-        self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True, hurried=self.lockstep)
+        if isinstance(self._target, LbrTarget):
+            self._write_state = self.make_writer(topics.JOINT_STATES.kept(self.lockstep))
+            self._state_writer = JointStateWriter(
+                self.arm.joint_names, self.arm.base_frame, ["position", "velocity", "effort"]
+            )
+            self._target.listen(self.inbox, self._forward)
+        else:
+            # Commands come at the same rate: a state need not wake the loop up, except where it has to be awaited.
+            self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True, hurried=self.lockstep)
         self.inbox.add(topics.ADAPTER_COMMANDS, self._on_command, qos, serialized=True)
         if self._lockstep.active:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._on_horizon, topics.EVERY)
@@ -67,7 +73,9 @@ class AdapterNode(ManagedNode):
         self.offer("~/reset", self._answer_reset)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._guard = self._make_guard()
-        self._disagreement = self._rivalry = ""
+        self._disagreements: dict[str, str] = {}
+        """By node, how its settings differ from what the adapter or its drive needs; empty where they do not."""
+        self._rivalry = ""
         self._passed = self._harmless = 0
         self._delay = Histogram()
         """From the arrival of a command to its publication."""
@@ -119,13 +127,22 @@ class AdapterNode(ManagedNode):
             "commands passed on": self._passed,
             "harmless torques": self._harmless,
             "joints": ", ".join(self._target.order),
+            **self._target.diagnosis(),
             **{f"delay {key} us": value for key, value in self._delay.summary().items()},
         }
         return self._guard.stop_reason or self._problem(), values
 
     def _problem(self) -> str:
         """Why no command may be passed on; empty if it may."""
-        return self._rivalry or self._target.problem or self._disagreement
+        return self._rivalry or self._target.problem or next(filter(None, self._disagreements.values()), "")
+
+    def _make_target(self, chosen: AdapterSettings) -> EffortTarget | LbrTarget | FrankaTarget:
+        settings: Any = self.settings[chosen.kind]
+        if chosen.kind == LBR:
+            return LbrTarget(self, self.arm, settings, self.period, self.lockstep)
+        if chosen.kind == FRANKA:
+            return FrankaTarget(self, self.arm, settings, chosen.torque_rate)
+        return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)
 
     def _make_guard(self) -> CommandGuard:
         return CommandGuard(self.arm, self.settings[""], self.period)
@@ -134,8 +151,16 @@ class AdapterNode(ManagedNode):
         """Time of the watchdog's clock: steady, or simulated in lockstep."""
         return self._state_ns if self.lockstep else time.monotonic_ns()
 
+    def _forward(self, state: JointState) -> None:
+        """Publish a joint state that the drive's messages contain, and take it."""
+        assert state.torque is not None
+        self._write_state(self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque))
+        self._take(state)
+
     def _on_state(self, data: bytes) -> None:
-        state = self._reader.read(data)
+        self._take(self._reader.read(data))
+
+    def _take(self, state: JointState) -> None:
         check_state(self.arm, state.q, state.v)
         if self._order.is_new(state.stamp_ns):
             self._state_ns = state.stamp_ns
@@ -178,10 +203,15 @@ class AdapterNode(ManagedNode):
             raise InputError(f"{problem}: nothing is passed on")
         torque = self._guard.command(read_command(data), self._clock_ns())
         if torque is not None:
+            # The controller hears that its commands are in force before it sees their effect.
+            self._publish_safety()
             self._write(self._target.write(torque))
             self._passed += 1
 
     def _look_for_silence(self) -> None:
+        if self._target.problem and self._guard.phase is Phase.PASSING:
+            self._guard.stop(StopReason(StopCode.DRIVE, self._target.problem))
+            self._target.stop()
         was_stopped = self._guard.stop_reason
         torque = self._guard.watch(self._clock_ns())
         if torque is not None:
@@ -202,12 +232,12 @@ class AdapterNode(ManagedNode):
             self.say(LoggingSeverity.ERROR, f"no command is passed on: {reason}; call ~/reset to continue")
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
+        values, differs = read_settings(message), ""
         if message.name == CONTROLLER:
             own, name = self.settings[""].gravity_compensation, f"supervision.{_GRAVITY}"
-            controllers = read_settings(message).get(name, own)
-            self._disagreement = (
-                f"{_GRAVITY} = {own}, and {name} = {controllers} in the controller" if controllers != own else ""
-            )
+            controllers = values.get(name, own)
+            differs = f"{_GRAVITY} = {own}, and {name} = {controllers} in the controller" if controllers != own else ""
+        self._disagreements[message.name] = differs or self._target.hear(message.name, values)
 
     def _look_around(self) -> None:
         """Check that nobody else commands the controller or this node, and ask for the order; runs beside the loop."""

@@ -23,7 +23,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.references import pose_knots, posture_knots
-from contact_reach_ros.messages.safety_state import observer_values, read_verdict
+from contact_reach_ros.messages.safety_state import observer_values, read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateReader
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.observer.budget import load_budget
@@ -231,6 +231,8 @@ class ControllerNode(ManagedNode):
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if message.name == OBSERVER:
             self._controller.hear(read_verdict(message), self._clock_ns())
+        elif self.settings["supervision"].adapter:
+            self._controller.in_force = read_in_force(message, self._controller.in_force)
 
     def _publish_safety(self) -> None:
         controller = self._controller

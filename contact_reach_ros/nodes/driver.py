@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from std_msgs.msg import String
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.urdf import build_urdf
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time
@@ -68,6 +69,8 @@ class DriverNode(ManagedNode):
 
     NAME = "driver"
     SECTIONS = DRIVER_SECTIONS
+    COMMANDS = topics.COMMANDS
+    """Where torques come from."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -76,7 +79,7 @@ class DriverNode(ManagedNode):
         self._period_ns = round(self.period * NANOSECONDS)
         waits_for = [name.strip() for name in self.settings[""].waits_for.split(",") if name.strip()]
         self._lockstep = LockstepDriver(self.lockstep, self._period_ns, waits_for)
-        self._write_joint_states = self.make_writer(topics.JOINT_STATES.kept(self.lockstep))
+        self.write_state = self.make_state_writer()
         self._write_contacts = self.make_writer(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
@@ -85,7 +88,7 @@ class DriverNode(ManagedNode):
         self._clock_publisher = self.make_publisher(topics.CLOCK) if self.lockstep else None
         self.offer("~/reset", self._answer_reset)
         self.offer("~/stop", self._answer_stop)
-        self.inbox.add(topics.COMMANDS, self._on_command, self._lockstep.qos, serialized=True)
+        self.inbox.add(self.COMMANDS, self._on_command, self._lockstep.qos, serialized=True)
         self.create_subscription(
             topics.SIM_FAULTS.type, topics.SIM_FAULTS.name, self._on_faults, qos_profile(topics.SIM_FAULTS.qos)
         )
@@ -94,7 +97,7 @@ class DriverNode(ManagedNode):
         settings = self.settings
         chosen: DriverSettings = settings[""]
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
-        self._robot = SimulatedRobot(
+        self.robot = SimulatedRobot(
             self._scene,
             settings["sensors"],
             settings["joints"],
@@ -128,7 +131,7 @@ class DriverNode(ManagedNode):
     def activate(self) -> None:
         """Start ticking."""
         self._description.publish(String(data=build_urdf(self.arm)))
-        robot = self._robot
+        robot = self.robot
         start_ns = _LOCKSTEP_START_NS if self.lockstep else time.time_ns()
         robot.start_ns += start_ns - robot.now_ns
         self._next_ns = time.monotonic_ns() + self._period_ns
@@ -143,19 +146,19 @@ class DriverNode(ManagedNode):
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Tick rates, misses, round trip and watchdog."""
-        robot = self._robot
+        robot = self.robot
         values: dict[str, Any] = {
             "ticks": robot.plant.steps,
             "missed ticks": self._missed,
-            "commands rejected": self._robot.drive.rejected,
-            "actuation": self._robot.plant.actuation.value,
-            "stop reason": self._robot.drive.stop_reason,
+            "commands rejected": self.robot.drive.rejected,
+            "actuation": self.robot.plant.actuation.value,
+            "stop reason": self.robot.drive.stop_reason,
             "faults": "none" if robot.faults is None else robot.faults.text(),
         }
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
             values[f"{name} counts"] = write_counts(histogram.counts())
-        return self._robot.drive.stop_reason or self._rivalry, values
+        return self.robot.drive.stop_reason or self._rivalry, values
 
     def _realtime_tick(self) -> None:
         now_ns = time.monotonic_ns()
@@ -183,7 +186,7 @@ class DriverNode(ManagedNode):
         """After a long pause of this process: the robot has not moved and received nothing, but its stamps advance."""
         if ticks > 0:
             self._missed += ticks
-            self._robot.start_ns += ticks * self._period_ns
+            self.robot.start_ns += ticks * self._period_ns
             self._next_ns += ticks * self._period_ns
             self._stood_ns += ticks * self._period_ns
 
@@ -191,12 +194,12 @@ class DriverNode(ManagedNode):
         reading = self._read()
         self._publish(reading)
         # Nodes that start late also receive the first state.
-        repeat = partial(self._publish, reading) if self._robot.plant.steps == 0 else None
+        repeat = partial(self._publish, reading) if self.robot.plant.steps == 0 else None
         if self._lockstep.wait(self.inbox.wait, lambda: self._stop.is_set() or not self.running, repeat):
-            self._tick(self._robot.now_ns)
+            self._tick(self.robot.now_ns)
 
     def _tick(self, clock_ns: int) -> None:
-        robot = self._robot
+        robot = self.robot
         while self._new_faults:
             robot.change_faults(self._new_faults.popleft())
         for error in robot.step(clock_ns):
@@ -204,10 +207,10 @@ class DriverNode(ManagedNode):
         np.maximum(self._peak_contact, robot.plant.contact_forces(), out=self._peak_contact)
 
     def _read(self) -> _Reading:
-        return _Reading(self._robot.read(), self._robot.shows_obstacles())
+        return _Reading(self.robot.read(), self.robot.shows_obstacles())
 
     def _publish(self, reading: _Reading) -> None:
-        robot = self._robot
+        robot = self.robot
         now_ns, steps = robot.now_ns, robot.plant.steps
         if not self.lockstep:
             self._publish_states(reading.states)
@@ -238,15 +241,23 @@ class DriverNode(ManagedNode):
         # Nobody answers states that were not published or that must be refused.
         self._lockstep.expect(state.stamp_ns for state in states if is_finite(state))
         for state in states:
-            if state.torque is None:
-                data = self._writer_without_effort.write(state.stamp_ns, state.q, state.v)
-            else:
-                data = self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque)
             self._published_ns = time.time_ns()
-            self._write_joint_states(data)
+            self.publish_state(state)
+
+    def make_state_writer(self) -> Callable[[bytes], None]:
+        """Return a function that publishes the messages of `publish_state`."""
+        return self.make_writer(topics.JOINT_STATES.kept(self.lockstep))
+
+    def publish_state(self, state: JointState) -> None:
+        """Publish what the sensors show."""
+        if state.torque is None:
+            data = self._writer_without_effort.write(state.stamp_ns, state.q, state.v)
+        else:
+            data = self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque)
+        self.write_state(data)
 
     def _publish_safety(self) -> None:
-        actuation, reason = self._robot.plant.actuation.value, self._robot.stop_reason
+        actuation, reason = self.robot.plant.actuation.value, self.robot.stop_reason
         self._published_safety = (actuation, reason)
         self._safety.publish(to_stop_state(self.NAME, self.arm, reason, actuation, {"actuation": actuation}))
         if reason:
@@ -270,28 +281,32 @@ class DriverNode(ManagedNode):
             self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
         if self._rivalry:
             raise InputError(f"{self._rivalry}: no command is taken; end the others")
-        robot = self._robot
+        robot = self.robot
         clock_ns = robot.now_ns if self.lockstep else time.monotonic_ns() - self._stood_ns
-        robot.command(read_command(data), clock_ns)
+        robot.command(self.read_torque(data), clock_ns)
+
+    def read_torque(self, data: bytes) -> Array:
+        """The torque (n,), N m, in a message on `COMMANDS`."""
+        return read_command(data)
 
     def _on_faults(self, message: String) -> None:
         """Replace the schedule of faults; an empty one ends all faults. Called in the services' thread."""
-        faults = self._robot.make_faults(driver_faults(message.data, self.arm))
+        faults = self.robot.make_faults(driver_faults(message.data, self.arm))
         self.get_logger().warning(f"faults: {message.data.strip() or 'none'}")
         self._new_faults.append(faults)
 
     def _look_around(self) -> None:
         """Check for a second publisher of commands, with which no robot would move; runs beside the loop."""
-        self._rivalry = rivalry(self, [topics.COMMANDS])
-        if self._rivalry and self._robot.is_open:
-            self._robot.drive.stop(StopReason(StopCode.RIVAL, self._rivalry))
+        self._rivalry = rivalry(self, [self.COMMANDS])
+        if self._rivalry and self.robot.is_open:
+            self.robot.drive.stop(StopReason(StopCode.RIVAL, self._rivalry))
 
     def _answer_stop(self) -> str:
-        self._robot.drive.stop(requested("stop service called"))
+        self.robot.drive.stop(requested("stop service called"))
         return "brakes closed"
 
     def _answer_reset(self) -> str:
-        self._robot.drive.reset()
+        self.robot.drive.reset()
         return "released; the brakes open after steady commands"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
@@ -13,6 +14,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.adapter_settings import EffortSettings
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import CommandWriter
+from contact_reach_ros.ros.requests import RepeatedRequest
 
 try:
     from controller_manager_msgs.srv import SwitchController
@@ -46,10 +48,11 @@ class EffortTarget:
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
         self._writer = CommandWriter(arm.n)
-        self._asked: Future | None = None
-        self._parameters = self._switch = None
+        self._question: RepeatedRequest | None = None
+        self._switch = None
         if settings.ask_joints:
-            self._parameters = node.create_client(GetParameters, f"{settings.controller}/get_parameters")
+            parameters = node.create_client(GetParameters, f"{settings.controller}/get_parameters")
+            self._question = RepeatedRequest(parameters, self._on_order)
             self.problem = f"the parameter joints of {settings.controller} is not known yet"
         else:
             self._take_order(arm.joint_names)
@@ -65,12 +68,16 @@ class EffortTarget:
 
     def look(self) -> None:
         """Ask for the order of joints, unless it is known; to be called a few times a second."""
-        if self._parameters is None or not self.problem or not self._parameters.service_is_ready():
-            return
-        if self._asked is not None and not self._asked.done():
-            return
-        self._asked = self._parameters.call_async(GetParameters.Request(names=["joints"]))
-        self._asked.add_done_callback(self._on_order)
+        if self._question is not None and self.problem:
+            self._question.send(GetParameters.Request(names=["joints"]))
+
+    def hear(self, node: str, settings: Mapping[str, Any]) -> str:
+        """Why a node's settings do not fit the drive; empty if they do."""
+        return ""
+
+    def diagnosis(self) -> dict[str, Any]:
+        """There is nothing to report."""
+        return {}
 
     def write(self, torque: Array) -> bytes:
         """The message with these torques (n,), N m, in the arm's order; not while there is a `problem`."""
@@ -84,9 +91,8 @@ class EffortTarget:
         """Activate it again."""
         self._switch_controller("activate")
 
-    def _on_order(self, future: Future) -> None:
-        answer = future.result()
-        if answer is not None and answer.values:
+    def _on_order(self, answer: Any) -> None:
+        if answer.values:
             self._take_order(tuple(answer.values[0].string_array_value))
 
     def _take_order(self, joints: tuple[str, ...]) -> None:

@@ -23,7 +23,8 @@ class MomentumObserver:
     """Residual r with ṙ = K (τ_ext − r), discretised exactly for a torque that is constant over the step.
 
     With p = M q̇ and u = τ + Cᵀq̇ − g − τ_f the update is r ← a r + (1 − a)(Δp/Δt − u), a = exp(−K Δt). It has no
-    integral that could drift, and it uses each step's own length.
+    integral that could drift, and it uses each step's own length. Where τ has passed a low-pass of the drive's, so does
+    everything else: the residual is then that of the filtered external torque.
 
     Attributes
     ----------
@@ -54,6 +55,9 @@ class MomentumObserver:
         self._coulomb = np.array(settings.coulomb_friction) if any(settings.coulomb_friction) else None
         self._rotors = None if settings.rotors_in_torque else model.pinocchio.armature.copy()
         self._max_gap_ns = GAP_PERIODS * round(period * NANOSECONDS)
+        self._cutoff = 2.0 * math.pi * settings.torque_cutoff
+        self._filtered: Array | None = None
+        """Δp/Δt − u without the acting torque, behind the drive's low-pass; None before the first step, or without."""
         self._momentum: Array | None = None
         self._q = np.zeros(model.arm.n)
         self._stamp_ns = 0
@@ -63,7 +67,7 @@ class MomentumObserver:
         self.residual = np.zeros_like(self.residual)
         self.known_for = 0.0
         self.updated_ns = None
-        self._momentum = None
+        self._momentum = self._filtered = None
 
     def update(self, q: Array, v: Array, torque: Array | None, stamp_ns: int) -> Array:
         """Take one state and return the residual, (n,), N m.
@@ -93,11 +97,11 @@ class MomentumObserver:
                 return self.residual
             self._anchor(q, momentum, stamp_ns)
             if torque is None:
-                self.known_for = 0.0
+                self.known_for, self._filtered = 0.0, None
             elif previous is not None and elapsed_ns > PAUSE * NANOSECONDS:
                 # Somebody may have moved the arm, or changed what it carries: it is handed over again.
                 self.gaps += 1
-                self.residual, self.known_for = np.zeros_like(self.residual), 0.0
+                self.residual, self.known_for, self._filtered = np.zeros_like(self.residual), 0.0, None
             elif previous is not None and elapsed_ns != 0:
                 self.gaps += 1
                 # The torque has been known for the whole step; a clock that was set back adds nothing.
@@ -109,13 +113,20 @@ class MomentumObserver:
             input_torque -= model.gravity
         if self._coulomb is not None:
             input_torque -= self._coulomb * np.tanh(v / self.settings.coulomb_speed)
+        external, filtered = (momentum - previous) / elapsed - input_torque, None
+        if self._cutoff:
+            without = external + torque
+            before = torque if self._filtered is None else self._filtered
+            filtered = without + math.exp(-self._cutoff * elapsed) * (before - without)
+            external = filtered - torque
         keep = math.exp(-self.settings.gain * elapsed)
-        residual = keep * self.residual + (1.0 - keep) * ((momentum - previous) / elapsed - input_torque)
+        residual = keep * self.residual + (1.0 - keep) * external
         # One check of the result finds whatever is wrong in position, velocity or torque.
         if not _plausible(residual):
             self.refused += 1
             return self.residual
         self._anchor(q, momentum, stamp_ns)
+        self._filtered = filtered
         self.known_for += elapsed
         self.residual, self.updated_ns = residual, stamp_ns
         return residual

@@ -54,6 +54,14 @@ class MomentumSettings(Settings):
     rotors_in_torque: bool = setting(
         True, "the acting torque also accelerates the rotors; false for torque sensors on the link side of the gears"
     )
+    torque_cutoff: float = setting(
+        0.0,
+        "cut-off of the low-pass that the drive puts on its measured torques, which the residual follows then; 0 for "
+        "none",
+        unit="Hz",
+        minimum=0.0,
+        maximum=500.0,
+    )
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.references import pose_knots, posture_knots
-from contact_reach_ros.messages.safety_state import read_verdict
+from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.reexecution.inputs import (
@@ -316,6 +316,8 @@ class _ControllerLoop(_Loop):
             self.missing += 1
         elif message.name == "observer":
             self.controller.hear(read_verdict(message), self._clock_ns(row))
+        elif self.controller.settings.supervision.adapter:
+            self.controller.in_force = read_in_force(message, self.controller.in_force)
 
     def _follow(self, row: Row) -> None:
         message = self.inputs.message(row.what, row.sent_ns)

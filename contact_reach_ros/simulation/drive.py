@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from contact_reach_ros.arm.joint_state import checked_torque
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.plant import Actuation, Plant
@@ -21,7 +22,8 @@ class Drive:
     trigger the damped hold, and `stop_after` seconds a stop that is latched until `reset`. A joint that is too fast by
     the drive's own sensors triggers a stop too, even if the joint states that it sends are faulty.
 
-    With `enabled: false` it does not watch for silence, and holds the last torque for ever.
+    With `enabled: false` it does not watch for silence, and holds the last torque for ever. With `carries: true` it
+    carries the arm itself, by its own model: commands are on top of that.
 
     Attributes
     ----------
@@ -39,6 +41,7 @@ class Drive:
         self._hold_ns = int(settings.hold_after * NANOSECONDS)
         self._stop_ns = int(settings.stop_after * NANOSECONDS)
         self._watches_silence = settings.enabled
+        self._model = RobotModel(plant.scene.arm) if settings.carries else None
         share = settings.speed_share or math.inf
         self._speed_limits = [share * limit for limit in plant.scene.arm.velocity_limits.tolist()]
         self._command: Array | None = None
@@ -88,7 +91,10 @@ class Drive:
         else:
             actuation = Actuation.COMMANDED
         self.plant.set_actuation(actuation)
-        self.plant.step(self._command)
+        torque = self._command
+        if torque is not None and self._model is not None:
+            torque = torque + self._model.gravity_at(self.plant.joint_positions)
+        self.plant.step(torque)
 
     def _watch_speed(self) -> None:
         for joint, (speed, limit) in enumerate(zip(self.plant.joint_velocities, self._speed_limits, strict=True)):

@@ -145,6 +145,11 @@ class Plant:
         return self.data.site_xpos[self._flange].copy()
 
     @property
+    def joint_positions(self) -> Array:
+        """True joint positions (n,), rad."""
+        return self.data.qpos[self._arm].copy()
+
+    @property
     def joint_velocities(self) -> list[float]:
         """True joint velocities (n,), rad/s."""
         velocities: list[float] = self.data.qvel[self._arm].tolist()

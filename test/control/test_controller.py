@@ -425,3 +425,35 @@ class TestTorques:
             torques.append([bench.controller.tick(HOME, v, stamp_ns, stamp_ns) for stamp_ns in stamps])
         # The tick at the jump counts as one of no duration, and the rate limit sees one tick more.
         np.testing.assert_allclose(torques[0][50:-1], torques[1][51:], rtol=0, atol=1e-9)
+
+
+class TestBehindAnAdapter:
+    SETTINGS = dataclasses.replace(UNWATCHED, supervision=dataclasses.replace(UNWATCHED.supervision, adapter=True))
+
+    def test_while_commands_do_not_act_the_arm_is_held_where_it_is_found(self):
+        bench, elsewhere = Bench(self.SETTINGS).start(), HOME + 0.3
+        bench.tick(count=10)
+        bench.plan((0.0, 0.03, 0.0))
+        bench.tick()
+        assert bench.controller.references.active is None
+        # Somebody guides the arm away; when commands act again, nothing pulls it back.
+        bench.tick(elsewhere, count=10)
+        bench.controller.in_force = True
+        torque = bench.tick(elsewhere, count=1000)
+        np.testing.assert_allclose(torque, RobotModel(ARM).gravity_at(elsewhere), atol=1e-6)
+
+    def test_a_plan_ends_with_the_force_of_commands(self):
+        bench = Bench(self.SETTINGS).start()
+        bench.controller.in_force = True
+        bench.plan((0.0, 0.03, 0.0))
+        bench.tick(count=20)
+        assert bench.controller.mode is Mode.TRACKING
+        bench.controller.in_force = False
+        bench.tick()
+        assert bench.controller.mode is Mode.HOLDING and bench.controller.references.active is None
+        bench.controller.in_force = True
+        bench.tick(count=20)
+        assert bench.controller.mode is Mode.HOLDING
+
+    def test_without_one_commands_always_act(self):
+        assert Bench().controller.in_force

@@ -46,24 +46,24 @@ class TestDriver:
         send(driver, "push force='0 50 0' at=0.001 for=0.002")
         pushed = []
         for _ in range(4):
-            pushed.append(bool(driver._robot.plant.data.xfrc_applied.any()))
+            pushed.append(bool(driver.robot.plant.data.xfrc_applied.any()))
             driver._tick(0)
         assert pushed == [False, True, True, False]
 
     def test_an_empty_schedule_ends_all_faults(self, driver):
-        mass = driver._robot.plant.model.body_mass.sum()
+        mass = driver.robot.plant.model.body_mass.sum()
         send(driver, "payload mass=3")
-        assert driver._robot.plant.model.body_mass.sum() == pytest.approx(mass + 3.0)
+        assert driver.robot.plant.model.body_mass.sum() == pytest.approx(mass + 3.0)
         send(driver, "")
-        assert driver._robot.plant.model.body_mass.sum() == pytest.approx(mass)
-        assert driver._robot.faults is None
+        assert driver.robot.plant.model.body_mass.sum() == pytest.approx(mass)
+        assert driver.robot.faults is None
 
     def test_nan_commands_are_refused_and_counted(self, driver):
         send(driver, "nan_commands")
         driver._on_command(serialize_message(Float64MultiArray(data=[1.0] * 7)))
         driver._tick(0)
         assert driver.refused == {"commands": 1}
-        assert driver._robot.drive.rejected == 1
+        assert driver.robot.drive.rejected == 1
 
     def test_what_is_no_schedule_is_refused_and_changes_nothing(self, driver):
         send(driver, "payload mass=3")

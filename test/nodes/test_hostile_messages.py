@@ -296,7 +296,7 @@ class Bench:
         else:
             node.inbox.wait(_WAIT_NS)
         if isinstance(node, DriverNode):
-            node._tick(node._robot.now_ns)
+            node._tick(node.robot.now_ns)
             node._publish(node._read())
         self._executor.spin_once(0.001)
 

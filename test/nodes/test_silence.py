@@ -167,7 +167,7 @@ def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
     driver._prepare_messages()
     command = CommandWriter(iiwa14.ARM.n).write(np.arange(7.0))
     taken = []
-    monkeypatch.setattr(driver._robot, "command", lambda torque, _: taken.append(torque.tolist()))
+    monkeypatch.setattr(driver.robot, "command", lambda torque, _: taken.append(torque.tolist()))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: driver._on_command(command))
 
     def turn(late_ns: int) -> None:
@@ -216,13 +216,13 @@ def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):
         driver._realtime_tick()
         driver._on_command(command)
     assert driver.diagnosis()[1]["actuation"] == "commanded"
-    before_ns = driver._robot.now_ns
+    before_ns = driver.robot.now_ns
     clock.sleep(0.5)
     driver._realtime_tick()
     assert driver.diagnosis()[1]["stop reason"] == ""
     assert driver.diagnosis()[1]["missed ticks"] == 499
     # Stamps go on, and what there was to catch up is bounded.
-    assert driver._robot.now_ns - before_ns == 500 * TICK_NS
+    assert driver.robot.now_ns - before_ns == 500 * TICK_NS
     for _ in range(100):
         driver._realtime_tick()
     assert driver.diagnosis()[1]["stop reason"].startswith("no command for")

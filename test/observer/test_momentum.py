@@ -373,3 +373,33 @@ class TestInterruptions:
         observed.observer.reset()
         np.testing.assert_array_equal(observed.observer.residual, 0)
         np.testing.assert_array_equal(observed.observer.update(HOME, REST, REST, 31 * TICK_NS), 0)
+
+
+def filtered_run(cutoff, settings, push=0.0):
+    """Residuals of an arm that swings, and is pushed at half-time, whose torque arrives behind a low-pass."""
+    observed, torque = Observed(settings=settings), None
+    observed.plant.data.qvel[:] = [0.8, -0.6, 0.7, 0.8, -1.0, 0.9, 1.0]
+    observed.observer.reset()
+    update, residuals = observed.observer.update, []
+
+    def behind_filter(q, v, command, stamp_ns):
+        nonlocal torque
+        torque = (
+            command if torque is None else torque + (1.0 - np.exp(-2.0 * np.pi * cutoff * TICK)) * (command - torque)
+        )
+        return update(q, v, torque, stamp_ns)
+
+    observed.observer.update = behind_filter
+    for tick in range(400):
+        residuals.append(observed.step(push * np.eye(ARM.n)[1] * (tick >= 200)))
+    return np.array(residuals)
+
+
+def test_torques_behind_a_low_pass_are_no_push_if_the_observer_follows_it():
+    follows = MomentumSettings(torque_cutoff=10.0)
+    assert np.abs(filtered_run(10.0, SETTINGS)).max() > 3.0
+    assert np.abs(filtered_run(10.0, follows)).max() < 0.25
+    pushed = filtered_run(10.0, follows, push=10.0)[:, 1] / 10.0
+    # The lag of the residual, and that of the filter.
+    assert 0.028 < (np.argmax(pushed > 1.0 - np.exp(-1.0)) - 200) * TICK < 0.045
+    assert pushed[-1] == pytest.approx(1.0, abs=0.03)

@@ -204,3 +204,12 @@ def test_without_a_speed_limit_the_drive_goes_on():
     drive.plant.data.qvel[4] = 3.0 * VELOCITY_LIMITS[4]
     drive.tick(TICK_NS)
     assert not drive.stop_reason
+
+
+def test_a_drive_that_carries_the_arm_holds_it_without_any_torque():
+    for carries, moves in ((True, False), (False, True)):
+        bench = Bench()
+        bench.drive = Drive(bench.drive.plant, WatchdogSettings(enabled=False, open_after=0.0, carries=carries))
+        bench.command(REST)
+        bench.tick(500)
+        assert (bench.displacement > 1e-3) == moves

@@ -1,0 +1,135 @@
+"""Where the adapter sends commands to: an effort controller of ros2_control on franka_ros2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rclpy.node import Node
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.adapter_settings import FrankaSettings
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.nodes.effort_target import EffortTarget
+from contact_reach_ros.ros.lockstep import CONTROLLER
+from contact_reach_ros.ros.requests import RepeatedRequest
+
+try:
+    from franka_msgs.srv import SetFullCollisionBehavior
+except ImportError:
+    SetFullCollisionBehavior = None
+
+TORQUE_RATE = 1000.0
+"""Nm/s that libfranka lets through of each joint's torque."""
+
+_OBSERVER = "observer"
+_RATE, _THRESHOLDS = "limits.torque_rate", "budget.torque_thresholds"
+
+
+class FrankaTarget:
+    """An effort controller whose commands are without gravity, above the reflexes of the arm.
+
+    Nothing is passed on before the reflexes are set, nor while controller or observer have settings that the arm's own
+    limits would cut short.
+    """
+
+    def __init__(self, node: Node, arm: Arm, settings: FrankaSettings, torque_rate: float) -> None:
+        """`torque_rate`: of the adapter's harmless torques, Nm/s.
+
+        Raises
+        ------
+        SettingsError
+            If that is above Franka's limit, the arm has not one joint for each reflex, or franka_msgs is needed and not
+            installed.
+        """
+        if torque_rate > TORQUE_RATE:
+            raise SettingsError(f"kind = franka: torque_rate = {torque_rate:g}; expected at most {TORQUE_RATE:g} Nm/s")
+        if arm.n != len(settings.reflex_torques):
+            raise SettingsError(
+                f"kind = franka: {arm.name} has {arm.n} joints; expected {len(settings.reflex_torques)}"
+            )
+        self._joints = arm.joint_names
+        self._settings = settings
+        self._effort = EffortTarget(node, arm, settings, carries=False)
+        self._unset = ""
+        """Why the reflexes are not set; empty when they are."""
+        self._setter: RepeatedRequest | None = None
+        if not settings.set_reflexes:
+            return
+        if SetFullCollisionBehavior is None:
+            raise SettingsError(
+                "kind = franka: the message package franka_msgs is not installed; build franka_ros2, and source its "
+                "workspace before the adapter starts, or set the reflexes by hand and franka.set_reflexes: false"
+            )
+        client = node.create_client(SetFullCollisionBehavior, settings.reflexes)
+        self._setter = RepeatedRequest(client, self._on_set)
+        self._unset = f"the reflexes are not set yet: {settings.reflexes} does not answer"
+
+    @property
+    def topic(self) -> Topic:
+        """Of the commands."""
+        return self._effort.topic
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Names of the joints in the order of the commands; empty while it is not known."""
+        return self._effort.order
+
+    @property
+    def problem(self) -> str:
+        """Why nothing can be passed on; empty when it can."""
+        return self._unset or self._effort.problem
+
+    def look(self) -> None:
+        """Ask for the order of joints, and set the reflexes, unless that is done; to be called a few times a second."""
+        self._effort.look()
+        if self._setter is not None and self._unset:
+            self._setter.send(self._request())
+
+    def hear(self, node: str, settings: Mapping[str, Any]) -> str:
+        """Why a node's settings do not fit the arm's own limits; empty if they do."""
+        rate = settings.get(_RATE, 0.0)
+        if node == CONTROLLER and rate > TORQUE_RATE:
+            return f"{_RATE} = {rate:g} in the controller; expected at most {TORQUE_RATE:g} Nm/s, which the arm follows"
+        if node == _OBSERVER and _THRESHOLDS in settings:
+            own = settings[_THRESHOLDS]
+            for name, budget, reflex in zip(self._joints, own, self._settings.reflex_torques, strict=True):
+                if budget > reflex:
+                    return (
+                        f"the reflex of {name} comes at {reflex:g} Nm, before the contact budget's stop at {budget:g} "
+                        "Nm: raise franka.reflex_torques, or lower the budget's torque_thresholds"
+                    )
+        return ""
+
+    def write(self, torque: Array) -> bytes:
+        """The message with these torques (n,), N m, in the arm's order; not while there is a `problem`."""
+        return self._effort.write(torque)
+
+    def stop(self) -> None:
+        """Deactivate the controller: the arm holds itself; without waiting for it."""
+        self._effort.stop()
+
+    def resume(self) -> None:
+        """Activate it again."""
+        self._effort.resume()
+
+    def diagnosis(self) -> dict[str, Any]:
+        """The reflexes in force."""
+        return {"reflexes": self._unset or "set"}
+
+    def _request(self) -> Any:
+        settings = self._settings
+        wrench = [settings.reflex_force] * 3 + [settings.reflex_moment] * 3
+        return SetFullCollisionBehavior.Request(
+            **{
+                f"{bound}_{kind}_thresholds_{phase}": list(limits)
+                for bound in ("lower", "upper")
+                for phase in ("acceleration", "nominal")
+                for kind, limits in (("torque", settings.reflex_torques), ("force", wrench))
+            }
+        )
+
+    def _on_set(self, answer: Any) -> None:
+        self._unset = "" if answer.success else f"the arm refuses the reflexes: {answer.error}"

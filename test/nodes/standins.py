@@ -1,0 +1,194 @@
+"""Stand-ins for the drivers of real arms: the simulated arm behind the topics, services and habits of each.
+
+They hold the last torque for ever. What they do is taken from the sources of the drivers; docs/adapter.md names them.
+"""
+
+import math
+import sys
+import time
+
+import numpy as np
+from controller_manager_msgs.srv import SetHardwareComponentState, SwitchController
+from franka_msgs.srv import SetFullCollisionBehavior
+from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
+from lifecycle_msgs.msg import State
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters
+from rclpy.serialization import deserialize_message, serialize_message
+
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import STREAM, Topic
+from contact_reach_ros.nodes.driver import DriverNode
+from contact_reach_ros.ros.process import run
+from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
+from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.units import NANOSECONDS
+
+ARGUMENTS = {
+    "effort": ["watchdog.enabled:=false"],
+    "lbr": ["watchdog.enabled:=false", "watchdog.carries:=true", "watchdog.open_after:=0.0"],
+    "franka": ["watchdog.enabled:=false", "watchdog.carries:=true", "watchdog.open_after:=0.0"],
+}
+"""Parameters of the simulated robot by kind of driver."""
+
+
+class EffortDriver(DriverNode):
+    """An effort controller of ros2_control, in an order of its own; deactivated, it sends zeros."""
+
+    BRAKES = False
+    """Whether the arm is held when no controller is active."""
+
+    def __init__(self):
+        super().__init__()
+        self.joints = [self.arm.joint_names[index] for index in (2, 0, 1, 6, 5, 4, 3)]
+        self._is_active = True
+        self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
+        self.create_service(SwitchController, "controller_manager/switch_controller", self._on_switch)
+
+    def activate(self):
+        super().activate()
+        if self.BRAKES:
+            send_zeros(self)
+
+    def read_torque(self, data):
+        torque = super().read_torque(data)
+        return torque[[self.joints.index(name) for name in self.arm.joint_names]] * self._is_active
+
+    def _on_parameters(self, request, response):
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=self.joints)
+        response.values = [value if name == "joints" else ParameterValue() for name in request.names]
+        return response
+
+    def _on_switch(self, request, response):
+        self._is_active = not request.deactivate_controllers
+        if self.BRAKES and not self._is_active:
+            self.robot.drive.stop("no controller is active")
+        elif self.BRAKES:
+            self.robot.drive.reset()
+        send_zeros(self)
+        response.ok = True
+        return response
+
+
+class FrankaDriver(EffortDriver):
+    """franka_ros2: torques without gravity that change by 1 Nm a tick at most, and reflexes."""
+
+    BRAKES = True
+    STEP = 1.0
+
+    def __init__(self):
+        super().__init__()
+        self._reflexes = None
+        self._torque = np.zeros(self.arm.n)
+        name = "service_server/set_full_collision_behavior"
+        self.create_service(SetFullCollisionBehavior, name, self._on_reflexes)
+
+    def read_torque(self, data):
+        step = self.STEP * 1000.0 * self.period
+        self._torque += np.clip(super().read_torque(data) - self._torque, -step, step)
+        return self._torque.copy()
+
+    def publish_state(self, state):
+        external = external_torque(self.robot)
+        moves = self.robot.plant.actuation is Actuation.COMMANDED
+        if moves and self._reflexes is not None and (np.abs(external) > self._reflexes).any():
+            self.robot.drive.stop("reflex")
+        super().publish_state(state)
+
+    def _on_reflexes(self, request, response):
+        self._reflexes = np.array(request.upper_torque_thresholds_nominal)
+        response.success = True
+        return response
+
+
+class LbrDriver(DriverNode):
+    """lbr_fri_ros2_stack: FRI's state with torques behind a low-pass of 10 Hz, and torque overlays with positions.
+
+    KUKA's controller ends the session when the connection is closed, or when the commanded position is far from the
+    measured one, and closes the brakes.
+    """
+
+    COMMANDS = Topic("lbr/command/torque", LBRTorqueCommand)
+    CUTOFF = 10.0
+    SESSION_AFTER_S = 0.2
+    FARTHEST = 0.05
+
+    def __init__(self):
+        super().__init__()
+        self._torque = self._external = None
+        self._is_open = True
+        name = "lbr/controller_manager/set_hardware_component_state"
+        self.create_service(SetHardwareComponentState, name, self._on_component)
+
+    def make_state_writer(self):
+        return self.make_writer(Topic("lbr/state", LBRState, STREAM).kept(self.lockstep))
+
+    def activate(self):
+        super().activate()
+        send_zeros(self)
+
+    def read_torque(self, data):
+        message = deserialize_message(data, LBRTorqueCommand)
+        far = np.abs(np.array(message.joint_position) - self.robot.plant.joint_positions).max()
+        if far > self.FARTHEST:
+            self._end(f"the commanded position is {far:.2f} rad from the measured one")
+        return np.array(message.torque) * self._is_open
+
+    def publish_state(self, state):
+        if not self._is_open:
+            return
+        carried = self.robot.drive._model.gravity_at(state.q)
+        # Before the first step the simulated sensors show nothing.
+        self._torque = self._filtered(self._torque, np.where(np.isnan(state.torque), carried, state.torque))
+        self._external = self._filtered(self._external, external_torque(self.robot))
+        steps = self.robot.plant.steps
+        message = LBRState(
+            sample_time=self.period,
+            session_state=4 if steps > self.SESSION_AFTER_S * 1000 else 3,
+            connection_quality=3,
+            client_command_mode=3,
+            time_stamp_sec=state.stamp_ns // NANOSECONDS,
+            time_stamp_nano_sec=state.stamp_ns % NANOSECONDS,
+            measured_joint_position=state.q,
+            commanded_joint_position=state.q,
+            measured_torque=self._torque,
+            external_torque=self._external,
+        )
+        self.write_state(serialize_message(message))
+
+    def _filtered(self, before, value):
+        if before is None:
+            return value
+        angle = 2.0 * math.pi * self.CUTOFF * self.period
+        share = math.cos(angle) - 1.0 + math.sqrt(math.cos(angle) ** 2 - 4.0 * math.cos(angle) + 3.0)
+        return before + share * (value - before)
+
+    def _on_component(self, request, response):
+        response.ok = request.target_state.id == State.PRIMARY_STATE_INACTIVE
+        if response.ok:
+            self._end("the connection is closed")
+        return response
+
+    def _end(self, why):
+        self._is_open = False
+        self.robot.drive.stop(why)
+
+
+def send_zeros(driver):
+    """Command nothing on top of gravity, as a controller does that has just been activated."""
+    driver.robot.command(np.zeros(driver.arm.n), driver.robot.now_ns if driver.lockstep else time.monotonic_ns())
+
+
+def external_torque(robot):
+    """Torque of contacts and pushes on the joints, (n,), N m."""
+    data, joints = robot.plant.data, slice(0, robot.scene.arm.n)
+    return data.qfrc_constraint[joints].copy()
+
+
+DRIVERS = {"effort": EffortDriver, "lbr": LbrDriver, "franka": FrankaDriver}
+
+if __name__ == "__main__":
+    assert topics.COMMANDS.name == "effort_controller/commands"
+    kind = sys.argv.pop(1)
+    arguments = [part for argument in ARGUMENTS[kind] for part in ("-p", argument)]
+    sys.exit(run(DRIVERS[kind], Role.LOOP, [*sys.argv, "--ros-args", *arguments], DRIVER_PRIORITY))

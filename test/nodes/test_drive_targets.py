@@ -1,0 +1,326 @@
+"""What the adapter makes of the messages of KUKA's and Franka's drivers, and what it asks of the other nodes."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rclpy
+from arm_simulation import HOME
+from message_packages import message_packages
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from stack_helpers import environment
+from test_adapter import Bench
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.adapter_settings import FrankaSettings, LbrSettings
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.nodes import franka_target, lbr_target
+from contact_reach_ros.ros import requests
+from contact_reach_ros.stop_reasons import StopCode
+from contact_reach_ros.units import NANOSECONDS
+
+ARM = load_arm("iiwa14")
+MS = NANOSECONDS // 1000
+START_NS = 500 * NANOSECONDS
+"""Of the robot's clock; this machine's is AHEAD_NS ahead of it."""
+AHEAD_NS = 1000 * NANOSECONDS
+
+
+class Future:
+    def __init__(self, result):
+        self._result = result
+
+    def result(self):
+        return self._result
+
+    def done(self):
+        return True
+
+    def add_done_callback(self, callback):
+        callback(self)
+
+
+class Node:
+    """Clients whose services are there, and answer what they are told to."""
+
+    def __init__(self, answer=None):
+        self.answer, self.asked, self.lines = answer, [], []
+
+    def create_client(self, kind, name):
+        self.asked_for = name
+        return self
+
+    def service_is_ready(self):
+        return True
+
+    def call_async(self, request):
+        self.asked.append(request)
+        return Future(self.answer)
+
+    def get_logger(self):
+        return self
+
+    def info(self, line):
+        self.lines.append(line)
+
+    warning = error = info
+
+
+@pytest.fixture(scope="module", autouse=True)
+def packages(pytestconfig):
+    """The drivers' message packages, from which both modules take their types."""
+    folders = message_packages(pytestconfig.cache.mkdir("message_packages"))
+    with pytest.MonkeyPatch.context() as patched:
+        for folder in folders:
+            patched.syspath_prepend(folder)
+        from controller_manager_msgs.srv import SetHardwareComponentState
+        from franka_msgs.srv import SetFullCollisionBehavior
+        from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
+
+        patched.setattr(lbr_target, "LBRState", LBRState)
+        patched.setattr(lbr_target, "LBRTorqueCommand", LBRTorqueCommand)
+        patched.setattr(lbr_target, "SetHardwareComponentState", SetHardwareComponentState)
+        patched.setattr(franka_target, "SetFullCollisionBehavior", SetFullCollisionBehavior)
+        yield
+
+
+def lbr(node=None, lockstep=False, **settings):
+    return lbr_target.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002, lockstep)
+
+
+def message(tick=1, **fields):
+    stamp_ns = START_NS + 2 * tick * MS
+    values = {
+        "sample_time": 0.002,
+        "session_state": 4,
+        "connection_quality": 3,
+        "client_command_mode": 3,
+        "time_stamp_sec": stamp_ns // NANOSECONDS,
+        "time_stamp_nano_sec": stamp_ns % NANOSECONDS,
+        "measured_torque": np.arange(7.0),
+    }
+    return lbr_target.LBRState(**{**values, **fields})
+
+
+def test_stamps_have_the_robots_steps_on_this_machines_clock():
+    target, stamps = lbr(), []
+    for tick, late_ms in enumerate([3, 1, 7, 2, 9, 1, 30, 1]):
+        arrives_ns = START_NS + AHEAD_NS + (2 * tick + late_ms) * MS
+        stamps.append(target.read(message(tick), arrives_ns).stamp_ns)
+    # The first message was late; after the best one the steps are the robot's, but for the drift that is allowed for.
+    assert stamps[1] == START_NS + AHEAD_NS + 3 * MS
+    np.testing.assert_allclose(np.diff(stamps[1:]), 2 * MS, rtol=5e-4)
+    # One that comes twice is no new state, except in lockstep, whose first one is repeated.
+    assert target.read(message(7), START_NS + AHEAD_NS + 16 * MS) is None
+    assert [lbr(lockstep=True).read(message(), 0).stamp_ns for _ in range(2)] == [START_NS + 2 * MS] * 2
+    # This machine's clock is set.
+    set_ns = START_NS - AHEAD_NS + 16 * MS
+    assert target.read(message(8), set_ns).stamp_ns == set_ns
+
+
+@pytest.mark.parametrize(("cutoff", "tolerance"), [(0.0, 1e-9), (100.0, 1e-9)])
+def test_velocity_is_that_of_the_positions(cutoff, tolerance):
+    target, speed = lbr(velocity_cutoff=cutoff), np.linspace(-1.0, 1.0, 7)
+    for tick in range(100):
+        state = target.read(message(tick, measured_joint_position=0.002 * tick * speed), START_NS + 2 * tick * MS)
+    np.testing.assert_allclose(state.v, speed, atol=tolerance)
+    np.testing.assert_allclose(state.q, 0.002 * 99 * speed)
+    # After a pause nobody knows it.
+    state = target.read(message(1000, measured_joint_position=speed), START_NS + 2000 * MS)
+    np.testing.assert_allclose(state.v, 0.0)
+
+
+def test_noise_of_positions_becomes_less_noise_of_velocities_with_the_filter():
+    random, noise = np.random.default_rng(0), {}
+    for cutoff in (0.0, 50.0):
+        target = lbr(velocity_cutoff=cutoff)
+        found = [
+            target.read(message(tick, measured_joint_position=1e-5 * random.normal(size=7)), START_NS).v
+            for tick in range(500)
+        ]
+        noise[cutoff] = np.std(found)
+    assert noise[50.0] < 0.5 * noise[0.0]
+
+
+def test_commands_mirror_the_measured_position():
+    target, q = lbr(), np.linspace(0.1, 0.7, 7)
+    target.read(message(measured_joint_position=q), START_NS)
+    sent = deserialize_message(target.write(np.arange(7.0)), lbr_target.LBRTorqueCommand)
+    assert sent.joint_position.tolist() == q.tolist() and sent.torque.tolist() == list(range(7))
+
+
+@pytest.mark.parametrize("sign", ["positive", "negative"])
+def test_measured_torques_have_the_sign_of_the_setting(sign):
+    torque = lbr(torque_sign=sign).read(message(), START_NS).torque
+    assert torque.tolist() == [index * (1.0 if sign == "positive" else -1.0) for index in range(7)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"session_state": 2}, "the FRI session is MONITORING_READY; expected COMMANDING_ACTIVE"),
+        ({"session_state": 9}, "the FRI session is state 9"),
+        ({"connection_quality": 1}, "the FRI connection is FAIR; expected at least GOOD"),
+        ({"client_command_mode": 1}, "FRI takes POSITION; expected TORQUE"),
+        ({"sample_time": 0.005}, "FRI sends every 5 ms, but state_rate is 500 Hz"),
+    ],
+)
+def test_a_driver_that_is_not_ready_is_explained_and_gives_states_nevertheless(fields, words):
+    target = lbr()
+    assert "no state on lbr/state yet" in target.problem
+    assert target.read(message(1, **fields), START_NS) is not None
+    assert target.problem.startswith(words)
+    target.read(message(2), START_NS)
+    assert not target.problem
+
+
+def test_states_that_are_no_numbers_are_refused():
+    with pytest.raises(InputError, match=r"lbr/state: measured_joint_position = .*nan.* expected finite"):
+        lbr().read(message(measured_joint_position=np.full(7, np.nan)), START_NS)
+
+
+def test_kukas_external_torque_is_compared_with_the_observers():
+    target = lbr()
+    for tick in range(5000):
+        target.read(message(tick, external_torque=np.full(7, 3.0)), START_NS)
+        target._on_external(JointState(name=list(ARM.joint_names), effort=[1.0] * 7))
+    said = target.diagnosis()
+    assert said["external torque by KUKA Nm"].split()[0] == "3.00"
+    assert said["difference from the observer's Nm"].split()[0] == "2.00"
+
+
+def test_a_stop_deactivates_the_component_unless_it_has_no_name():
+    node = Node()
+    lbr(node, driver="left").stop()
+    assert node.asked_for == "left/controller_manager/set_hardware_component_state"
+    assert node.asked[0].name == "lbr_system_interface" and node.asked[0].target_state.label == "inactive"
+    silent = Node()
+    lbr(silent, component="").stop()
+    assert silent.asked == []
+
+
+def test_a_missing_message_package_is_named():
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(lbr_target, "LBRState", None)
+        patched.setattr(franka_target, "SetFullCollisionBehavior", None)
+        with pytest.raises(SettingsError, match="lbr_fri_idl is not installed; build lbr_fri_ros2_stack"):
+            lbr()
+        with pytest.raises(SettingsError, match="franka_msgs is not installed; build franka_ros2"):
+            franka()
+        assert "effort_controller" in franka(set_reflexes=False).problem
+
+
+@pytest.mark.parametrize("kind", ["lbr", "franka"])
+def test_an_adapter_for_an_arm_that_carries_itself_does_not_carry_it(kind):
+    command = [sys.executable, "-m", "contact_reach_ros.nodes.adapter", "--ros-args", "-p", f"kind:={kind}"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 2 and "gravity_compensation = true: expected false" in result.stderr
+
+
+ACTIVE = ("kind:=lbr", "gravity_compensation:=false", "state_rate:=500.0")
+
+
+@pytest.fixture
+def bench():
+    """An adapter for KUKA's driver, whose loop runs when told to."""
+    arguments = [part for argument in ACTIVE for part in ("-p", argument)]
+    rclpy.init(args=["--ros-args", *arguments], domain_id=int(environment()["ROS_DOMAIN_ID"]))
+    try:
+        yield Bench()
+    finally:
+        rclpy.shutdown()
+
+
+def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
+    node, command = bench.node, np.arange(7.0)
+    sent, states, source = [], [], node._target._source
+    node._write = lambda data: sent.append(deserialize_message(data, lbr_target.LBRTorqueCommand).torque.tolist())
+    node._write_state = lambda data: states.append(deserialize_message(data, JointState))
+
+    def show(tick, **fields):
+        node.inbox.give(source, serialize_message(message(tick, **fields)))
+
+    show(1, session_state=3, measured_joint_position=HOME)
+    bench.command(command)
+    assert sent == [] and "COMMANDING_WAIT" in node.diagnosis()[0]
+    show(2, measured_joint_position=HOME)
+    bench.command(command)
+    assert sent == [command.tolist()] and states[-1].position.tolist() == HOME.tolist()
+    show(3, session_state=1, measured_joint_position=HOME)
+    node._look_for_silence()
+    assert node._guard.stop_reason.startswith("the FRI session is MONITORING_WAIT")
+    assert node._guard.stop_reason.code is StopCode.DRIVE
+    bench.command(command)
+    # The arm carries itself: at rest nothing is harmless, as soon as torques may have changed to that.
+    assert (np.abs(sent[-1][1:]) < command[1:]).all() and len(sent) == 2 and len(states) == 3
+
+
+def franka(node=None, torque_rate=1000.0, **settings):
+    return franka_target.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings), torque_rate)
+
+
+def answer(success, error=""):
+    return franka_target.SetFullCollisionBehavior.Response(success=success, error=error)
+
+
+def test_nothing_passes_before_the_reflexes_are_set():
+    node = Node(answer(True))
+    target = franka(node, ask_joints=False, reflex_force=50.0)
+    assert target.problem.startswith("the reflexes are not set yet")
+    target.look()
+    (request,) = node.asked
+    assert not target.problem and target.diagnosis() == {"reflexes": "set"}
+    assert request.lower_torque_thresholds_nominal.tolist() == list(FrankaSettings().reflex_torques)
+    assert request.upper_force_thresholds_acceleration.tolist() == [50.0] * 3 + [30.0] * 3
+    target.look()
+    assert len(node.asked) == 1
+
+
+def test_reflexes_that_are_refused_are_set_again():
+    node = Node(answer(False, "the robot moves"))
+    target = franka(node, ask_joints=False)
+    target.look()
+    assert target.problem == "the arm refuses the reflexes: the robot moves"
+    node.answer = answer(True)
+    target.look()
+    assert not target.problem
+
+
+@pytest.mark.parametrize(
+    ("node", "settings", "words"),
+    [
+        ("controller", {"limits.torque_rate": 4000.0}, "limits.torque_rate = 4000 in the controller"),
+        ("controller", {"limits.torque_rate": 1000.0}, ""),
+        ("observer", {"budget.torque_thresholds": [30.0] * 5 + [28.0, 8.0]}, "the reflex of lbr_A5 comes at 29 Nm"),
+        ("observer", {"budget.torque_thresholds": [30.0, 30.0, 25.0, 25.0, 15.0, 10.0, 8.0]}, ""),
+        ("planner", {"limits.torque_rate": 4000.0}, ""),
+    ],
+)
+def test_settings_that_the_arm_would_cut_short_are_named(node, settings, words):
+    said = franka().hear(node, settings)
+    assert said.startswith(words) and bool(said) == bool(words)
+
+
+def test_harmless_torques_change_no_faster_than_the_arm_follows():
+    with pytest.raises(SettingsError, match="torque_rate = 4000; expected at most 1000 Nm/s"):
+        franka(torque_rate=4000.0)
+
+
+def test_a_request_whose_answer_is_lost_is_sent_again(monkeypatch):
+    class Lost(Node):
+        def call_async(self, request):
+            self.asked.append(request)
+            return SimpleNamespace(done=lambda: False, add_done_callback=lambda callback: None)
+
+        def remove_pending_request(self, future):
+            self.lines.append("forgotten")
+
+    now, client = [100.0], Lost()
+    monkeypatch.setattr(requests.time, "monotonic", lambda: now[0])
+    repeated = requests.RepeatedRequest(client, lambda answer: None)
+    for now[0] in (100.0, 101.9, 102.1, 103.0, 104.2):
+        repeated.send("request")
+    assert len(client.asked) == 3 and client.lines == ["forgotten"] * 2

@@ -1,0 +1,102 @@
+"""The stack on the conventions of real drivers, through the adapter: goals are reached, and silence is harmless."""
+
+import os
+import signal
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from message_packages import message_packages
+from stack_helpers import SMALL_PLANNER, environment, module, processes_of_domain, running, wait_for
+from test_doctor import command_lines
+
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.resources import config_file
+
+THERE, BACK = "goto 0.51 0.025 0.145 --wait", "goto 0.55 -0.15 0.25"
+BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
+"""Why each driver closes the brakes after a stop of the adapter; the first one does not."""
+STOPPED_FOR_S = 1.5
+
+
+@pytest.fixture(scope="module")
+def packages(pytestconfig):
+    """Environment variables with which processes import the message packages of the drivers."""
+    folders = message_packages(pytestconfig.cache.mkdir("message_packages"))
+    return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
+
+
+def parameters_of(kind, path):
+    """The parameter file that bring-up takes for a kind, with a planner that compiles faster."""
+    name = "default" if kind == "effort" else kind
+    content = yaml.safe_load(config_file(f"{name}.yaml").read_text())
+    planner = content.setdefault("planner", {}).setdefault("ros__parameters", {})
+    planner["planning"] = {**planner.get("planning", {}), **SMALL_PLANNER["planning"]}
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+@contextmanager
+def stack(kind, rate, lockstep, env, folder):
+    """A driver of that kind, and the stack on it."""
+    standin = [sys.executable, str(Path(__file__).with_name("standins.py")), kind]
+    arguments = ["scene:=ball", f"state_rate:={rate}.0", f"lockstep:={str(lockstep).lower()}"]
+    driver = ["--ros-args", *(part for argument in arguments for part in ("-p", argument))]
+    up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
+    up += ["--parameters", str(parameters_of(kind, folder / "parameters.yaml")), *(["--lockstep"] if lockstep else [])]
+    up += ["--bag", str(folder / "bag")]
+    output, drivers = folder / "up.txt", folder / "driver.txt"
+    try:
+        with running(up, env, output) as process:
+            wait_for(lambda: "all nodes are active" in output.read_text() or process.poll() is not None, 200, "stack")
+            assert process.poll() is None
+            # Simulated time begins with the driver: nobody may miss its first state.
+            with running([*standin, *driver], env, drivers):
+                wait_for(lambda: "active" in drivers.read_text(), 30, "driver")
+                yield drivers
+    finally:
+        print(output.read_text(), drivers.read_text())
+
+
+@pytest.mark.parametrize(
+    "rate", [500, pytest.param(200, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("kind", BRAKES)
+def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, packages, tmp_path):
+    env = {**environment(), **packages}
+    with stack(kind, rate, True, env, tmp_path):
+        ((code, said),) = command_lines(env, THERE)
+    assert (code, said[:9]) == (0, "settled: ")
+
+
+@pytest.mark.parametrize("kind", BRAKES)
+def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at_rest(kind, packages, tmp_path):
+    env = {**environment(), **packages}
+    with stack(kind, 500, False, env, tmp_path) as drivers:
+        there, back = command_lines(env, THERE, BACK)
+        assert (there[0], back[0]) == (0, 0), (there, back)
+        controller = processes_of_domain(env["ROS_DOMAIN_ID"])["controller"]
+        os.kill(controller, signal.SIGSTOP)
+        stood_ns = time.time_ns()
+        time.sleep(STOPPED_FOR_S)
+        went_on_ns = time.time_ns()
+        os.kill(controller, signal.SIGCONT)
+        said = drivers.read_text()
+        assert BRAKES[kind] in said and ("brakes closed: " in said) == bool(BRAKES[kind])
+    bag = BagReader(tmp_path / "bag")
+    stops = [each.message.message for each in bag.messages(["/safety_state"]) if each.message.name == "adapter"]
+    assert any(text.startswith("no command for") for text in stops)
+    states = [
+        (nanoseconds(each.message.header.stamp), each.message.velocity) for each in bag.messages(["/joint_states"])
+    ]
+    times, speeds = np.array([time for time, _ in states]), np.abs([v for _, v in states]).max(axis=1)
+    before = speeds[(times > stood_ns - 50_000_000) & (times < stood_ns)]
+    after = speeds[(times > stood_ns + 700_000_000) & (times < went_on_ns)]
+    assert before.max() > 0.1
+    # KUKA's driver reports nothing any more once its connection is closed.
+    assert (after < 0.05).all() and (len(after) or kind == "lbr")
