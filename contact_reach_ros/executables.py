@@ -1,21 +1,21 @@
 """Entry points of the executables.
 
-Each restores the default handling of Ctrl-C before it imports its node: otherwise Python would answer Ctrl-C with a
-traceback during the seconds that the imports take. The node then installs its own signal handling.
+Each lets Ctrl-C end it before it imports its node: otherwise Python would answer with a traceback during the seconds
+that the imports take. The node then installs its own signal handling.
 """
 
 from __future__ import annotations
 
 import importlib
-import signal
 import sys
 
 from contact_reach_ros.command_line import answer, asks_for_help, foreign_arguments
 from contact_reach_ros.parameter_files import NODES
+from contact_reach_ros.starting import end_at_signals
 
 
 def _run(module: str) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_at_signals()
     node, arguments = module.rpartition(".")[2], sys.argv[1:]
     if node in NODES and (asks_for_help(arguments) or foreign_arguments(arguments)):
         # The node itself would answer the same after the seconds that its imports take.

@@ -209,6 +209,13 @@ def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str,
     return f"{source}: unknown {what} '{key}'; {hint}"
 
 
+class _Loader(yaml.SafeLoader):
+    """Reads the files of launch, too, which tags lists as Python's tuples."""
+
+
+_Loader.add_constructor("tag:yaml.org,2002:python/tuple", yaml.SafeLoader.construct_sequence)
+
+
 def read_yaml(file: Path) -> dict[str, Any]:
     """Read the mapping in a YAML file.
 
@@ -218,7 +225,7 @@ def read_yaml(file: Path) -> dict[str, Any]:
         If the file cannot be read, is not YAML or does not hold a mapping; the message names the file.
     """
     try:
-        content = yaml.safe_load(file.read_text())
+        content = yaml.load(file.read_text(), _Loader)
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); give the path of a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -2,35 +2,66 @@
 
 import yaml
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction
+from launch.conditions import IfCondition
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from contact_reach_ros.arm.urdf import build_urdf
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.bringup.processes import BringupOptions, processes
-from contact_reach_ros.resources import PACKAGE
+from contact_reach_ros.resources import PACKAGE, config_file
 from contact_reach_ros.ros.discovery import environment
 from launch import LaunchDescription
 
 ARGUMENTS = {entry.name: entry for entry in BringupOptions.declared() if not entry.is_open_list}
+RVIZ = LaunchConfiguration("rviz")
 
 
 def start_nodes(context):
-    """Turn the chosen arguments into nodes; the end of any node but the viewer ends them all."""
+    """Turn the chosen arguments into nodes; the end of any node but the viewers ends them all."""
     texts = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     values = {name: text if ARGUMENTS[name].kind is str else yaml.safe_load(text) for name, text in texts.items()}
     options = BringupOptions.from_mapping(values, "launch arguments")
-    return [
+    hears = environment(options.discovery)
+    description = build_urdf(load_arm(options.robot or DEFAULT_ARM))
+    stack = [
         Node(
             package=PACKAGE,
             executable=process.name,
             output="screen",
             arguments=["--ros-args", "--enclave", process.enclave],
-            additional_env=environment(options.discovery),
-            parameters=[str(options.parameter_file), process.parameters],
+            additional_env=hears,
+            parameters=[str(options.parameter_file), *given(process.parameters)],
             on_exit=EmitEvent(event=Shutdown(reason=f"{process.name} ended")) if process.essential else None,
         )
         for process in processes(options)
     ]
+    rviz = [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            additional_env=hears,
+            parameters=[{"robot_description": description, "use_sim_time": options.lockstep}],
+            condition=IfCondition(RVIZ),
+        ),
+        Node(
+            package="rviz2",
+            executable="rviz2",
+            additional_env=hears,
+            arguments=["--display-config", str(config_file("stack.rviz"))],
+            parameters=[{"use_sim_time": options.lockstep}],
+            condition=IfCondition(RVIZ),
+        ),
+    ]
+    return [*stack, *rviz]
+
+
+def given(parameters):
+    """Parameters as launch takes them: lists instead of tuples, and nothing for an empty one, whose type is unknown."""
+    lists = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}
+    kept = {name: value for name, value in lists.items() if value != []}
+    return [kept] if kept else []
 
 
 def generate_launch_description():
@@ -39,4 +70,5 @@ def generate_launch_description():
         DeclareLaunchArgument(name, default_value=str(entry.default), description=entry.description)
         for name, entry in ARGUMENTS.items()
     ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=start_nodes)])
+    rviz = DeclareLaunchArgument("rviz", default_value="false", description="show the stack in RViz")
+    return LaunchDescription([*arguments, rviz, OpaqueFunction(function=start_nodes)])

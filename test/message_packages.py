@@ -72,6 +72,8 @@ DEFINITIONS = {
     },
 }
 """What the tests need of each package, under the names and with the fields of the real ones."""
+MISSING = {name: files for name, files in DEFINITIONS.items() if importlib.util.find_spec(name) is None}
+"""Those that are not installed: asked before any test adds the folder with the built ones to where Python looks."""
 
 _SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
 _PREFIX = Path(sys.prefix)
@@ -82,18 +84,17 @@ def message_packages(cache):
 
     Skips the test where there is no compiler, or ROS is not that of the wheels.
     """
-    missing = {name: files for name, files in DEFINITIONS.items() if importlib.util.find_spec(name) is None}
-    if not missing:
+    if not MISSING:
         return ()
     if not (_PREFIX / "include" / "rosidl_runtime_c").is_dir():
-        pytest.skip(f"{', '.join(missing)}: not installed, and no headers to build them with")
+        pytest.skip(f"{', '.join(MISSING)}: not installed, and no headers to build them with")
     if shutil.which("g++") is None or not Path(sysconfig.get_path("include"), "Python.h").is_file():
         pytest.skip("needs g++ and Python's headers")
-    key = hashlib.sha256(f"{missing}{sys.version}{Path(__file__).read_text()}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{MISSING}{sys.version}{Path(__file__).read_text()}".encode()).hexdigest()[:16]
     folder = Path(cache) / key
     if not folder.is_dir():
         with tempfile.TemporaryDirectory(dir=cache) as made:
-            for name, files in missing.items():
+            for name, files in MISSING.items():
                 _build(name, files, Path(made) / "packages")
             try:
                 os.rename(Path(made) / "packages", folder)

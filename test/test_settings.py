@@ -238,3 +238,9 @@ class TestYamlFiles:
 
 def test_errors_are_those_of_the_package():
     assert issubclass(SettingsError, ContactReachError)
+
+
+def test_lists_of_launch_are_read(tmp_path):
+    file = tmp_path / "launch_params"
+    file.write_text("/**:\n  ros__parameters:\n    custom_data: !!python/tuple\n    - a=1\n    - b=2\n")
+    assert read_yaml(file)["/**"]["ros__parameters"]["custom_data"] == ["a=1", "b=2"]

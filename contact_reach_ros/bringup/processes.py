@@ -17,7 +17,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.node_settings import SECTIONS
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import check_name, known_parameters, parameters_in
+from contact_reach_ros.parameter_files import RATE, ROBOT, check_name, known_parameters, parameters_in
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
 from contact_reach_ros.viewer.settings import ViewerSettings
@@ -117,14 +117,16 @@ def processes(options: BringupOptions) -> list[Process]:
         If the scene is unknown, its file, the parameter file or an override is wrong, or nodes would not go together.
     """
     scene = read_scene(options.scene)
-    rate: dict[str, ParameterValue] = {"state_rate": options.state_rate} if options.state_rate else {}
-    time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate}
+    arm: dict[str, ParameterValue] = {ROBOT.name: options.robot} if options.robot else {}
+    rate: dict[str, ParameterValue] = {RATE.name: options.state_rate} if options.state_rate else {}
+    time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
     simulation: dict[str, ParameterValue] = {
         "scene": options.scene,
         "seed": options.seed,
         "target": options.target,
         "lockstep": options.lockstep,
         **rate,
+        **arm,
     }
     table = []
     if options.bag:

@@ -23,6 +23,7 @@ class BringupOptions(Settings):
     state_rate: float = setting(
         0.0, "nominal rate of joint states; 0 leaves it to the parameter file", unit="Hz", minimum=0.0, maximum=1000.0
     )
+    robot: str = setting("", "name of the arm; empty leaves it to the parameter file")
     bag: str = setting("", "directory to record a bag to; none when empty")
     parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
     driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")

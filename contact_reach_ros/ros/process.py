@@ -33,6 +33,7 @@ from contact_reach_ros.ros.scheduling import (
     take_priority,
     use_cpus,
 )
+from contact_reach_ros.starting import end_at_signals
 
 
 def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], priority: int = 0) -> int:
@@ -167,7 +168,7 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
 
     cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0), isolated_cpus())
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
-    _on_signals(signal.SIG_DFL)
+    end_at_signals()
     if node.autostart and not _start(node):
         return 1
     # Also the first use of the logger, which takes long.
@@ -178,7 +179,8 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     warning = "" if node.lockstep else take_priority(role, priority)
     if warning:
         node.get_logger().warning(warning)
-    _on_signals(lambda *_: ended.put(None))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.put(None))
 
     def serve() -> None:
         give_way()
@@ -191,6 +193,8 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     try:
         ended.get()
     finally:
+        # Another Ctrl-C would end Python's last moments as if it had failed: launch sends one after the terminal's.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         node.request_stop()
         executor.shutdown()
         for thread in threads:
@@ -203,11 +207,6 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
         node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
     return 0
-
-
-def _on_signals(handler: Any) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handler)
 
 
 def _start(node: ManagedNode) -> bool:

@@ -25,6 +25,8 @@ def nothing_starts(monkeypatch):
         return real(name)
 
     monkeypatch.setattr(importlib, "import_module", import_module)
+    # Of the process that runs the tests others take care.
+    monkeypatch.setattr(executables, "end_at_signals", lambda: None)
 
 
 @pytest.mark.parametrize("node", NODES)

@@ -2,8 +2,12 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 
 import pytest
+from stack_helpers import environment, running, wait_for
 
 from contact_reach_ros.bringup.interruption import Interruption
 
@@ -34,3 +38,33 @@ def test_what_comes_while_all_is_ended_is_ignored():
     interruption.ignore()
     os.kill(os.getpid(), signal.SIGINT)
     interruption.check()
+
+
+def executable(name):
+    """Command of an executable; as in a shell's job, Ctrl-C is not ignored."""
+    return [sys.executable, "-c", f"from contact_reach_ros import executables; executables.{name}()"]
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.8, 1.3, 3.0])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_is_still_starting_ends_at_once_and_well(number, seconds):
+    process = subprocess.Popen(
+        executable("planner"), env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    time.sleep(seconds)
+    process.send_signal(number)
+    sent = time.monotonic()
+    said, _ = process.communicate(timeout=30)
+    assert process.returncode == 0 and "Traceback" not in said, said
+    assert time.monotonic() - sent < 5.0
+
+
+def test_a_second_ctrl_c_changes_nothing(tmp_path):
+    with running(executable("observer"), environment(), tmp_path / "output.txt") as process:
+        wait_for(lambda: "active" in (tmp_path / "output.txt").read_text(), 60, "observer up")
+        for _ in range(40):
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.02)
+            if process.poll() is not None:
+                break
+        assert process.wait(30) == 0

@@ -188,7 +188,7 @@ def test_contacts_are_published_after_the_answer_where_there_is_time_for_that(cl
     driver = DriverNode()
     driver._prepare_messages()
     done = []
-    monkeypatch.setattr(driver, "_write_joint_states", lambda _: done.append("state"))
+    monkeypatch.setattr(driver, "publish_state", lambda _: done.append("state"))
     monkeypatch.setattr(driver, "_write_contacts", lambda _: done.append("contacts"))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: done.append("wait"))
     driver._next_ns = clock.now_ns + TICK_NS
