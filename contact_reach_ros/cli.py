@@ -67,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 0)")
     up.add_argument("--target", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position for the scene, m")
     up.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
+    up.add_argument("--robot", metavar="ARM", help="name of the arm (default: the parameter file's)")
     up.add_argument("--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)")
     up.add_argument("--bag", metavar="DIR", help="record a bag (default: none)")
     up.add_argument("--parameters", metavar="FILE", help="parameter file for the nodes (default: the package's)")
