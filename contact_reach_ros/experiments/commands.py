@@ -36,9 +36,6 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     control.add_argument("--seconds", type=float, help="run the stack in real time for so long instead")
     control.add_argument("--load", type=int, help="with so many processes that never sleep (default: 0)")
     control.add_argument("--scene", help="a name or a YAML file (default: ball)")
-    control.add_argument(
-        "--pages", type=int, help="compare with so many pages of the viewer open (default: 0, no viewer)"
-    )
     bags = add("bags", _plain("bench_bags"), "lost messages, and what recording, replaying and analysing bags costs")
     bags.add_argument("--seconds", type=float, help="of recording five 1 kHz topics (default: 60)")
     bags.add_argument("--minutes", type=float, help="length of the bag to be analysed (default: 10)")
