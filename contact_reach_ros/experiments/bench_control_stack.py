@@ -114,7 +114,8 @@ def _measure(bench: ControlBench, stack: StackProcesses, watcher: Watcher) -> Ru
             _until(time.monotonic() + seconds, trips)
             samples.append(_sample(stack, watcher, timer))
         reached = next(trips)
-    return Run(*samples, reached, realtime)
+    first, settled, last = samples
+    return Run(first, settled, last, reached, realtime)
 
 
 def _go_to_and_fro(stack: StackProcesses, watcher: Watcher, goals: Sequence[np.ndarray]) -> Iterator[int]:

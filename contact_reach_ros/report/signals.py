@@ -20,7 +20,7 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.values import nanoseconds, numbers
 from contact_reach_ros.units import NANOSECONDS
 
 _SPARSE = {
@@ -247,16 +247,7 @@ def _plans(clock: _Clock, array: Any) -> Iterator[PlanStatistics]:
     time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
-        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(_numbers(status)))
-
-
-def _numbers(status: Any) -> Iterator[tuple[str, float]]:
-    """The values that are numbers, by their keys."""
-    for item in status.values:
-        try:
-            yield item.key, float(item.value)
-        except ValueError:
-            continue
+        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(numbers(status)))
 
 
 def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
@@ -309,7 +300,7 @@ def _diagnostics(arrays: Sequence[tuple[float, Any]]) -> dict[str, Series]:
     found: dict[str, tuple[list[float], list[float]]] = {}
     for time, array in arrays:
         for status in array.status:
-            for key, number in _numbers(status):
+            for key, number in numbers(status):
                 column = found.setdefault(f"{status.name}/{key}", ([], []))
                 column[0].append(time)
                 column[1].append(number)
