@@ -30,4 +30,4 @@ class BagError(ContactReachError):
 
 
 class RenderingError(ContactReachError):
-    """A picture cannot be rendered: for example, the renderer is unknown or does not work on this machine."""
+    """A picture cannot be rendered: for example, OpenGL does not work on this machine."""

@@ -144,7 +144,6 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         figure.add_argument("--methods", nargs="+", metavar="METHOD", help=f"as for table1 (default: {methods})")
         figure.add_argument("--seed", type=int, help="of the target and what stands around (default: 0)")
         figure.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
-        figure.add_argument("--renderer", help="auto, egl or osmesa (default: auto)")
         figure.add_argument("--output", type=Path, help=f"the picture (default: {output})")
     solver = add("solver", _plain("bench_solver"), "Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
