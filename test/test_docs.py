@@ -38,7 +38,7 @@ TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTIL
 
 def check_node(name, arguments):
     if name in ("replay", "faults"):
-        (replay if name == "replay" else fault_tool).make_parser(name).parse_args(arguments)
+        (replay if name == "replay" else fault_tool).make_parser().parse_args(arguments)
     else:
         assert arguments[:1] in ([], ["--ros-args"]), arguments
         check_arguments([name, *arguments], name, {**SECTIONS, "bringup": BRINGUP}[name])
@@ -66,8 +66,6 @@ def check_ros2(words):
 
 def check_program(arguments):
     options = vars(PARSER.parse_args(arguments))
-    if arguments[0] == "fault":
-        fault_tool.make_parser("fault").parse_args(arguments[1:])
     if arguments[0] == "up":
         names = {entry.name for entry in BringupOptions.declared()}
         BringupOptions.from_mapping({name: value for name, value in options.items() if name in names}, "up")
