@@ -4,17 +4,15 @@ import dataclasses
 import json
 
 import pytest
+from contact_reach_command import contact_reach
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.experiments import bench_setting
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.grid import episode_seeds
 
 
 def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "setting", *arguments])
-    return end.value.code
+    return contact_reach("bench", "setting", *arguments)
 
 
 @pytest.mark.slow

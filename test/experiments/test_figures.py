@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 from arm_simulation import ARM
+from contact_reach_command import contact_reach
 from PIL import Image
 from test_episode import StraightPlanner
 from test_grid import TINY
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.drawing.offscreen import find_backend
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
@@ -151,9 +151,7 @@ def test_fig4_names_the_method_that_finds_no_path(renderer, tmp_path, capsys):
     ],
 )
 def test_what_cannot_be_drawn_is_refused(figure, arguments, message, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["bench", figure, *arguments])
-    assert end.value.code == 2
+    assert contact_reach("bench", figure, *arguments) == 2
     assert message in capsys.readouterr().err
 
 
