@@ -74,11 +74,17 @@ def test_cut_bag_is_shown_with_a_note(bag: Path, tmp_path: Path) -> None:
     assert "is cut or damaged" in text
 
 
-@pytest.mark.parametrize("make", [lambda path: None, lambda path: path.touch(), lambda path: path.write_text("text")])
-def test_no_bag_at_all_is_one_line(tmp_path: Path, make, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [(None, "it.mcap' does not exist"), ("", "it.mcap: is empty"), ("text", "it.mcap: is no mcap file")],
+)
+def test_no_bag_at_all_is_one_line(
+    tmp_path: Path, content: str | None, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "it.mcap"
-    make(path)
+    if content is not None:
+        path.write_text(content)
     for command in ("info", "repair"):
         assert contact_reach("bag", command, path) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert "it.mcap" in line
+        assert expected in line
