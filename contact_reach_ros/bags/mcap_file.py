@@ -44,7 +44,7 @@ _LATEST_NS = 2**63 - 1
 _LOOSE_BYTES = 2**20
 """Messages outside of chunks are read in portions of this size."""
 _CACHED_PARTS = 4
-"""Parts kept for the next request, which often lies close by: the viewer asks topic by topic and moment by moment."""
+"""Parts kept for the next request, which often lies close by: the viewer reads topic by topic and moment by moment."""
 _CHECKSUM_BYTES = 4
 _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 """Beginnings of a record, opcode and length, and of a message: channel, sequence, times of reception and sending."""

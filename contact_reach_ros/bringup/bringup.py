@@ -162,13 +162,13 @@ def _next_bag(bag: str) -> str:
 
 def _supervise(configuration: _Configuration, stack: StackProcesses) -> None:
     log = configuration.node.get_logger()
-    said = ""
+    shown = ""
 
     def progress(line: str) -> None:
-        nonlocal said
-        if line != said:
+        nonlocal shown
+        if line != shown:
             log.info(line)
-            said = line
+            shown = line
 
     try:
         stack.bring_up(STARTUP_TIMEOUT_S, progress)

@@ -58,7 +58,7 @@ _RECORDED = (
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     scene: str = "ball"
     seed: int = 2

@@ -42,13 +42,13 @@ _ANSWER_S = 3.0
 _SETTLED_S = 1.0
 """Time without a new safety state after which all nodes have been heard."""
 _JUDGED_S = 8.0
-"""Longest time until diagnostics, which come once a second, show what became of a goal."""
+"""Longest time until diagnostics, which come once a second, show whether a goal is taken."""
 _SILENCE_S = 5.0
 
 
 @contextmanager
 def operating(discovery: str, namespace: str) -> Iterator[Operator]:
-    """Make an operator's node that looks for the stack as far as `discovery` says, in a namespace."""
+    """Make an operator's node that looks for the stack within `discovery`, in a namespace."""
     with bare_node(OPERATOR, discovery, namespace=namespace) as node:
         operator = Operator(node)
         try:
@@ -86,7 +86,7 @@ class Operator:
         """Of the goal with this stamp."""
         self._orientation: str | None = None
         """The planner's setting; None before it was heard."""
-        # What is malformed is the sender's affair, whose boundary names it.
+        # Whoever sends malformed messages reports them itself.
         self._inbox = Inbox(node, lambda what, error: None)
         self._inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self._inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)

@@ -56,7 +56,7 @@ _DISCOVERY_S = 5.0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line, and exit with 0, or with 2 and a line that says what is wrong."""
+    """Run the command line, and exit with 0, or with 2 and a line that names what is wrong."""
     options = make_parser().parse_args(sys.argv[1:] if arguments is None else arguments)
     try:
         options.act(options)

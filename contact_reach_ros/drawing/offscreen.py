@@ -49,7 +49,7 @@ def find_backend() -> str:
     Raises
     ------
     RenderingError
-        If none works; the message says why, and what to install.
+        If none works; the message names the reason and what to install.
     """
     refusals = []
     for backend in BACKENDS:
@@ -68,7 +68,7 @@ def render(views: Sequence[View], backend: str) -> list[Picture]:
     Raises
     ------
     RenderingError
-        If this OpenGL does not work here; the message says why, and what to install.
+        If this OpenGL does not work here; the message names the reason and what to install.
     """
     layers = iter(_render_layers([layer for view in views for layer in _layers(view)], backend))
     return [_overlay(next(layers), [(next(layers), ghost.opacity) for ghost in view.ghosts]) for view in views]

@@ -89,7 +89,7 @@ class ObstacleMarkerReader:
         Raises
         ------
         InputError
-            If a marker is in another frame, of another type than its namespace asks for, has no size or a value that
+            If a marker is in another frame, of another type than its namespace needs, has no size or a value that
             is not finite, or an edge ends where no node is; the marker is named.
         """
         points = map(points_of, soft_markers(message))

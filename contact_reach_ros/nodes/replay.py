@@ -63,7 +63,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Replay a bag, and exit with 0 at its end or when interrupted, or with 2 and a line that says what is wrong."""
+    """Replay a bag, and exit with 0 at its end or when interrupted, or with 2 and a line that names what is wrong."""
     given = list(sys.argv if arguments is None else [REPLAY, *arguments])
     own = remove_ros_args(given)
     options = make_parser().parse_args(own[1:])
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> int:
-    """Replay a bag as the options say, until its end, Ctrl-C or SIGTERM; returns the exit code.
+    """Replay a bag with these options until its end, Ctrl-C or SIGTERM; returns the exit code.
 
     Raises
     ------

@@ -26,7 +26,7 @@ IDENTICAL, DIFFERENT = 0, 1
 
 @dataclass(frozen=True)
 class ReexecutionOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     bag: Path
     changes: Path | None = None

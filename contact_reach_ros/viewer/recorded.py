@@ -142,7 +142,7 @@ class Recording:
             _PLANS: Stamps(),
         }
         received: dict[str, list[int]] = {topic: [] for topic in _ASKED_FOR}
-        said: list[_Said] = []
+        reported: list[_Reported] = []
         goals: list[tuple[int, Array]] = []
         self._numbers: list[tuple[int, Mapping[str, float]]] = []
         planned: list[Array] = []
@@ -150,7 +150,7 @@ class Recording:
         def note(raw: RawMessage) -> None:
             received[raw.topic].append(raw.log_time_ns)
             if raw.topic == _SAFETY:
-                said.append(_status(raw.data))
+                reported.append(_status(raw.data))
 
         def take(raw: RawMessage, read: Callable[[Any], T]) -> list[T]:
             """What is read of a message; nothing of an invalid one."""
@@ -188,15 +188,15 @@ class Recording:
         self._plan_times = (np.sort(columns[_PLANS].column().stamp_ns) - self._start_ns) / NANOSECONDS
         # The files of a bag may overlap.
         self._messages = {topic: np.sort(np.array(times, np.int64)) for topic, times in received.items()}
-        self._said = [said[row] for row in np.argsort(received[_SAFETY], kind="stable")]
+        self._reported = [reported[row] for row in np.argsort(received[_SAFETY], kind="stable")]
         times = self._time_of(np.array([received_ns for received_ns, _ in goals], np.int64))
         positions = np.array([position for _, position in goals]).reshape(-1, 3)
         accepted = pursued(positions, planned)
         self._goals = times[accepted], positions[accepted]
         self._refused = times[~accepted], positions[~accepted]
         self._speakers = {
-            name: np.array([row for row, entry in enumerate(self._said) if entry.name == name], np.int64)
-            for name in {entry.name for entry in self._said}
+            name: np.array([row for row, entry in enumerate(self._reported) if entry.name == name], np.int64)
+            for name in {entry.name for entry in self._reported}
         }
         self._kept: dict[str, tuple[int, Any]] = {}
 
@@ -262,7 +262,7 @@ class Recording:
         stopped: dict[str, bool] = {}
         in_contact = []
         received_at = self._time_of(self._messages[_SAFETY]).tolist()
-        for time, entry in zip(received_at, self._said, strict=True):
+        for time, entry in zip(received_at, self._reported, strict=True):
             is_stop = entry.level is SafetyLevel.STOP
             if is_stop != stopped.get(entry.name, False):
                 stopped[entry.name] = is_stop
@@ -313,7 +313,7 @@ class Recording:
         return table
 
 
-class _Said(NamedTuple):
+class _Reported(NamedTuple):
     """A safety state without its values."""
 
     name: str
@@ -321,14 +321,14 @@ class _Said(NamedTuple):
     message: str
 
 
-def _status(data: bytes) -> _Said:
+def _status(data: bytes) -> _Reported:
     """Read the needed parts of a serialised DiagnosticStatus; there may be tens of thousands."""
     try:
         name, message = text_at(data, 8), text_at(data, after_string(data, 8))
     except (struct.error, UnicodeDecodeError):
         name = message = ""
     level = SafetyLevel(min(data[4], SafetyLevel.STOP.value)) if len(data) > 4 else SafetyLevel.OK
-    return _Said(name, level, message)
+    return _Reported(name, level, message)
 
 
 def _hold(values: Array) -> None:
