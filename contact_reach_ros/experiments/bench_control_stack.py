@@ -22,9 +22,10 @@ from rclpy.node import Node
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.bringup.children import StackError, end_with_parent
 from contact_reach_ros.bringup.interruption import Interruption
 from contact_reach_ros.bringup.processes import BringupOptions, processes
-from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses, end_with_parent
+from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.bringup.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.errors import ContactReachError

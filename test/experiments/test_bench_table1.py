@@ -16,8 +16,9 @@ from test_grid import TINY, figures
 from test_workers import ended
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command, partial_of
+from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command
 from contact_reach_ros.experiments.output import read_report
+from contact_reach_ros.experiments.table1_resume import partial_of
 
 pytestmark = pytest.mark.slow
 
