@@ -117,7 +117,8 @@ def build_mjcf(
     pairs = [index for pair in self_pairs(arm) for index in pair]
     limits = [joint.velocity_limit for joint in arm.joints]
     custom = SubElement(root, "custom")
-    for name, values in {VELOCITY_LIMITS: limits, SELF_PAIRS: pairs, **(fields or {})}.items():
+    all_fields: dict[str, Iterable[float]] = {VELOCITY_LIMITS: limits, SELF_PAIRS: pairs, **(fields or {})}
+    for name, values in all_fields.items():
         if data := numbers(values):
             SubElement(custom, "numeric", name=name, data=data)
     ElementTree.indent(root)

@@ -62,10 +62,10 @@ def bodies_and_fields(obstacles: Obstacles | None) -> tuple[list[Element], dict[
     stiffness, damping = (np.asarray(matrix) for matrix in network(obstacles))
     alone = not (_off_diagonal(stiffness) or _off_diagonal(damping))
     rest, radius = obstacles.rest[..., 0].T, obstacles.radius[:, 0]
-    own = (np.diag(stiffness), np.diag(damping)) if alone else (np.zeros(len(radius)),) * 2
+    springs = np.stack([np.diag(stiffness), np.diag(damping)], axis=1) if alone else np.zeros((len(radius), 2))
     bodies = [
-        sphere_body(index, *(rest[index], float(radius[index]), float(own[0][index]), float(own[1][index])))
-        for index in range(len(radius))
+        sphere_body(index, rest[index], float(radius[index]), float(spring), float(damper))
+        for index, (spring, damper) in enumerate(springs)
     ]
     fields = {NETWORK_STIFFNESS: stiffness.ravel().tolist(), NETWORK_DAMPING: damping.ravel().tolist()}
     return bodies, {} if alone else fields
