@@ -217,6 +217,10 @@ class Plant:
         positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
         return positions
 
+    def place_obstacles(self, positions: Array) -> None:
+        """Move the obstacles' spheres to `positions` (K, 3), m, at rest; those that cannot move stay."""
+        self.data.qpos[self._obstacles] = (positions - self._rests)[self._movable].ravel()
+
     def obstacle_body(self, index: int) -> int:
         """The simulation's body of an obstacle's sphere, by its index in `obstacle_positions`."""
         return self._first_obstacle + index
