@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.metadata
 import io
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +24,7 @@ from contact_reach_ros.arm.mjcf import SELF_PAIRS, TIP_SITE, VELOCITY_LIMITS, bu
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.runtime import configure_jax
+from contact_reach_ros.resources import KeptFile
 
 if TYPE_CHECKING:
     import brax
@@ -99,8 +102,17 @@ def load_system(mjcf_text: str) -> brax.System:
 
 @functools.cache
 def arm_model(arm: Arm) -> ArmModel:
-    """The constants of an arm; each call returns the same object."""
-    return read_arm(load_system(build_mjcf(arm)))
+    """The constants of an arm; each call returns the same object.
+
+    What Brax has read from an MJCF is kept in the user's cache, since importing Brax takes longer than planning starts.
+    """
+    text = build_mjcf(arm)
+    kept = KeptFile("arms", text, importlib.metadata.version("brax"), Path(__file__).read_text())
+    model: ArmModel | None = kept.load()
+    if model is None:
+        model = read_arm(load_system(text))
+        kept.store(model)
+    return model
 
 
 def read_arm(system: brax.System) -> ArmModel:
