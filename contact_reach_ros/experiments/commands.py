@@ -79,14 +79,26 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     planner.add_argument(
         "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
     )
-    model = add("model", _plain("bench_model"), "the planner's transfer model against the simulated robot")
+    model = add("model", _model, "the planner's transfer model against the simulated robot")
     model.add_argument("--states", type=int, help="random states and actions (default: 500)")
     model.add_argument("--seed", type=int, help="of states and actions (default: 0)")
+    model.add_argument(
+        "--against",
+        nargs="+",
+        choices=BRAX_PIPELINES,
+        help="instead, roll out the plans of closed-loop runs with Brax's pipelines and with MuJoCo",
+    )
+    model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: names or files (default: free ball)")
+    model.add_argument("--plans", type=int, help="with --against: plans per scene (default: 12)")
     setting = add("setting", _plain("bench_setting"), "whole episodes for each value of one of the planner's settings")
     setting.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
     setting.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
     setting.add_argument("--scene", dest="scenes", nargs="+", help="names or YAML files (default: ball wall)")
     setting.add_argument("--targets", type=int, help="episodes per scene and value (default: 10)")
+    setting.add_argument(
+        "--with", dest="others", nargs="+", metavar="NAME=VALUE", help="other settings, the same for each value"
+    )
+    setting.add_argument("--spheres", type=int, help="that plans take into account (default: as many as the scene has)")
     faults = add("faults", _faults, "episodes in which things go wrong at random")
     faults.add_argument("--episodes", type=int, help="how many (default: 200)")
     faults.add_argument("--seed", type=int, help="of the first episode (default: 0)")
@@ -186,6 +198,14 @@ def _planner(
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
     bench_planner(bench, file, plot)
+
+
+def _model(against: list[str] | None = None, **options: Any) -> None:
+    name = "bench_model" if against is None else "bench_referee"
+    wrong = {"scenes", "plans"} & set(options) if against is None else {"states"} & set(options)
+    if wrong:
+        raise SettingsError("--scene and --plans go with --against, --states without it")
+    _plain(name)(**options, **({} if against is None else {"against": against}))
 
 
 def _faults(**options: Any) -> int:

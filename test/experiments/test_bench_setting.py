@@ -53,6 +53,8 @@ def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(m
         (["contact_wieght", "1"], "contact_wieght"),
         (["population", "2"], "population"),
         (["max_steps", "many"], "max_steps"),
+        (["max_steps", "1", "--with", "population"], "expected NAME=VALUE"),
+        (["max_steps", "1", "--with", "populatoin=3"], "populatoin"),
     ],
 )
 def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):

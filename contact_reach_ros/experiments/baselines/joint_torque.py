@@ -110,7 +110,7 @@ class TorqueObjective(Objective):
         def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
             state, link_force = self.advance(state, action)
             pose, capsules = self.end_of_knot(problem, state.q)
-            contact = jax.vmap(self._measure)(link_force)
+            contact = jax.vmap(self.measure)(link_force)
             return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0), capsules)
 
         _, (q, poses, link_force, contact, capsules) = jax.lax.scan(knot, start, actions)
