@@ -14,12 +14,12 @@ from mcap.records import Channel, Schema
 
 from contact_reach_ros.bags import metadata as bag_metadata
 from contact_reach_ros.bags.decoder import Decoder
+from contact_reach_ros.bags.files import find_files, leave_namespace
 from contact_reach_ros.bags.mcap_file import PROFILE, McapFile
 from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, read_offered_qos
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
-_STATES, _SAFETY = "/joint_states", "/safety_state"
 """Topics that every stack has."""
 
 
@@ -100,9 +100,9 @@ class BagReader:
             raise BagError(f"bag '{self._path}' does not exist")
         self._notes: list[str] = []
         information = self._read_information() if self._path.is_dir() else None
-        self._files = self._open(self._find_files(information))
+        self._files = self._open(find_files(self._path, information))
         if of_stack:
-            self._leave_namespace()
+            leave_namespace(self._path, self._files)
         self._times: list[dict[int, np.ndarray]] | None = None
         self.summary = self._summarise(information)
         self._decoder = Decoder(self.summary.topics, self.definition)
@@ -228,46 +228,6 @@ class BagReader:
         self._notes += [str(error) for error in errors]
         return files
 
-    def _leave_namespace(self) -> None:
-        """Take the namespace of the joint states off all topics."""
-        names = {channel.topic for file in self._files for channel in file.contents.channels.values()}
-        found = (name.removesuffix(_STATES) for name in names if name.endswith(_STATES))
-        spaces = sorted(space for space in found if space + _SAFETY in names)
-        if len(spaces) > 1:
-            raise BagError(
-                f"bag '{self._path}' has several stacks: {', '.join(space or '/' for space in spaces)}; expected one: "
-                "record each with its own bring-up"
-            )
-        space = (spaces or [""])[0]
-        for file in self._files if space else ():
-            channels = file.contents.channels
-            for number, channel in channels.items():
-                if channel.topic.startswith(f"{space}/"):
-                    channels[number] = dataclasses.replace(channel, topic=channel.topic.removeprefix(space))
-
-    def _find_files(self, information: Mapping[str, Any] | None) -> list[Path]:
-        if not self._path.is_dir():
-            return [self._path]
-        if information is None:
-            files = sorted(self._path.glob("*.mcap"), key=_file_number)
-            if not files:
-                raise BagError(f"'{self._path}' is no bag: it has neither metadata.yaml nor an mcap file")
-            return files
-        storage = information.get("storage_identifier")
-        if storage != "mcap":
-            raise BagError(
-                f"bag '{self._path}' is stored as {storage}, expected mcap; `ros2 bag convert` can convert it"
-            )
-        if information.get("compression_mode"):
-            raise BagError(
-                f"bag '{self._path}' is compressed by {information['compression_mode']}, expected none or"
-                " that of mcap itself; `ros2 bag convert` can convert it"
-            )
-        names = information.get("relative_file_paths")
-        if not isinstance(names, list) or not names:
-            raise BagError(f"{self._path / bag_metadata.FILE_NAME}: names no file in relative_file_paths")
-        return [self._path / Path(str(name)).name for name in names]
-
     def _summarise(self, information: Mapping[str, Any] | None) -> BagSummary:
         topics: dict[str, RecordedTopic] = {}
         for file in self._files:
@@ -335,9 +295,3 @@ class BagReader:
             for file in self._files
             if file.damaged_chunks
         ]
-
-
-def _file_number(path: Path) -> tuple[int, str]:
-    """Sort key for the files of a split bag: the number at the end of the name, then the name."""
-    number = path.stem.rpartition("_")[2]
-    return (int(number) if number.isdigit() else 0, path.name)

@@ -16,7 +16,8 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
+from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.experiments.grid import episode_seeds
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.metrics import measure

@@ -19,7 +19,8 @@ from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.methods import METHODS
-from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
+from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.experiments.grid import Setup, concrete_scene, episode_seeds, prepared
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.metrics import measure

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,22 +10,7 @@ from contact_reach_ros.experiments.baselines.methods import METHODS
 from contact_reach_ros.experiments.claims import Claim, Ratio, Results, claims, plus_minus, ratio_text
 from contact_reach_ros.experiments.grid import PATH_PATIENCE
 from contact_reach_ros.experiments.output import Report, table
-
-GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
-
-_COLUMNS = (
-    # heading, figure, factor to its unit, digits
-    ("time / limit", "time_ratio", 1.0, 2),
-    ("external torque, Nm", "max_external_torque", 1.0, 1),
-    ("impulse, N s", "contact_impulse", 1.0, 2),
-    ("over ε, ms", "over_budget", 1e3, 0),
-    ("path, m", "path_length", 1.0, 3),
-    ("path / straight", "path_ratio", 1.0, 2),
-    ("jerk, m/s³", "jerk", 1.0, 1),
-    ("end error, mm", "end_error", 1e3, 1),
-    ("end speed, m/s", "end_speed", 1.0, 3),
-    ("plans", "plans", 1.0, 0),
-)
+from contact_reach_ros.experiments.table1_rows import GOAL_NAMES, result_tables
 
 _PICTURES = {
     "fig4.png": "Trajectories, as in Fig. 4 of the paper",
@@ -63,7 +47,7 @@ def _legend(settings: Report) -> str:
 def tables(report: Report) -> str:
     """Tables and claims, for the terminal."""
     results = Results(report["episodes"])
-    return "\n".join([*_tables(report, results), "", _claims(report, results)])
+    return "\n".join([*result_tables(report, results), "", _claims(report, results)])
 
 
 def document(report: Report, page: Path, other: Report | None = None) -> str:
@@ -86,7 +70,7 @@ def document(report: Report, page: Path, other: Report | None = None) -> str:
         "",
         "## Table I",
         "",
-        *_tables(report, results),
+        *result_tables(report, results),
         "",
         _legend(report["settings"]),
         "",
@@ -158,49 +142,6 @@ def _run(report: Report) -> Iterator[str]:
     yield ""
     versions = ", ".join(f"{name} {machine[name]}" for name in ("python", "jax", "mujoco", "pin") if name in machine)
     yield f"Machine: {machine['cpu']}, {machine['cores']} cores; {versions}."
-
-
-def _tables(report: Report, results: Results) -> Iterator[str]:
-    headings = [
-        "scene",
-        "method",
-        "reached",
-        "time, s",
-        "paper",
-        "force, N",
-        "paper",
-        *(heading for heading, *_ in _COLUMNS),
-    ]
-    for index, goal in enumerate(report["grid"]["goals"]):
-        if index:
-            yield ""
-        yield f"### Goals: {GOAL_NAMES[goal]}"
-        yield ""
-        cells = itertools.product(report["grid"]["scenes"], report["grid"]["methods"])
-        yield table(headings, (_cells(results, scene, goal, method) for scene, method in cells))
-
-
-def _cells(results: Results, scene: str, goal: str, method: str) -> Iterator[str]:
-    episodes = results.of(scene, goal, method)
-    published = paper.TABLE_1.get((scene, method))
-    yield scene
-    yield f"**{method}**" if method == paper.METHOD else method
-    yield f"{sum(entry['reached'] for entry in episodes)}/{len(episodes)}"
-    yield plus_minus(results.summary(scene, goal, method, "time"))
-    if published is not None:
-        yield f"{published.time:g} ± {published.time_sd:g}"
-    else:
-        yield "no path" if (scene, method) in paper.NO_PATH else "–"
-    yield plus_minus(results.summary(scene, goal, method, "max_contact_force"))
-    yield "–" if published is None else _paper_force(published)
-    for _, figure, factor, digits in _COLUMNS:
-        found = results.summary(scene, goal, method, figure)
-        scaled = type(found)(factor * found.mean, factor * found.sd, found.count)
-        yield plus_minus(scaled, digits)
-
-
-def _paper_force(published: paper.PaperCell) -> str:
-    return f"{published.force:g} ± {published.force_sd:g}" if published.force else "0"
 
 
 def _claims(report: Report, results: Results) -> str:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag, stop_reasons, threshold_share
 from contact_reach_ros.report.curves import (
+    Chart,
     Trace,
     curve,
     gaps,
@@ -20,20 +20,13 @@ from contact_reach_ros.report.curves import (
     reexecuted_curves,
     span,
 )
+from contact_reach_ros.report.histogram import histogram
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
 from contact_reach_ros.report.signals import Series
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
-from contact_reach_ros.timing import PERCENTILES
-
-Chart = dict[str, Any]
-"""`data` and `layout` of a plotly figure; `linked` where its x axis is the time of the page.
-
-Such axes show the times from `from` to `to` at first.
-"""
 
 TIME = "time since the goal [s]"
 _MAXIMUM_LINES = 60
-_BARS = 60
 _EVENT_COLOURS = {0: GREY, 1: ORANGE, 2: VERMILION, 3: VERMILION}
 _REASON_COLOURS = {"stagnated": BLUE, "max_steps": ORANGE, "deadline": VERMILION}
 
@@ -206,12 +199,12 @@ def cost_chart(bag: ReportBag) -> Chart:
 
 def jitter_chart(bag: ReportBag) -> Chart:
     """How far each tick was from 1 ms after the one before."""
-    return _histogram(bag.jitter_us(), "deviation of a tick from 1 ms [µs]", BLUE)
+    return histogram(bag.jitter_us(), "deviation of a tick from 1 ms [µs]", BLUE)
 
 
 def round_trip_chart(bag: ReportBag) -> Chart:
     """From joint state to command."""
-    return _histogram(bag.round_trip_us(), "joint state to command [µs]", GREEN)
+    return histogram(bag.round_trip_us(), "joint state to command [µs]", GREEN)
 
 
 def difference_chart(first: Series, second: Series, title: str, unit: str) -> Chart:
@@ -285,34 +278,3 @@ def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> N
         }
     )
     layout["yaxis2"] = {"overlaying": "y", "range": [0, 1], "visible": False, "fixedrange": True}
-
-
-def _histogram(values: Array, title: str, colour: str) -> Chart:
-    values = values[np.isfinite(values)]
-    layout: dict[str, Any] = {
-        "xaxis": {"title": {"text": title}},
-        "yaxis": {"title": {"text": "number of ticks"}, "type": "log", "dtick": 1, "exponentformat": "none"},
-        "bargap": 0.03,
-    }
-    if not len(values):
-        return {"data": [], "layout": layout, "missing": "not recorded in this bag"}
-    # All but the farthest thousandth side by side; those beyond share the outermost bars.
-    low, high = np.percentile(values, (0.1, 99.9))
-    margin = 0.1 * max(high - low, 1.0)
-    edges = np.linspace(low - margin, high + margin, _BARS + 1)
-    counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    data = [
-        {
-            "type": "bar",
-            "x": packed(centres),
-            "y": counts.tolist(),
-            "marker": {"color": colour},
-            "hovertemplate": "%{y} ticks near %{x:.0f} µs<extra></extra>",
-            "showlegend": False,
-        }
-    ]
-    shares = {name: float(np.percentile(values, PERCENTILES[name])) for name in ("p50", "p99", "p999")}
-    words = ", ".join(f"p{PERCENTILES[name]:g} {round(value)}" for name, value in shares.items())
-    note = f"{words}, least {values.min():.0f}, most {values.max():.0f} µs; values farther out are in the outer bars"
-    return {"data": data, "layout": layout, "note": note}

@@ -15,6 +15,11 @@ from contact_reach_ros.report.envelope import envelope
 from contact_reach_ros.report.signals import Series
 from contact_reach_ros.units import NANOSECONDS
 
+Chart = dict[str, Any]
+"""`data` and `layout` of a plotly figure; `linked` where its x axis is the time of the page.
+
+Such axes show the times from `from` to `to` at first.
+"""
 Trace = dict[str, Any]
 
 _GAP = 0.05

@@ -16,7 +16,7 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, read_report_bag
-from contact_reach_ros.report.charts import Chart
+from contact_reach_ros.report.curves import Chart
 from contact_reach_ros.report.sections import configuration, events, summary
 from contact_reach_ros.report.signals import EpisodeSignals, Series
 from contact_reach_ros.report.tables import write_tables

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +18,20 @@ from contact_reach_ros.bags.columns import JointStates, Stamps, read_raw
 from contact_reach_ros.bags.goals import pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, InputError
-from contact_reach_ros.messages.cdr import after_string, text_at
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.viewer.frame import Frame, SafetyLevel, SafetyStatus
+from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.history import SPAN, joint_labels, quantities, thinned
 from contact_reach_ros.viewer.readings import ANY_MATERIAL, goal_position, named_numbers, planned_goal, safety_status
+from contact_reach_ros.viewer.recorded_events import (
+    Event,
+    Reported,
+    contact_events,
+    goal_events,
+    read_reported,
+    stop_events,
+)
 
 Times = NDArray[np.int64]
 
@@ -37,24 +43,9 @@ _ASKED_FOR = (_PICTURES, _OBSTACLES, _SAFETY)
 
 _SAMPLES = 0.02
 """Time between the points of a curve, s: even the fastest plotted quantities are thinned to this rate."""
-_CONTACT_FORCE = 0.5
-"""True force that counts as a contact, N."""
-_CONTACT_PAUSE = 0.3
-"""Time without contact after which the next contact is a new one, s."""
 _ROUND_TRIP = b"round trip"
 
 T = TypeVar("T")
-
-
-class Event(NamedTuple):
-    """Something worth jumping to: time, s, a kind, and a description.
-
-    Kinds are 'goal', 'refused' (a goal without a plan), 'contact', 'stop' and 'released'.
-    """
-
-    time: float
-    kind: str
-    text: str
 
 
 class Recording:
@@ -142,7 +133,7 @@ class Recording:
             _PLANS: Stamps(),
         }
         received: dict[str, list[int]] = {topic: [] for topic in _ASKED_FOR}
-        reported: list[_Reported] = []
+        reported: list[Reported] = []
         goals: list[tuple[int, Array]] = []
         self._numbers: list[tuple[int, Mapping[str, float]]] = []
         planned: list[Array] = []
@@ -150,7 +141,7 @@ class Recording:
         def note(raw: RawMessage) -> None:
             received[raw.topic].append(raw.log_time_ns)
             if raw.topic == _SAFETY:
-                reported.append(_status(raw.data))
+                reported.append(read_reported(raw.data))
 
         def take(raw: RawMessage, read: Callable[[Any], T]) -> list[T]:
             """What is read of a message; nothing of an invalid one."""
@@ -251,32 +242,17 @@ class Recording:
         return safety_status(message, self._arm)
 
     def _find_events(self) -> tuple[Event, ...]:
-        events = [
-            Event(time, kind, f"{words} {np.round(position, 3).tolist()} m")
-            for (times, positions), kind, words in (
-                (self._goals, "goal", "goal"),
-                (self._refused, "refused", "refused goal"),
+        reported_at = self._time_of(self._messages[_SAFETY])
+        return tuple(
+            sorted(
+                [
+                    *goal_events(*self._goals, "goal", "goal"),
+                    *goal_events(*self._refused, "refused", "refused goal"),
+                    *stop_events(reported_at, self._reported),
+                    *contact_events(self._contact_times, self._largest, reported_at, self._reported),
+                ]
             )
-            for time, position in zip(times.tolist(), positions, strict=True)
-        ]
-        stopped: dict[str, bool] = {}
-        in_contact = []
-        received_at = self._time_of(self._messages[_SAFETY]).tolist()
-        for time, entry in zip(received_at, self._reported, strict=True):
-            is_stop = entry.level is SafetyLevel.STOP
-            if is_stop != stopped.get(entry.name, False):
-                stopped[entry.name] = is_stop
-                text = f"{entry.name}: {entry.message}"
-                events.append(Event(time, "stop" if is_stop else "released", text))
-            if entry.level is SafetyLevel.CONTACT:
-                in_contact.append(time)
-        if len(self._contact_times):
-            touched = self._contact_times[self._largest >= _CONTACT_FORCE]
-        else:
-            touched = np.array(in_contact)
-        starts = touched[np.append(True, np.diff(touched) > _CONTACT_PAUSE)[: len(touched)]]
-        events += [Event(float(time), "contact", "contact begins") for time in starts]
-        return tuple(sorted(events))
+        )
 
     def _make_table(self) -> Array:
         """All plotted quantities at equidistant times."""
@@ -311,24 +287,6 @@ class Recording:
         for name in ("p50", "p99"):
             _hold(columns[f"round trip {name}"])
         return table
-
-
-class _Reported(NamedTuple):
-    """A safety state without its values."""
-
-    name: str
-    level: SafetyLevel
-    message: str
-
-
-def _status(data: bytes) -> _Reported:
-    """Read the needed parts of a serialised DiagnosticStatus; there may be tens of thousands."""
-    try:
-        name, message = text_at(data, 8), text_at(data, after_string(data, 8))
-    except (struct.error, UnicodeDecodeError):
-        name = message = ""
-    level = SafetyLevel(min(data[4], SafetyLevel.STOP.value)) if len(data) > 4 else SafetyLevel.OK
-    return _Reported(name, level, message)
 
 
 def _hold(values: Array) -> None:

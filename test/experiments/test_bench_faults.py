@@ -16,7 +16,7 @@ from contact_reach_ros.experiments.bench_faults import (
     summary,
     text_of,
 )
-from contact_reach_ros.experiments.episode import EpisodeResult
+from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.experiments.fault_checks import (
     BOUNDS,
     End,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.episode import EpisodeResult
+from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.experiments.metrics import measure, rms_jerk
 from contact_reach_ros.planning.settings import PlanningSettings
 

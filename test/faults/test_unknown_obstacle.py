@@ -8,7 +8,8 @@ from arm_simulation import ARM
 from conftest import CONTROLLER, scene, small_planner
 
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
+from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
 from contact_reach_ros.simulation.fault_schedules import parse_faults
 from contact_reach_ros.simulation.settings import WatchdogSettings
