@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.writer import BagWriter, new_bag_directory
+from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 
 ENDING = "_repaired"
@@ -53,7 +54,7 @@ def repair_bag(path: Path, output: Path | None = None) -> Repair:
     if output is None:
         whole = path.resolve()
         name = whole.name if path.is_dir() else whole.stem
-        output = new_bag_directory(whole.parent / f"{name}{ENDING}")
+        output = _free(whole.parent / f"{name}{ENDING}")
     notes = []
     data = {**reader.summary.custom_data, REPAIRED_FROM: path.resolve().name}
     with BagWriter(output, custom_data=data) as writer:
@@ -69,3 +70,12 @@ def repair_bag(path: Path, output: Path | None = None) -> Repair:
         for raw in reader.raw_messages(kept):
             writer.write(raw.topic, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
     return Repair(writer.directory, writer.message_count, len(kept), (*reader.notes, *notes))
+
+
+def _free(base: Path) -> Path:
+    """Return `base`, or the first of `base`_2, `base`_3, ... that does not exist."""
+    candidate, number = base, 2
+    while os.path.exists(candidate):
+        candidate = base.with_name(f"{base.name}_{number}")
+        number += 1
+    return candidate

@@ -308,13 +308,3 @@ class BagWriter:
             for channel in self._channels.values()
         ]
         return bag_metadata.information(self._files, topics, self._custom_data)
-
-
-def new_bag_directory(base: Path | str) -> Path:
-    """Return `base`, or the first of `base`_2, `base`_3, ... that does not exist."""
-    base = Path(base)
-    candidate, number = base, 2
-    while os.path.exists(candidate):
-        candidate = base.with_name(f"{base.name}_{number}")
-        number += 1
-    return candidate

@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from contact_reach_ros.bags import writer as bag_writer
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
-from contact_reach_ros.bags.writer import BagWriter, new_bag_directory
+from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 
 TEXT = RecordedTopic("/text", "std_msgs/msg/String")
@@ -233,15 +233,6 @@ def test_existing_file_or_empty_directory_is_refused(tmp_path: Path) -> None:
             BagWriter(tmp_path / name)
     with pytest.raises(BagError, match="cannot be created"):
         BagWriter(tmp_path / "file" / "below")
-
-
-def test_new_bag_directory_is_free(tmp_path: Path) -> None:
-    names = []
-    for _ in range(3):
-        directory = new_bag_directory(tmp_path / "run")
-        names.append(directory.name)
-        BagWriter(directory).close()
-    assert names == ["run", "run_2", "run_3"]
 
 
 def test_close_twice_changes_nothing(tmp_path: Path) -> None:
