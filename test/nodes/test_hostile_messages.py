@@ -16,7 +16,7 @@ import rclpy
 from arm_simulation import HOME, REST
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import Point
 from hostile import hostile
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -39,7 +39,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import set_time
+from contact_reach_ros.messages.conversions import set_time, to_goal_pose
 from contact_reach_ros.messages.plan_markers import PlanMarkers
 from contact_reach_ros.messages.plan_messages import to_references
 from contact_reach_ros.nodes import planner as planner_module
@@ -111,11 +111,7 @@ def joint_state(stamp_ns):
 
 
 def goal():
-    message = PoseStamped()
-    message.header.frame_id = ARM.base_frame
-    message.pose.position.x, message.pose.position.z = 0.5, 0.4
-    message.pose.orientation.w = 1.0
-    return message
+    return to_goal_pose([0.5, 0.0, 0.4], ARM.base_frame, Time())
 
 
 def obstacles():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from stack_helpers import environment
 from visualization_msgs.msg import MarkerArray
@@ -13,7 +13,7 @@ from visualization_msgs.msg import MarkerArray
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.nodes.planner import PlannerNode
 
@@ -38,21 +38,18 @@ class Planner:
         self.node._on_state(self._writer.write(self._tick * TICK_NS, HOME, REST))
 
     def goal(self) -> None:
-        message = PoseStamped()
-        message.header.frame_id = iiwa14.ARM.base_frame
-        message.pose.position = to_point([0.5, 0.1, 0.4])
-        message.pose.orientation.w = 1.0
+        message = to_goal_pose([0.5, 0.1, 0.4], iiwa14.ARM.base_frame, Time())
         self.node.inbox.give(topics.GOAL_POSE, serialize_message(message))
 
-    def told(self, **values: str) -> None:
-        """The observer tells of contact, with these values."""
+    def reported(self, **values: str) -> None:
+        """The observer reports contact, with these values."""
         message = DiagnosticStatus(level=DiagnosticStatus.WARN, name="observer", message="contact")
         message.values = [KeyValue(key=key.replace("_", " "), value=value) for key, value in values.items()]
         self.node.inbox.give(topics.SAFETY_STATE, serialize_message(message))
         self.state()
 
     def touched(self, force: str = "0 12 0") -> None:
-        self.told(
+        self.reported(
             contact_link="lbr_link_7", contact_force_xyz_N=force, contact_position_xyz_m=" ".join(map(str, FLANGE))
         )
 
@@ -83,7 +80,7 @@ def test_a_contact_that_stays_leads_the_flange_back_until_there_is_another_goal(
 
 def test_no_contact_and_one_that_is_none_change_nothing(planner):
     for _ in range(3):
-        planner.told(level="free")
+        planner.reported(level="free")
         planner.touched("0 x 0")
     assert planner.node.refused == {"safety states": 3}
     np.testing.assert_allclose(planner.planned_for, [0.5, 0.1, 0.4])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import rclpy
 from arm_simulation import HOME
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
@@ -21,7 +21,7 @@ from contact_reach_ros.arm.joint_state import JointState as ArmState
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
@@ -207,10 +207,7 @@ def test_the_planner_withdraws_its_goal_and_takes_none_beside_a_second_publisher
         executor.add_node(planner)
         planner._planner.see(Spheres.none())
         planner._planner.request(ArmState(0, HOME, np.zeros(7), None))
-        goal = PoseStamped()
-        goal.header.frame_id = iiwa14.ARM.base_frame
-        goal.pose.position = to_point([0.5, 0.1, 0.4])
-        goal.pose.orientation.w = 1.0
+        goal = to_goal_pose([0.5, 0.1, 0.4], iiwa14.ARM.base_frame, Time())
         publishers = [other.create_publisher(JointState, topics.JOINT_STATES.name, 1)]
         planner._on_goal(goal)
         _spin_until(executor, lambda: planner.count_publishers(topics.JOINT_STATES.name))

@@ -6,6 +6,7 @@ import time
 import pytest
 import rclpy
 from arm_simulation import ARM, HOME, REST, TICK_NS
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
@@ -14,7 +15,7 @@ from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, ru
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
 from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.nodes.planner import PlannerNode
@@ -27,11 +28,7 @@ WRITER = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocit
 
 
 def goal() -> PoseStamped:
-    message = PoseStamped()
-    message.header.frame_id = ARM.base_frame
-    message.pose.position = to_point(BALL.target.tolist())
-    message.pose.orientation.w = 1.0
-    return message
+    return to_goal_pose(BALL.target.tolist(), ARM.base_frame, Time())
 
 
 def ball(stamp_ns: int) -> bytes:

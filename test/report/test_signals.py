@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
@@ -15,6 +16,7 @@ from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.report.signals import EpisodeSignals, read_signals
 from contact_reach_ros.report.summary import first_below, goal_distance
@@ -52,11 +54,7 @@ def angles(time: float) -> np.ndarray:
 
 
 def goal(x: float) -> PoseStamped:
-    message = PoseStamped()
-    message.header.frame_id = "lbr_link_0"
-    message.pose.position.x = x
-    message.pose.orientation.w = 1.0
-    return message
+    return to_goal_pose([x, 0.0, 0.0], "lbr_link_0", Time())
 
 
 def write_episode(directory: Path) -> None:
