@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import rclpy
 import yaml
 from ros_domains import fresh_domain
 
@@ -38,6 +39,16 @@ def module(name: str) -> list[str]:
 
 UNWATCHED = ["--ros-args", "-p", "supervision.require_observer:=false"]
 """Arguments of a controller that moves an arm without an observer."""
+
+
+@contextmanager
+def ros(*arguments: str, domain: str | None = None) -> Iterator[None]:
+    """Start rclpy in this process with ROS arguments, in a domain that no other test uses if none is given."""
+    rclpy.init(args=list(arguments), domain_id=int(domain or environment()["ROS_DOMAIN_ID"]))
+    try:
+        yield
+    finally:
+        rclpy.shutdown()
 
 
 @contextmanager

@@ -4,14 +4,13 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
-from stack_helpers import UNWATCHED, environment
+from stack_helpers import UNWATCHED, ros
 from trajectory_msgs.msg import JointTrajectory
 
 from contact_reach_ros.arms import iiwa14
@@ -38,8 +37,7 @@ class Publisher:
 @contextmanager
 def active(node_class):
     """An active node with its boundary, and a function that gives it joint states of an arm at rest."""
-    rclpy.init(args=UNWATCHED, domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros(*UNWATCHED):
         node = node_class()
         node.boundary.protect(node)
         node.trigger_configure()
@@ -57,8 +55,6 @@ def active(node_class):
                 node.inbox.run_tasks()
 
         yield node, give
-    finally:
-        rclpy.shutdown()
 
 
 @pytest.fixture

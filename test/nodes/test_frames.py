@@ -5,11 +5,10 @@ import types
 
 import numpy as np
 import pytest
-import rclpy
 from arm_simulation import ARM, HOME, REST, TICK_NS
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from rclpy.serialization import serialize_message
-from stack_helpers import environment
+from stack_helpers import ros
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm.kinematics import rotation_about
@@ -54,8 +53,7 @@ def tf2_ros(monkeypatch):
 @pytest.fixture
 def planner():
     """A node that knows the arm; what it would publish again is kept, and is not sent."""
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         node = PlannerNode()
         state = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
         node._on_state(state.write(8 * TICK_NS, HOME, REST))
@@ -63,8 +61,6 @@ def planner():
         node.again = []
         node._frames._goals = node._frames._obstacles = types.SimpleNamespace(publish=node.again.append)
         yield node
-    finally:
-        rclpy.shutdown()
 
 
 def goal(frame: str, stamp_ns: int = SEEN_NS) -> PoseStamped:

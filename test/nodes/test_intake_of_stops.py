@@ -1,9 +1,8 @@
 """A bag may end right after a stop: what led to it has been published by then."""
 
 import pytest
-import rclpy
 from rclpy.serialization import deserialize_message
-from stack_helpers import environment
+from stack_helpers import ros
 from std_msgs.msg import Int64MultiArray
 
 from contact_reach_ros.messages.intake import COLUMNS, Taken
@@ -14,11 +13,8 @@ from contact_reach_ros.stop_reasons import requested
 
 @pytest.fixture(params=[ControllerNode, ObserverNode])
 def node(request):
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         yield request.param()
-    finally:
-        rclpy.shutdown()
 
 
 def published_rows(node) -> list[list[int]]:

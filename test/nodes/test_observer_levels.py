@@ -4,10 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
-from stack_helpers import environment
+from stack_helpers import ros
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
@@ -61,14 +60,11 @@ class Watched:
 
 @pytest.fixture
 def watched() -> Iterator[Watched]:
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         watched = Watched()
         watched.give(UNKNOWN, 5)
         watched.give(REST, 400)
         yield watched
-    finally:
-        rclpy.shutdown()
 
 
 def test_levels_are_told_when_they_change_and_as_a_sign_of_life(watched):

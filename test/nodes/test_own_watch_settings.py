@@ -3,9 +3,8 @@
 import json
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from stack_helpers import environment, parameter_file
+from stack_helpers import parameter_file, ros
 
 from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.messages.safety_state import observer_values, requires_observer
@@ -24,15 +23,12 @@ def file(tmp_path):
 def not_yet(monkeypatch, file: str, *arguments: str) -> str:
     """Why a controller with these arguments does not start beside an observer with the file."""
     monkeypatch.setattr(ControllerNode, "ARGUMENTS", ["controller", *arguments])
-    rclpy.init(args=["--ros-args", "--params-file", file], domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros("--ros-args", "--params-file", file):
         controller, observer = ControllerNode(), ObserverNode()
         values = [KeyValue(key=key, value=json.dumps(value)) for key, value in observer.reported_settings().items()]
         controller._on_settings(DiagnosticStatus(name="observer", values=values))
         controller._look_around()
         return controller._controller.not_yet
-    finally:
-        rclpy.shutdown()
 
 
 def test_with_the_same_file_they_agree(monkeypatch, file):

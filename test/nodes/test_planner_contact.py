@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
-from stack_helpers import environment
+from stack_helpers import ros
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm.model import RobotModel
@@ -60,11 +59,8 @@ class Planner:
 
 @pytest.fixture
 def planner():
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         yield Planner()
-    finally:
-        rclpy.shutdown()
 
 
 def test_a_contact_that_stays_leads_the_flange_back_until_there_is_another_goal(planner):

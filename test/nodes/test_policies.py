@@ -4,8 +4,7 @@ from contextlib import contextmanager
 from xml.etree import ElementTree
 
 import pytest
-import rclpy
-from stack_helpers import environment
+from stack_helpers import ros
 
 from contact_reach_ros.bringup.policies import policy
 from contact_reach_ros.bringup.processes import BringupOptions, processes
@@ -43,13 +42,10 @@ FOLDER = share_directory() / "config" / "security"
 @contextmanager
 def made(name, *parameters):
     """One node of the stack, not yet configured."""
-    rclpy.init(args=["--ros-args", *parameters], domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros("--ros-args", *parameters):
         node = NODES[name]()
         yield node
         node.destroy_node()
-    finally:
-        rclpy.shutdown()
 
 
 def names(pairs, node):

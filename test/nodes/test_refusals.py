@@ -4,7 +4,7 @@ import pytest
 import rclpy
 from rclpy.serialization import serialize_message
 from serialized_helpers import garbage
-from stack_helpers import environment, module, running
+from stack_helpers import environment, module, ros, running
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -34,9 +34,7 @@ _PATIENCE_NS = 50_000_000
     ],
 )
 def test_nodes_count_what_is_no_message(node_class, topic, refused, messages):
-    domain = int(environment()["ROS_DOMAIN_ID"])
-    rclpy.init(args=["--ros-args", "-p", "torque_source:=commanded"], domain_id=domain)
-    try:
+    with ros("--ros-args", "-p", "torque_source:=commanded"):
         node, other = node_class(), rclpy.create_node("other")
         publisher = other.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
         for data in messages:
@@ -49,15 +47,12 @@ def test_nodes_count_what_is_no_message(node_class, topic, refused, messages):
                     break
             assert node.refused == {refused: node.refused.get(refused)}
             assert node.refused[refused] > before
-    finally:
-        rclpy.shutdown()
 
 
 def test_a_refused_reset_leaves_the_loop_running(tmp_path):
     """With a loop in a thread of its own, as in a process."""
     env, log = environment(), tmp_path / "controller.log"
-    rclpy.init(domain_id=int(env["ROS_DOMAIN_ID"]))
-    try:
+    with ros(domain=env["ROS_DOMAIN_ID"]):
         asking = rclpy.create_node("asking")
         client = asking.create_client(Trigger, "controller/reset")
         with running(module("nodes.controller"), env, log) as controller:
@@ -68,5 +63,3 @@ def test_a_refused_reset_leaves_the_loop_running(tmp_path):
                 assert answer.done() and controller.poll() is None, log.read_text()
                 assert not answer.result().success
                 assert answer.result().message == "the controller has not seen a joint state yet"
-    finally:
-        rclpy.shutdown()

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from stack_helpers import UNWATCHED, environment
+from stack_helpers import UNWATCHED, ros
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -86,11 +86,8 @@ class Bench:
 def bench(*arguments, remap=()):
     args = [*UNWATCHED, *(part for argument in arguments for part in ("-p", argument))]
     args += [part for rule in remap for part in ("-r", rule)]
-    rclpy.init(args=args, domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros(*args):
         yield Bench()
-    finally:
-        rclpy.shutdown()
 
 
 def publisher_of(bench, topic):
@@ -173,8 +170,7 @@ def test_topics_are_looked_at_by_the_names_that_they_have_here(topic, remap, res
 
 
 def test_the_observer_stops_for_a_second_publisher_of_joint_states_and_is_not_reset_beside_it():
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         observer, other = ObserverNode(), rclpy.create_node("intruder")
         executor = SingleThreadedExecutor()
         executor.add_node(observer)
@@ -195,13 +191,10 @@ def test_the_observer_stops_for_a_second_publisher_of_joint_states_and_is_not_re
         _spin_until(executor, lambda: not observer._rivalry)
         observer._reset()
         assert not observer._observer.monitor.stop_reason
-    finally:
-        rclpy.shutdown()
 
 
 def test_the_planner_withdraws_its_goal_and_takes_none_beside_a_second_publisher():
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         planner, other = PlannerNode(), rclpy.create_node("intruder")
         executor = SingleThreadedExecutor()
         executor.add_node(planner)
@@ -226,8 +219,6 @@ def test_the_planner_withdraws_its_goal_and_takes_none_beside_a_second_publisher
         _spin_until(executor, lambda: not planner._rivalry)
         planner._on_goal(goal)
         assert planner._planner.goal is not None
-    finally:
-        rclpy.shutdown()
 
 
 def test_the_controller_does_not_start_beside_another_one():
@@ -251,8 +242,7 @@ def test_in_the_shadow_of_another_controller_nothing_is_commanded():
 
 
 def test_the_driver_takes_no_command_from_two_and_says_who_they_are():
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         driver, other = DriverNode(), rclpy.create_node("intruder")
         executor = SingleThreadedExecutor()
         executor.add_node(driver)
@@ -269,8 +259,6 @@ def test_the_driver_takes_no_command_from_two_and_says_who_they_are():
         _spin_until(executor, lambda: not driver._rivalry)
         driver.inbox.give(topics.COMMANDS, serialize_message(Float64MultiArray(data=[1.0] * 7)))
         assert driver.refused == {"commands": 1}
-    finally:
-        rclpy.shutdown()
 
 
 def _spin_until(executor, condition):

@@ -8,7 +8,7 @@ import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from stack_helpers import UNWATCHED, environment
+from stack_helpers import UNWATCHED, ros
 from std_msgs.msg import Header
 
 from contact_reach_ros.arm.model import RobotModel
@@ -40,11 +40,8 @@ class Publisher:
 @pytest.fixture
 def lockstep():
     arguments = [*UNWATCHED, "-p", "use_sim_time:=true", "-p", "lockstep:=true"]
-    rclpy.init(args=arguments, domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros(*arguments):
         yield
-    finally:
-        rclpy.shutdown()
 
 
 class Others:
@@ -153,13 +150,10 @@ class SteadyClock:
 @pytest.fixture
 def clock(monkeypatch):
     """For a driver in real time."""
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
     made = SteadyClock()
     monkeypatch.setattr("contact_reach_ros.nodes.driver.time", made)
-    try:
+    with ros():
         yield made
-    finally:
-        rclpy.shutdown()
 
 
 def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):

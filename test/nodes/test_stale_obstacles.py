@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
-from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, running, wait_for
+from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, ros, running, wait_for
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.messages import topics
@@ -38,16 +38,13 @@ def ball(stamp_ns: int) -> bytes:
 @pytest.fixture
 def planner():
     """A node that compiles nothing and notes what it would solve; it knows the arm since tick 1000."""
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros():
         node = PlannerNode()
         node.asked = []
         node._solve = node.asked.append
         node.show = lambda tick: node._on_state(WRITER.write(tick * TICK_NS, HOME, REST))
         node.show(1000)
         yield node
-    finally:
-        rclpy.shutdown()
 
 
 def test_before_the_first_message_goals_are_refused_and_counted(planner):
@@ -126,8 +123,7 @@ def test_obstacles_that_stop_coming_end_the_plans_and_new_ones_resume_them(tmp_p
     def drop(schedule: str) -> None:
         subprocess.run([*module("doctor.fault_tool"), *schedule.split(" ", 1)], env=env, check=True, timeout=120)
 
-    rclpy.init(domain_id=int(env["ROS_DOMAIN_ID"]))
-    try:
+    with ros(domain=env["ROS_DOMAIN_ID"]):
         listener = Listener()
         with start("planner"), start("driver"):
             listener.until(lambda: listener.summary == topics.WAITING_FOR_CONTROLLER, 180, "planner ready")
@@ -146,5 +142,3 @@ def test_obstacles_that_stop_coming_end_the_plans_and_new_ones_resume_them(tmp_p
             assert 2 <= len(said) < int(listener.values["refused plans"]) / 5
             drop("clear")
             listener.until(lambda: listener.plans > before + 3, 20, "plans again")
-    finally:
-        rclpy.shutdown()
