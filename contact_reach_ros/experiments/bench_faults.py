@@ -109,7 +109,7 @@ def bench_faults(
     SettingsError
         If there are no such workers, or an option is out of range.
     """
-    for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0), ("workers", workers or 1, 1)):
+    for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0)):
         if number < least:
             raise SettingsError(f"--{name} {number}: expected at least {least}")
     run = functools.partial(run_with_faults, setup=fault_setup())

@@ -87,17 +87,18 @@ def bench_smoothness(
     seeds: int = 10,
     seed: int = 0,
     ramps: Sequence[float] = (0.0, ImpedanceSettings().reference_ramp),
-    count: int | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     file: Path | None = None,
 ) -> Report:
     """Reach the goals of `seeds` seeds from `seed` on, with each ramp of the references, s, and print a table.
 
-    `count`: processes on this machine, by default one per core.
+    `workers`: processes on this machine, by default one per core; or `scheduler`: the address of a Dask scheduler.
 
     Raises
     ------
     SettingsError
-        If there is no seed, or an option is out of range.
+        If there is no seed, or an option is out of range, or there are no such workers.
     """
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: expected at least 1")
@@ -105,7 +106,7 @@ def bench_smoothness(
         ImpedanceSettings(reference_ramp=ramp)
     cases = [Case(scene, number, ramp) for scene in scenes for ramp in ramps for number in range(seed, seed + seeds)]
     records: list[Report] = []
-    for record in run_each(run_smoothness, cases, count):
+    for record in run_each(run_smoothness, cases, workers, scheduler):
         records.append(record)
         say(f"{len(records)} of {len(cases)} runs")
     report: Report = {"bench": "smoothness", "machine": machine(), "records": records}

@@ -102,14 +102,9 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     faults = add("faults", _faults, "episodes in which things go wrong at random")
     faults.add_argument("--episodes", type=int, help="how many (default: 200)")
     faults.add_argument("--seed", type=int, help="of the first episode (default: 0)")
-    faults.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one per core)")
-    faults.add_argument(
-        "--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run the episodes instead"
-    )
     stops = add("stops", _plain("bench_stops"), "how fast and how far the arm sinks when it is stopped")
     stops.add_argument("--postures", type=int, help="random postures of each scene (default: 200)")
     stops.add_argument("--scenes", nargs="+", metavar="SCENE", help="whose mismatch it has (default: ball_mismatch)")
-    stops.add_argument("--workers", dest="count", type=int, metavar="W", help="processes (default: one per core)")
     smoothness = add("smoothness", _plain("bench_smoothness"), "vibration of the commanded torques, jerk of the tip")
     smoothness.add_argument(
         "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)"
@@ -119,7 +114,6 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     smoothness.add_argument(
         "--ramps", type=float, nargs="+", metavar="SECONDS", help="of the references (default: 0, and the shipped one)"
     )
-    smoothness.add_argument("--workers", dest="count", type=int, metavar="W", help="processes (default: one per core)")
     table1 = add("table1", _table1, "the paper's Table I: every method in every scene")
     table1.add_argument(
         "--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: those of the paper)"
@@ -135,16 +129,17 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     table1.add_argument(
         "--latency", type=float, metavar="SECONDS", help="time of a plan (default: measured beforehand)"
     )
-    table1.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one per core)")
-    table1.add_argument(
-        "--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run the episodes instead"
-    )
     table1.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
     table1.add_argument("--results", type=Path, metavar="FILE", help="write a page of results, as docs/results.md")
     table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
     table1.add_argument(
         "--other", type=Path, metavar="FILE", help="with --report-only: a run with other goals, to compare with"
     )
+    for spread in (faults, stops, smoothness, table1):
+        spread.add_argument(
+            "--workers", type=int, metavar="W", help="processes on this machine (default: one per core)"
+        )
+        spread.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run it instead")
     fig4 = add("fig4", _fig4, "the paper's Fig. 4: where the arm goes with each method, as a picture")
     fig4.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
     fig5 = add("fig5", _fig5, "the paper's Fig. 5: contact force over time, with pictures of the arm")

@@ -36,8 +36,10 @@ def workers(count: int | None, scheduler: str | None) -> AbstractContextManager[
     Raises
     ------
     SettingsError
-        As `remote_workers` and `local_workers`.
+        If there are fewer than one, or as `remote_workers` and `local_workers`.
     """
+    if count is not None and count < 1:
+        raise SettingsError(f"--workers {count}: expected at least 1")
     return local_workers(count or os.cpu_count() or 1) if scheduler is None else remote_workers(scheduler)
 
 

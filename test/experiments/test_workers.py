@@ -68,6 +68,8 @@ def test_a_bench_ends_with_the_error_of_a_task():
     assert list(run_each(square, [1, 2], count=1)) == [1, 4]
     with pytest.raises(ValueError, match="three is refused"):
         list(run_each(square, [3], count=1))
+    with pytest.raises(SettingsError, match="--workers 0: expected at least 1"):
+        list(run_each(square, [1], count=0))
 
 
 @pytest.mark.parametrize("size", [1, 2])
