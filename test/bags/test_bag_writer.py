@@ -309,7 +309,7 @@ def test_split_bag_is_read_by_all_libraries(tmp_path: Path, split: dict[str, int
     own = BagReader(tmp_path / "bag")
     assert [(raw.log_time_ns, raw.data) for raw in own.raw_messages(["/text"])] == written
     assert own.reception_times("/text").tolist() == [time for time, _ in written]
-    # A lost file is told, and the others are read.
+    # A lost file is reported, and the others are read.
     (tmp_path / "bag" / "bag_1.mcap").unlink()
     rest = BagReader(tmp_path / "bag")
     assert 0 < rest.summary.message_count < 201

@@ -1,4 +1,4 @@
-"""The recording that comes with the package is whole, small, and what its README says."""
+"""The recording that comes with the package is whole, small, and as its README describes it."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_it_has_every_tick_of_every_topic_of_a_lockstep_run(reader: BagReader) -
         stamps[item.topic].append(stamp.sec * NANOSECONDS + stamp.nanosec)
     for found in stamps.values():
         assert len(found) > 1000
-        # Equal ones come before the lockstep begins, when the driver says where the arm is until somebody listens.
+        # Equal ones come before the lockstep begins, when the driver publishes where the arm is until somebody listens.
         assert set(np.diff(found)) <= {0, 1_000_000}
         assert np.count_nonzero(np.diff(found)) > 1000
     # Nobody made things go wrong, no controller ran in the shadow, and there was no adapter.

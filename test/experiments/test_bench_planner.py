@@ -1,4 +1,4 @@
-"""The planner benchmark measures what it says; not how fast this machine is."""
+"""The planner benchmark measures what it promises; not how fast this machine is."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A node with wrong parameters does not start, and says which file and key."""
+"""A node with wrong parameters does not start, and names file and key."""
 
 import subprocess
 

@@ -66,8 +66,8 @@ def test_modules_answer_as_executables_do(arguments, capsys):
     code = 0 if arguments == ["--help"] else 2
     assert run(RecorderNode, Role.BACKGROUND, ["recorder", *arguments]) == code
     assert bringup.run_bringup(["bringup", *arguments]) == code
-    said = capsys.readouterr()
-    assert "usage: bringup" in said.out if code == 0 else "recorder: --speed 3: not understood" in said.err
+    printed = capsys.readouterr()
+    assert "usage: bringup" in printed.out if code == 0 else "recorder: --speed 3: not understood" in printed.err
 
 
 def test_what_launch_files_pass_is_accepted():

@@ -1,4 +1,4 @@
-"""What the demo says while it runs and afterwards, and when it sends its goal, without any process."""
+"""What the demo prints while it runs and afterwards, and when it sends its goal, without any process."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -150,6 +150,6 @@ def test_a_goal_that_was_not_reached_has_a_reason_instead_of_numbers(
 ) -> None:
     summary = summary_of(stops=stops)
     _print_summary("not reached", summary, Path("bag"), Path("plot"))
-    said = capsys.readouterr().out
-    assert why in said and "no plan took effect" in said and "nan" not in said
-    assert "4.00 s, the least time that" in said
+    printed = capsys.readouterr().out
+    assert why in printed and "no plan took effect" in printed and "nan" not in printed
+    assert "4.00 s, the least time that" in printed

@@ -33,7 +33,7 @@ VARIABLES = (discovery.RANGE, *discovery.PROFILES, discovery.OLD_SWITCH)
 
 
 def talk(*choice, **variables):
-    """Socket addresses of a process with a node that publishes and subscribes, and what `reach` says of it."""
+    """Socket addresses of a process with a node that publishes and subscribes, and what `reach` finds."""
     env = {**stack_helpers.environment(), **variables}
     result = subprocess.run([sys.executable, "-c", TALK, *choice], env=env, capture_output=True, text=True, timeout=60)
     assert result.returncode == 0, result.stderr

@@ -1,4 +1,4 @@
-"""The planner says whether a controller hears it: what it plans before that is lost."""
+"""The planner reports whether a controller hears it: what it plans before that is lost."""
 
 from collections.abc import Iterator
 

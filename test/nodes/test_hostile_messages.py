@@ -1,7 +1,7 @@
 """Well-typed but absurd messages, requests and transitions at every node: none ends it, and refusals are counted.
 
-The nodes are real ones, in this process; their loops take a turn when told to, so that nothing that a loop raises is
-lost in a thread.
+The nodes are real ones, in this process; their loops take a turn when the test lets them, so that nothing that a loop
+raises is lost in a thread.
 """
 
 import time
@@ -234,7 +234,7 @@ def late_and_early(message):
 
 
 class Bench:
-    """A node whose loop and services run when told to, and an attacker beside it."""
+    """A node whose loop and services run when the test lets them, and an attacker beside it."""
 
     def __init__(self, node_class):
         self.node = node_class()

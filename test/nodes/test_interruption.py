@@ -54,8 +54,8 @@ def test_a_node_that_is_still_starting_ends_at_once_and_well(number, seconds):
     time.sleep(seconds)
     process.send_signal(number)
     sent = time.monotonic()
-    said, _ = process.communicate(timeout=30)
-    assert process.returncode == 0 and "Traceback" not in said, said
+    printed, _ = process.communicate(timeout=30)
+    assert process.returncode == 0 and "Traceback" not in printed, printed
     assert time.monotonic() - sent < 5.0
 
 

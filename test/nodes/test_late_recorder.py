@@ -33,7 +33,7 @@ def domain():
 
 
 def test_the_first_messages_are_in_the_bag(domain, tmp_path):
-    """Without a planner time does not begin: what is said to the first state is said once."""
+    """Without a planner time does not begin: the answer to the first state comes once."""
     look = rclpy.create_node("look")
     spoke = set()
     look.create_subscription(

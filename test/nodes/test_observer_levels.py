@@ -1,4 +1,4 @@
-"""What the observer node says in safety_state, from joint states to messages."""
+"""What the observer node publishes in safety_state, from joint states to messages."""
 
 from collections.abc import Iterator
 

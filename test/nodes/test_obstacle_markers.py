@@ -37,7 +37,7 @@ STAMP_NS = 1_795_233_693_122_143_135
 
 
 def scene() -> Scene:
-    """Two balls and two walls, made of what `MATERIAL` says."""
+    """Two balls and two walls, made of `MATERIAL`."""
     balls = [BallSettings(radius=0.05 * (k + 1)).at(np.array([0.1 * k, 0.2, 0.9])) for k in range(2)]
     obstacles = itertools.chain(*balls, WallSettings().at(np.array([0.5, 0.0, 0.3])))
     return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(obstacles))
@@ -238,7 +238,7 @@ class TestSerialized:
         for index in range(5):
             positions = displaced() + 0.01 * index
             if index % 2:
-                # Serialised anew, with other bytes in the gaps.
+                # Serialised again, with other bytes in the gaps.
                 data = serialize_message(obstacle_markers(scene(), positions, STAMP_NS + index))
             else:
                 data = writer.write(positions, STAMP_NS + index)

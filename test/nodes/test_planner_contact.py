@@ -1,4 +1,4 @@
-"""The planner node and what the observer tells it of contact within the budget."""
+"""The planner node and what the observer reports of contact within the budget."""
 
 import numpy as np
 import pytest

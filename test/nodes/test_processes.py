@@ -1,4 +1,4 @@
-"""What the bring-up table tells the planner about the obstacles."""
+"""Which obstacles the bring-up table sets for the planner."""
 
 import pytest
 from stack_helpers import parameter_file
@@ -26,29 +26,29 @@ def test_the_planner_looks_at_as_many_spheres_as_the_scene_needs(scene, spheres)
 
 
 def test_the_planner_is_told_what_walls_are_made_of():
-    (wall,), told = read_scene("wall").obstacles, planner_parameters(scene="wall")
-    assert told["edge_stiffness"] == wall.edge_stiffness
-    assert told["node_damping"] == wall.damping
-    assert told["node_stiffness"] == wall.anchor_stiffness
+    (wall,), given = read_scene("wall").obstacles, planner_parameters(scene="wall")
+    assert given["edge_stiffness"] == wall.edge_stiffness
+    assert given["node_damping"] == wall.damping
+    assert given["node_stiffness"] == wall.anchor_stiffness
 
 
 def test_the_planner_is_told_its_own_stiffness(tmp_path):
     file = tmp_path / "own.yaml"
     file.write_text("base: wall\nwall: {edge_stiffness: 50.0, anchor_stiffness: 4.0, planner_stiffness_scale: 1.5}\n")
-    told = planner_parameters(scene=str(file))
-    assert (told["edge_stiffness"], told["node_stiffness"]) == (75.0, 6.0)
+    given = planner_parameters(scene=str(file))
+    assert (given["edge_stiffness"], given["node_stiffness"]) == (75.0, 6.0)
 
 
 def test_what_the_parameter_file_says_holds(tmp_path):
     file = parameter_file(tmp_path / "own.yaml", planner={"max_spheres": 5, "period": 0.1})
-    told = planner_parameters(scene="wall", parameters=str(file))
-    assert "max_spheres" not in told and "edge_stiffness" in told
+    given = planner_parameters(scene="wall", parameters=str(file))
+    assert "max_spheres" not in given and "edge_stiffness" in given
 
 
 def test_a_real_arms_planner_is_told_nothing_of_the_simulated_scene():
     assert planner_parameters(scene="free", driver=False) == planner_parameters(scene="wall", driver=False)
-    told = planner_parameters(scene="free", driver=False)
-    assert not {"max_spheres", "sphere_stiffness", "sphere_damping"} & set(told)
+    given = planner_parameters(scene="free", driver=False)
+    assert not {"max_spheres", "sphere_stiffness", "sphere_damping"} & set(given)
 
 
 @pytest.mark.parametrize("driver", [True, False])
@@ -66,9 +66,9 @@ def test_with_an_adapter_the_controller_commands_it_and_it_ends_after_the_contro
 
 def test_overrides_reach_their_node_only():
     options = BringupOptions(overrides=("planner:period=0.05", "driver:seed=7", "planner:goal_orientation=free"))
-    told = {process.name: process.parameters for process in processes(options)}
-    assert told["planner"]["period"] == 0.05 and told["planner"]["goal_orientation"] == "free"
-    assert told["driver"]["seed"] == 7 and "seed" not in told["controller"]
+    given = {process.name: process.parameters for process in processes(options)}
+    assert given["planner"]["period"] == 0.05 and given["planner"]["goal_orientation"] == "free"
+    assert given["driver"]["seed"] == 7 and "seed" not in given["controller"]
 
 
 @pytest.mark.parametrize(
@@ -99,12 +99,12 @@ def test_an_override_of_a_node_that_is_not_started_is_refused():
 
 def test_the_planner_plans_for_gains_that_are_changed():
     options = BringupOptions(overrides=("controller:impedance.task_damping=90.0",))
-    told = {process.name: process.parameters for process in processes(options)}
-    assert told["controller"]["impedance.task_damping"] == 90.0
+    given = {process.name: process.parameters for process in processes(options)}
+    assert given["controller"]["impedance.task_damping"] == 90.0
     arguments = [
         "planner",
         "-p",
-        f"controller:impedance.task_damping:={told['planner']['controller:impedance.task_damping']}",
+        f"controller:impedance.task_damping:={given['planner']['controller:impedance.task_damping']}",
     ]
     read = settings_of(arguments, "controller", {"impedance": ImpedanceSettings}, load_arm())
     assert read["impedance"].task_damping == 90.0

@@ -39,7 +39,7 @@ _ATTEMPTS = 200
 
 
 class Bench:
-    """A controller whose loop and timers run when told to, and another node beside it."""
+    """A controller whose loop and timers run when the test lets them, and another node beside it."""
 
     def __init__(self):
         self.node, self.other = ControllerNode(), rclpy.create_node("intruder")

@@ -45,7 +45,7 @@ def lockstep():
 
 
 class Others:
-    """Driver, observer and planner, for a controller whose loop runs when told to."""
+    """Driver, observer and planner, for a controller whose loop runs when the test lets it."""
 
     def __init__(self, controller: ControllerNode) -> None:
         self._node = rclpy.create_node("others")
@@ -132,7 +132,7 @@ def test_the_driver_takes_that_for_an_answer(lockstep):
 
 
 class SteadyClock:
-    """Instead of the module time: goes on only when told to."""
+    """Instead of the module time: goes on only when the test lets it."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000

@@ -82,7 +82,7 @@ def test_an_empty_message_counts_from_its_arrival_and_goes_stale_too(planner):
 
 
 class Listener:
-    """Counts plans and keeps what the planner says of itself."""
+    """Counts plans and keeps what the planner reports of itself."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("listener")
@@ -138,7 +138,7 @@ def test_obstacles_that_stop_coming_end_the_plans_and_new_ones_resume_them(tmp_p
             assert listener.plans == before
             assert int(listener.values["refused plans"]) > 10
             # Many refusals, few lines.
-            said = [line for line in logs["planner"].read_text().splitlines() if "last seen" in line]
-            assert 2 <= len(said) < int(listener.values["refused plans"]) / 5
+            logged = [line for line in logs["planner"].read_text().splitlines() if "last seen" in line]
+            assert 2 <= len(logged) < int(listener.values["refused plans"]) / 5
             drop("clear")
             listener.until(lambda: listener.plans > before + 3, 20, "plans again")

@@ -1,4 +1,4 @@
-"""Whatever process dies, the arm is left at rest, one message says why, and no process stays behind."""
+"""Whatever process dies, the arm is left at rest, one message names the reason, and no process stays behind."""
 
 import os
 import re
@@ -40,7 +40,7 @@ def moving_demo(tmp_path):
             if process.poll() is None:
                 yield env, process, outputs[-1], folder
                 return
-    pytest.fail(f"the arm did not move in {ATTEMPTS} demos; the last one said: {outputs[-1].read_text()}")
+    pytest.fail(f"the arm did not move in {ATTEMPTS} demos; the last one printed: {outputs[-1].read_text()}")
 
 
 def moved(output: Path) -> bool:

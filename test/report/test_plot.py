@@ -163,8 +163,8 @@ def test_panels_without_data_say_so(tmp_path: Path, given: dict[str, list[list[f
         warnings.simplefilter("error")
         figure = episode_figure(*only(**given), [], TITLE, 10.0)
         figure.savefig(tmp_path / "plot.png")
-    said = [any(text.get_text() == "not recorded" for text in panel.texts) for panel in figure.axes]
-    assert said.count(True) == 2
+    missing = [any(text.get_text() == "not recorded" for text in panel.texts) for panel in figure.axes]
+    assert missing.count(True) == 2
 
 
 def test_nothing_to_plot() -> None:

@@ -122,10 +122,10 @@ def test_a_bag_with_little_in_it_is_reported_all_the_same(tmp_path: Path, capsys
             writer.write(raw.topic, data, raw.log_time_ns, raw.publish_time_ns)
     BagWriter(tmp_path / "empty").close()
     assert run(tmp_path / "poor", tmp_path / "empty", "-o", tmp_path / "r.html") == 0
-    said = capsys.readouterr().out
-    assert "topic joint_states is missing: no joint positions, distance, tick jitter" in said
-    assert re.search(r"external_torque: \d+ messages cannot be read and are left out", said)
-    assert "the bag has no messages" in said
+    printed = capsys.readouterr().out
+    assert "topic joint_states is missing: no joint positions, distance, tick jitter" in printed
+    assert re.search(r"external_torque: \d+ messages cannot be read and are left out", printed)
+    assert "the bag has no messages" in printed
     found = titles((tmp_path / "r.html").read_text())
     assert "external torque [Nm]" in found and "joint angle [rad]" not in found
 
