@@ -11,7 +11,6 @@ from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import CDR
@@ -21,7 +20,7 @@ from contact_reach_ros.nodes.bag_publisher import BagPublisher
 from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
 from contact_reach_ros.ros.interfaces import COMMANDING, REPLAY
-from contact_reach_ros.ros.process import initialise
+from contact_reach_ros.ros.process import initialise, without_ros_arguments
 from contact_reach_ros.units import NANOSECONDS
 
 BAD_INPUT = 2
@@ -65,9 +64,9 @@ def make_parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Replay a bag, and exit with 0 at its end or when interrupted, or with 2 and a line that names what is wrong."""
     given = list(sys.argv if arguments is None else [REPLAY, *arguments])
-    own = remove_ros_args(given)
-    options = make_parser().parse_args(own[1:])
     try:
+        own = without_ros_arguments(given)
+        options = make_parser().parse_args(own[1:])
         # ROS ignores arguments that are not its own.
         sys.exit(run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])]))
     except ContactReachError as error:

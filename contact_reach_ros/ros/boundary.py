@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -129,7 +128,8 @@ class Boundary:
             before, reason = self.refused.get(TRANSITIONS), ""
             try:
                 response = callback(request, response)
-            except rclpy_implementation.RCLError as error:
+            except RuntimeError as error:
+                # RCL's: what the node's own transitions raise does not leave rclpy.
                 reason = f" ({_name(error)})"
                 response.success = False
             if not response.success and self.refused.get(TRANSITIONS) == before:

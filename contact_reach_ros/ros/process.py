@@ -14,10 +14,10 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from contact_reach_ros.command_line import answer
 from contact_reach_ros.errors import ContactReachError, SettingsError
@@ -91,9 +91,21 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
         If ROS does not understand the arguments.
     """
     choose_discovery(discovery)
-    try:
+    with _refusing(arguments):
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except rclpy_implementation.RCLError as error:
+
+
+def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not ROS's; raises as `initialise`."""
+    with _refusing(arguments):
+        return list(remove_ros_args(list(arguments)))
+
+
+@contextlib.contextmanager
+def _refusing(arguments: Sequence[str]) -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError as error:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
 
@@ -126,7 +138,7 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
     try:
         try:
             node = Node(name)
-        except rclpy_implementation.RCLError as error:
+        except RuntimeError as error:
             raise ContactReachError(f"ROS cannot start node {name}: {error}") from error
         try:
             yield node

@@ -308,6 +308,7 @@ def test_depth_that_discovery_does_not_tell_is_that_of_the_stack():
         (["--start", "9"], "--start 9: expected 0 to 0.400 s"),
         (["--topics", "nothing"], "no such topic; it has /effort_controller/commands, /joint_states"),
         (["--clock", "0"], "--clock 0: expected 1 to 1000 Hz"),
+        (["--ros-args", "-r", "no rule"], "ROS refused the arguments"),
     ],
 )
 def test_bad_options_are_one_line(tmp_path, capsys, arguments, message):
