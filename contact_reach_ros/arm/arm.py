@@ -12,11 +12,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
+
+if TYPE_CHECKING:
+    from contact_reach_ros.arm.tool import Tool
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -189,6 +193,16 @@ class Arm:
     def default(self, setting: str) -> tuple[float, ...]:
         """Default of a setting with one value per joint."""
         return self.defaults.get(setting, (0.0,) * self.n)
+
+    def with_tool(self, tool: Tool) -> Arm:
+        """The arm with a tool at its tip, in every model: its weight on the last link, its tip as the tip, its shape.
+
+        Without a tool it is the same arm; a tool on a tool is mounted at the first one's tip.
+        """
+        # It composes values of this module.
+        from contact_reach_ros.arm.tool import attach
+
+        return attach(self, tool)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Arm) and (self is other or self.digest == other.digest)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, TURNED
+from arm_simulation import ARM, HOME, WITH_TOOL
 
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
@@ -16,7 +16,7 @@ def seeds(count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-LIMITS, LIMITS, (count, 7))
 
 
-@pytest.mark.parametrize("arm", [ARM, TURNED])
+@pytest.mark.parametrize("arm", [ARM, WITH_TOOL])
 def test_frames_of_many_postures_are_those_of_each(arm):
     q = seeds(5)
     axes, origins = link_frames_of_many(arm, q)
@@ -27,7 +27,7 @@ def test_frames_of_many_postures_are_those_of_each(arm):
 
 
 @pytest.mark.parametrize(
-    ("arm", "rotation"), [(ARM, ROTATIONS[-1]), (ARM, None), (TURNED, link_frames(TURNED, HOME)[0][-1])]
+    ("arm", "rotation"), [(ARM, ROTATIONS[-1]), (ARM, None), (WITH_TOOL, link_frames(WITH_TOOL, HOME)[0][-1])]
 )
 def test_solutions_are_at_the_goal_and_within_the_limits(arm, rotation):
     found = solve_ik(arm, POSITION, rotation, seeds(200), 0.1)

@@ -6,7 +6,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import ARM, TURNED, random_states
+from arm_simulation import ARM, WITH_TOOL, random_states
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
@@ -38,7 +38,7 @@ class MujocoModel:
         self.rotation = data.site_xmat[self.flange].reshape(3, 3)
 
 
-@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (TURNED, "nominal")])
+@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (WITH_TOOL, "nominal")])
 def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
     pinocchio, other = RobotModel(arm, inertia_set), MujocoModel(arm, inertia_set)
     for q, v in zip(*random_states(STATES), strict=True):
@@ -79,7 +79,7 @@ def test_pinocchio_agrees_with_brax():
             np.testing.assert_allclose(result[index], value, rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("arm", [ARM, TURNED])
+@pytest.mark.parametrize("arm", [ARM, WITH_TOOL])
 def test_pinocchio_agrees_with_the_table(arm):
     model = RobotModel(arm)
     for q, v in zip(*random_states(100), strict=True):

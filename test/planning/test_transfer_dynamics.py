@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import ARM, TURNED, random_states
+from arm_simulation import ARM, WITH_TOOL, random_states
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
@@ -24,7 +24,7 @@ def turned(rotation: jax.Array) -> jax.Array:
     return jnp.einsum("ij,jkb->ikb", Rotation.from_rotvec(-TURN).as_matrix(), rotation)
 
 
-@pytest.fixture(scope="module", params=[ARM, TURNED], ids=["iiwa", "turned tip"])
+@pytest.fixture(scope="module", params=[ARM, WITH_TOOL], ids=["iiwa", "tool"])
 def arm(request) -> Arm:
     return request.param
 
