@@ -68,8 +68,8 @@ def check_parameters(file: Path, given: Given | None = None) -> None:
     for entry in Tool.declared():
         of_node = {node: getattr(settings[node][TOOL], entry.name) for node in _ONE_CLOCK if node in started}
         _check_same(file, full_name(TOOL, entry.name), of_node)
-    period = 1.0 / values["controller"].get(RATE.name, RATE.default)
-    _check_together(file, settings, arms["controller"], period, started)
+    rate: Any = values["controller"].get(RATE.name, RATE.default)
+    _check_together(file, settings, arms["controller"], 1.0 / rate, started)
 
 
 def _check_same(file: Path, name: str, of_node: Mapping[str, Any]) -> None:

@@ -150,7 +150,7 @@ class TestOrder:
             return Outcome(True, "")
 
         assert change_tool(accept, CARRYING, TOOL).done
-        names = ["planner", "driver", "observer", "controller", "adapter"]
+        names = ["planner", "driver", "controller", "observer", "adapter"]
         assert asked == [(name, 1.0, len(list(Tool.declared()))) for name in names]
         assert "observer: has the tool" in capsys.readouterr().out
 
@@ -160,9 +160,9 @@ class TestOrder:
 
     def test_a_refusal_half_way_names_who_has_it_already(self, capsys, monkeypatch):
         monkeypatch.setattr("contact_reach_ros.bringup.tool_change._PATIENCE_S", 0.0)
-        outcome = change_tool(lambda node, values: Outcome(node != "controller", "it moves"), CARRYING, TOOL)
-        assert not outcome.done and "planner, driver, observer already have it" in outcome.text
-        assert "controller: it moves" in capsys.readouterr().out
+        outcome = change_tool(lambda node, values: Outcome(node != "observer", "it moves"), CARRYING, TOOL)
+        assert not outcome.done and "planner, driver, controller already have it" in outcome.text
+        assert "observer: it moves" in capsys.readouterr().out
 
     def test_the_arm_may_take_a_moment_to_come_to_rest(self):
         answers = {"planner": [True], "controller": [False, False, True]}

@@ -135,7 +135,7 @@ def _six(tensor: Array) -> tuple[float, float, float, float, float, float]:
 
 def _rounded(values: ArrayLike) -> Any:
     """The values as a tuple, rounded, without negative zeros."""
-    return tuple((np.round(values, _DIGITS) + 0.0).tolist())
+    return tuple((np.round(np.asarray(values, dtype=float), _DIGITS) + 0.0).tolist())
 
 
 def _product(first: Quaternion, second: Quaternion) -> Quaternion:

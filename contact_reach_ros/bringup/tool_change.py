@@ -20,11 +20,11 @@ from contact_reach_ros.parameter_files import (
 )
 from contact_reach_ros.ros.stopping import Outcome
 
-CARRYING = ("planner", "driver", "observer", "controller", "adapter")
+CARRYING = ("planner", "driver", "controller", "observer", "adapter")
 """Nodes whose tool can be changed while they run, in the order of the change: the planner first, as it lets no goal
-pass meanwhile; the world before those who watch and carry it."""
+pass meanwhile; the observer right after the controller, which waits for rest, and stops the arm if they differ."""
 
-_PATIENCE_S, _AGAIN_S = 5.0, 0.1
+_PATIENCE_S, _AGAIN_S = 30.0, 0.1
 """Time until the plans for a goal that was withdrawn have run out, and between two attempts."""
 
 
