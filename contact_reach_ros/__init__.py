@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from contact_reach_ros.arm.arm import Arm
     from contact_reach_ros.arm.joint_state import JointState
+    from contact_reach_ros.arm.tool import Tool
     from contact_reach_ros.arms import load_arm
     from contact_reach_ros.control.controller import Controller, ControllerSettings
     from contact_reach_ros.control.references import References
@@ -58,6 +59,7 @@ _WHERE = {
     "SupervisionSettings": "control.settings",
     "Task": "world.task",
     "Tick": "stack",
+    "Tool": "arm.tool",
     "UnexpectedContactSettings": "planning.unexpected_contact",
     "load_arm": "arms",
     "load_budget": "observer.budget",

@@ -104,6 +104,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
     _add_stack(speed)
+    tool = add(
+        "tool", partial(_operate, "tool"), "give the running stack another tool, while the arm rests without a goal"
+    )
+    tool.add_argument("file", nargs="?", default=None, type=Path, metavar="FILE", help="with a section 'tool'")
+    tool.add_argument("--none", action="store_true", help="instead of a file: the flange carries nothing")
+    tool.add_argument("--attach", action="store_true", help="the simulated robot carries it, too")
+    _add_stack(tool)
     stop = add("stop", partial(_operate, "stop"), "stop the arm of the running stack, compliantly, until reset")
     _add_stack(stop)
     reset = add(

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Collection, Mapping, Sequence
 
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.parameter_files import EVERY_NODE, NODES, declared_parameters
+from contact_reach_ros.parameter_files import NODES, declared_parameters, known_parameters
 from contact_reach_ros.settings import Sections, Setting, Value
 
 _HELP = ("-h", "--help")
@@ -90,7 +90,7 @@ def help_text(node: str, sections: Sections) -> str:
         *_listed(declared_parameters(sections, load_arm())),
     ]
     if node != "bringup":
-        parts += ["", "parameters of every node:", *_listed({entry.name: entry for entry in EVERY_NODE})]
+        parts += ["", "parameters of every node:", *_listed(known_parameters({}, load_arm()))]
     return "\n".join(parts)
 
 

@@ -6,16 +6,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.node_settings import ALL_SECTIONS
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import (
+    EVERY_SECTION,
     RATE,
     ROBOT,
+    TOOL,
+    arm_in,
     check_node_names,
     check_parameters_in,
+    full_name,
     known_parameters,
     make_settings,
     parameters_in,
@@ -50,32 +55,34 @@ def check_parameters(file: Path, given: Given | None = None) -> None:
     check_node_names(file)
     values: dict[str, dict[str, Any]] = {}
     settings: dict[str, dict[str, Any]] = {}
+    arms: dict[str, Arm] = {}
     for node, sections in ALL_SECTIONS.items():
         source = f"{file}: {node}"
         values[node] = own = {**parameters_in(file, node), **(given or {}).get(node, {})}
-        arm = load_arm(str(ROBOT.check(own.get(ROBOT.name, ROBOT.default), f"{source}: {ROBOT.name}")))
+        arms[node] = arm = arm_in(own, source)
         check_parameters_in(file, node, known_parameters(sections, arm))
-        settings[node] = make_settings(own, sections, arm, source)
+        settings[node] = make_settings(own, {**EVERY_SECTION, **sections}, arm, source)
     started = _NEEDED if given is None else tuple(given)
-    for entry in (ROBOT, RATE):
-        of_node = {node: values[node].get(entry.name, entry.default) for node in _ONE_CLOCK if node in started}
-        if len(set(of_node.values())) > 1:
-            listed = ", ".join(f"{value} for the {node}" for node, value in of_node.items())
-            raise SettingsError(
-                f"{file}: {entry.name} = {listed}; expected the same for all of them: set it in a section '/**'"
-            )
-    _check_together(file, values, settings, started)
+    for name, default in {entry.name: entry.default for entry in (ROBOT, RATE)}.items():
+        _check_same(file, name, {node: values[node].get(name, default) for node in _ONE_CLOCK if node in started})
+    for entry in Tool.declared():
+        of_node = {node: getattr(settings[node][TOOL], entry.name) for node in _ONE_CLOCK if node in started}
+        _check_same(file, full_name(TOOL, entry.name), of_node)
+    rate: Any = values["controller"].get(RATE.name, RATE.default)
+    _check_together(file, settings, arms["controller"], 1.0 / rate, started)
 
 
-def _check_together(
-    file: Path, values: Mapping[str, Mapping[str, Any]], settings: Mapping[str, Any], started: tuple[str, ...]
-) -> None:
+def _check_same(file: Path, name: str, of_node: Mapping[str, Any]) -> None:
+    if len(set(of_node.values())) > 1:
+        listed = ", ".join(f"{value} for the {node}" for node, value in of_node.items())
+        raise SettingsError(f"{file}: {name} = {listed}; expected the same for all of them: set it in a section '/**'")
+
+
+def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: float, started: tuple[str, ...]) -> None:
     """Check what no node can check of its own values, or only once it runs."""
     # Not before the values are known to be right: it loads the arm's model.
     from contact_reach_ros.control.stability import check_gains
 
-    rates = values["controller"]
-    arm, period = load_arm(rates.get(ROBOT.name, ROBOT.default)), 1.0 / rates.get(RATE.name, RATE.default)
     try:
         check_gains(arm, settings["controller"]["impedance"], period)
         if "adapter" in started:

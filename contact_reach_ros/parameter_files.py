@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import ARMS, DEFAULT_ARM
+from contact_reach_ros.arm.tool import Tool
+from contact_reach_ros.arms import ARMS, DEFAULT_ARM, load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Setting, read_yaml, unknown_key
 from contact_reach_ros.timing import PERIOD
@@ -38,6 +39,11 @@ CPUS = Setting("cpus", "auto", "CPUs to run on: auto, all, or numbers", "", None
 EVERY_NODE = (ROBOT, RATE, AUTOSTART, CPUS)
 """Parameters of every node but bring-up."""
 
+TOOL = "tool"
+EVERY_SECTION: Sections = {TOOL: Tool}
+"""Settings of every node by prefix: all of them have the same arm."""
+TOOL_PARAMETERS = tuple(f"{TOOL}.{entry.name}" for entry in Tool.declared())
+
 _GAINS = "impedance."
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 
@@ -58,7 +64,19 @@ def declared_parameters(sections: Sections, arm: Arm) -> dict[str, Setting]:
 
 def known_parameters(sections: Sections, arm: Arm) -> dict[str, Setting]:
     """The parameters of a node with these sections, and those of every node, by full name."""
-    return {entry.name: entry for entry in EVERY_NODE} | declared_parameters(sections, arm)
+    return {entry.name: entry for entry in EVERY_NODE} | declared_parameters({**EVERY_SECTION, **sections}, arm)
+
+
+def arm_in(values: Mapping[str, Any], source: str) -> Arm:
+    """The arm of a node, with its tool, out of parameters by full name; names of others are left alone.
+
+    Raises
+    ------
+    SettingsError
+        Naming `source`, if there is no such arm or tool.
+    """
+    arm = load_arm(str(ROBOT.check(values.get(ROBOT.name, ROBOT.default), f"{source}: {ROBOT.name}")))
+    return arm.with_tool(make_settings(values, EVERY_SECTION, arm, source)[TOOL])
 
 
 def check_name(known: Mapping[str, Setting], name: str, source: str) -> None:

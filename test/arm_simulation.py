@@ -8,6 +8,7 @@ import numpy as np
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
@@ -19,6 +20,14 @@ from contact_reach_ros.world.obstacle import Obstacle, numbered
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene, SceneFile
 
 ARM = load_arm("iiwa14")
+TOOL = Tool(
+    mass=2.0,
+    center=(0.06, -0.03, 0.09),
+    inertia=(0.01, 0.012, 0.006, 0.001, -0.002, 0.0005),
+    flange_to_tip=(0.02, 0.0, 0.2, 0.3, -0.4, 0.5),
+    radius=0.02,
+)
+WITH_TOOL = ARM.with_tool(TOOL)
 HOME = np.array(ARM.home)
 REST = np.zeros(ARM.n)
 POSITION_LIMITS = np.array(ARM.upper)

@@ -46,6 +46,12 @@ def test_the_packages_own_file_passes():
         ),
         ({"controller": {"impedance": {"null_damping": 50.0}}}, "null_damping = 50 are not stable at 1000 Hz"),
         ({"planner": {"state_rate": 500.0}}, "state_rate = .*1000.0 for the controller.* 500.0 for the planner"),
+        (
+            {"planner": {"tool": {"mass": 1.0}}},
+            r"tool\.mass = 0\.0 for the driver, .* 1\.0 for the planner; expected the same",
+        ),
+        ({"/**": {"tool": {"inertia": [1.0] * 6}}}, r"driver: Tool\.inertia = .* expected zeros, as mass = 0 kg"),
+        ({"/**": {"tool": {"weight": 1.0}}}, r"driver: unknown key 'tool\.weight'"),
         ({"/**": {"state_rate": 300.0}}, "the simulated robot has a whole number of milliseconds"),
         ({"observer": {"contact_budget": "/no/such.yaml"}}, "/no/such.yaml: cannot be read"),
     ],

@@ -12,14 +12,21 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
+if TYPE_CHECKING:
+    from contact_reach_ros.arm.tool import Tool
+
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+
+PARALLEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
+"""Rotation (w, x, y, z) of a frame whose axes are those of the frame that it is in."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,7 @@ class Arm:
     base_frame, tip_frame
         Frame that goals are given in, and frame that is to reach them.
     tip_offset
-        Position of the tip in the frame of the last link, m; not rotated.
+        Position of the tip in the frame of the last link, m.
     capsules
         Collision shapes of the moving links, from base to tip.
     base_capsule
@@ -91,6 +98,8 @@ class Arm:
         Joint angles at which episodes start unless a scene specifies others, rad.
     defaults
         Per-joint values of the settings that depend on the arm, by the name of the setting; others are zero.
+    tip_rotation
+        Rotation (w, x, y, z) of the tip frame in the frame of the last link, not necessarily normalised.
     """
 
     name: str
@@ -106,6 +115,7 @@ class Arm:
     reach: float
     home: tuple[float, ...]
     defaults: Mapping[str, tuple[float, ...]]
+    tip_rotation: Quaternion = PARALLEL
 
     @cached_property
     def n(self) -> int:
@@ -147,6 +157,9 @@ class Arm:
         """Fingerprint of everything that models are built from, the same on every machine."""
         values = dataclasses.asdict(self)
         del values["defaults"]
+        if self.tip_rotation == PARALLEL:
+            # Bags from before there was a rotation have the same digest.
+            del values["tip_rotation"]
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     def inertias(self, inertia_set: str = "nominal") -> tuple[Inertia, ...]:
@@ -180,6 +193,16 @@ class Arm:
     def default(self, setting: str) -> tuple[float, ...]:
         """Default of a setting with one value per joint."""
         return self.defaults.get(setting, (0.0,) * self.n)
+
+    def with_tool(self, tool: Tool) -> Arm:
+        """The arm with a tool at its tip, in every model: its weight on the last link, its tip as the tip, its shape.
+
+        Without a tool it is the same arm; a tool on a tool is mounted at the first one's tip.
+        """
+        # It composes values of this module.
+        from contact_reach_ros.arm.tool import attach
+
+        return attach(self, tool)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Arm) and (self is other or self.digest == other.digest)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from contact_reach_ros.arm.arm import Arm, Capsule
+from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
 from contact_reach_ros.arm.capsules import self_pairs
 
 ROBOT_CONTACT_TYPE = 1
@@ -102,8 +102,11 @@ def build_mjcf(
         for index, capsule in enumerate(on_link):
             body.append(_capsule(capsule, _capsule_name(number, index)))
     # Not in the tip's body: Brax, which fuses bodies without joints, would round it.
-    SubElement(body, "site", name=TIP_SITE, pos=numbers(arm.tip_offset))
+    site = SubElement(body, "site", name=TIP_SITE, pos=numbers(arm.tip_offset))
     flange = SubElement(body, "body", name=arm.tip_frame, pos=numbers(arm.tip_offset))
+    if arm.tip_rotation != PARALLEL:
+        for element in (site, flange):
+            element.set("quat", numbers(arm.tip_rotation))
     if payload > 0.0:
         diagonal = numbers([PAYLOAD_INERTIA * payload] * 3)
         SubElement(flange, "inertial", mass=repr(payload), pos=numbers(PAYLOAD_CENTER), diaginertia=diagonal)

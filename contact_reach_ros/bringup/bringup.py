@@ -16,10 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.interruption import Interruption
-from contact_reach_ros.bringup.processes import processes
+from contact_reach_ros.bringup.processes import processes, stack_arm
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.command_line import answer
@@ -143,7 +142,7 @@ class _Configuration:
         try:
             wanted = BringupOptions.from_mapping({**vars(self._wanted), **changes}, f"parameters of {NAME}")
             processes(wanted)
-            make_scene(read_scene(wanted.scene), load_arm(), wanted.seed, parse_target(wanted.target))
+            make_scene(read_scene(wanted.scene), stack_arm(wanted), wanted.seed, parse_target(wanted.target))
         except ContactReachError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._wanted = wanted

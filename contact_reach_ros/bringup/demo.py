@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.bringup.interruption import Interruption
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes
+from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.bringup.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.errors import BagError, ContactReachError
@@ -125,8 +124,8 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
     with bare_node(DEMO) as node:
         began = time.monotonic()
         goal = None if options.goal is None else np.array(options.goal)
-        scene = make_scene(read_scene(options.scene), load_arm(), options.seed, goal)
-        model = RobotModel(load_arm("iiwa14"))
+        model = RobotModel(stack_arm(bringup))
+        scene = make_scene(read_scene(options.scene), model.arm, options.seed, goal)
         refuse_beside_another(node, [process.name for process in table], began)
         options.output.mkdir(parents=True, exist_ok=True)
         stack = StackProcesses(node, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -25,6 +25,7 @@ from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.parameter_files import arm_in
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
@@ -63,7 +64,7 @@ class Operator:
     Attributes
     ----------
     arm
-        The stack's.
+        The planner's, once its settings were heard.
     diagnostics
         Newest values by name, of each node.
     stops
@@ -129,7 +130,8 @@ class Operator:
         wanted = (_PLANNER, _CONTROLLER)
 
         def is_there() -> bool:
-            return all(name in self.diagnostics for name in wanted) and bool(self._goals.get_subscription_count())
+            has_spoken = all(name in self.diagnostics for name in wanted) and self._orientation is not None
+            return has_spoken and bool(self._goals.get_subscription_count())
 
         if not self._until(lambda: bool(self._heard or self.diagnostics), _FOUND_S):
             raise ContactReachError(_no_stack(self._node))
@@ -158,7 +160,6 @@ class Operator:
 
     def check_orientation(self, has_one: bool) -> None:
         """Raise `ContactReachError` if a goal has an orientation that the planner would ignore, or lacks one."""
-        self._until(lambda: self._orientation is not None, _FOUND_S)
         if has_one == (self._orientation == POSE):
             return
         if has_one:
@@ -204,23 +205,23 @@ class Operator:
             if state.elapsed > timeout:
                 return Outcome(False, f"not settled; {describe(state)}")
 
-    def set_parameter(self, node: str, name: str, value: float) -> Outcome:
-        """Change a parameter of a node, if the node lets it.
+    def change(self, node: str, values: Mapping[str, Any]) -> Outcome:
+        """Change parameters of a node, if the node lets them: all or none.
 
         Raises
         ------
         ContactReachError
             If there is no such node, or no answer.
         """
-        client = self._node.create_client(SetParameters, f"{node}/set_parameters")
+        client = self._node.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
         if not self._until(client.service_is_ready, _FOUND_S):
             raise ContactReachError(_no_stack(self._node))
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        future = client.call_async(SetParameters.Request(parameters=[parameter]))
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        future = client.call_async(SetParametersAtomically.Request(parameters=parameters))
         if not self._until(future.done, _ANSWER_S):
             raise ContactReachError(f"no answer from {node} within {_ANSWER_S:g} s: contact-reach doctor")
-        result = future.result().results[0]
-        return Outcome(result.successful, f"{name} = {value:g}" if result.successful else result.reason)
+        result = future.result().result
+        return Outcome(result.successful, result.reason)
 
     def call(self, service: str) -> Any:
         """Call a Trigger service and return its answer.
@@ -264,7 +265,8 @@ class Operator:
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
         if message.name == _PLANNER:
-            self._orientation = read_settings(message).get("goal_orientation")
+            settings = read_settings(message)
+            self.arm, self._orientation = arm_in(settings, _PLANNER), settings.get("goal_orientation")
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         self._heard.add(message.name)

@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import yaml
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.node_settings import SECTIONS
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import RATE, ROBOT, check_name, known_parameters, parameters_in
+from contact_reach_ros.parameter_files import RATE, ROBOT, arm_in, check_name, known_parameters, parameters_in
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
 from contact_reach_ros.viewer.settings import ViewerSettings
@@ -165,6 +166,18 @@ def processes(options: BringupOptions) -> list[Process]:
     ]
     check_parameters(options.parameter_file, {process.name: process.parameters for process in table})
     return table
+
+
+def stack_arm(options: BringupOptions) -> Arm:
+    """The arm of the stack, with its tool.
+
+    Raises
+    ------
+    SettingsError
+        If the parameter file has none that there is.
+    """
+    own = parameters_in(options.parameter_file, "planner")
+    return arm_in({**own, ROBOT.name: options.robot} if options.robot else own, str(options.parameter_file))
 
 
 def page_address(parameter_file: Path) -> str:

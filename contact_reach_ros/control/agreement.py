@@ -10,9 +10,10 @@ from dataclasses import asdict
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.control.settings import ImpedanceSettings
 
-SHARED = ("robot", "robot digest", "state_rate")
+SHARED = ("robot", *(f"tool.{entry.name}" for entry in Tool.declared()), "robot digest", "state_rate")
 """Settings of every node that a plan depends on."""
 
 SHARED_SECTION = "impedance."

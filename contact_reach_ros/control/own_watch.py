@@ -7,6 +7,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.supervisor import Supervisor
 from contact_reach_ros.errors import InputError
@@ -41,6 +42,9 @@ class Watcher(Protocol):
 
     def reset(self) -> None:
         """Release what is latched; raises `InputError` if the arm moves or is pushed."""
+
+    def change_model(self, model: RobotModel) -> None:
+        """Watch an arm with another tool; raises `InputError` if it moves."""
 
 
 class _Mean:
@@ -149,6 +153,10 @@ class OwnWatch:
         self._supervisor.hear_own(self._judge(self._watcher.report().verdict), clock_ns)
         if self._supervisor.own_reason:
             raise InputError(f"the controller's own watch is stopped ({self._supervisor.own_reason})")
+
+    def change_model(self, model: RobotModel) -> None:
+        """Watch an arm with another tool; raises `InputError` if it moves."""
+        self._watcher.change_model(model)
 
     def _judge(self, verdict: Verdict) -> Verdict:
         """The watcher's verdict, with the reason that states were missed unless it has another."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -14,7 +16,7 @@ from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine, software
 from contact_reach_ros.doctor.findings import Finding, Report, check, exit_code, failed, print_table, write_json
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, parameters_in
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, arm_in, parameters_in
 from contact_reach_ros.resources import config_file
 
 _LISTEN_S = 1.0
@@ -68,7 +70,9 @@ def examine(options: DoctorOptions, arm: Arm) -> Report:
 
 
 @check("gravity against torque")
-def _gravity(record: joints.JointRecord, file: Path, arm: Arm) -> Finding:
+def _gravity(record: joints.JointRecord, file: Path, settings: Mapping[str, Any]) -> Finding:
+    """`settings`: the controller's, with the arm and its tool."""
+    arm = arm_in(settings, "the controller")
     budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
     return joints.gravity(record, RobotModel(arm), budget)
 
@@ -103,6 +107,6 @@ def _stack(options: DoctorOptions, file: Path, arm: Arm) -> dict[str, list[Findi
             joints.joint_names(record, arm, looks[0].command_order),
             joints.driver_rate(record, clock is not None, graph.nominal_rate),
             joints.clock_skew(record, clock),
-            _gravity(record, file, arm),
+            _gravity(record, file, graph.settings.get("controller", parameters_in(file, "controller"))),
         ]
     return parts

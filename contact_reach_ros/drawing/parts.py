@@ -73,8 +73,8 @@ def link_shapes(arm: Arm) -> tuple[tuple[Solid, ...], ...]:
         last = capsule.link == arm.n
         start, end = np.array(capsule.start, float), np.array(capsule.end, float)
         shapes[capsule.link].append(Capsule(start, end, capsule.radius, (*(DARK if last else BODY), 1.0)))
-        # A joint whose axis, z, runs along its link only twists the arm.
-        if abs(end - start)[2] < 0.5 * np.linalg.norm(end - start):
+        # A joint whose axis, z, runs along its link only twists the arm; it has one cover.
+        if len(shapes[capsule.link]) == 1 and abs(end - start)[2] < 0.5 * np.linalg.norm(end - start):
             half = np.array([0.0, 0.0, 1.04 * max(thickness, capsule.radius)])
             shapes[capsule.link].append(Cylinder(-half, half, _COVER_RADIUS * capsule.radius, (*_ACCENT, 1.0)))
         thickness = capsule.radius

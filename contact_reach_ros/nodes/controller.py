@@ -13,6 +13,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import differences, disagreement
 from contact_reach_ros.control.controller import Controller, ControllerSettings
@@ -29,7 +31,7 @@ from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
-from contact_reach_ros.parameter_files import full_name
+from contact_reach_ros.parameter_files import TOOL_PARAMETERS, full_name
 from contact_reach_ros.ros.interfaces import ALONE, OBSERVER
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -53,6 +55,7 @@ class ControllerNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = CONTROLLER_SECTIONS
+    CHANGEABLE = TOOL_PARAMETERS
 
     def __init__(self) -> None:
         super().__init__()
@@ -82,8 +85,12 @@ class ControllerNode(ManagedNode):
         self.offer("~/stop", self._answer_stop)
         self.offer("~/reset", self._answer_reset)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
+        self._others: dict[str, Mapping[str, Any]] = {}
+        """Settings that planner and observer have reported."""
         self._disagreement = ""
         """What the planner plans with and this controller has not."""
+        self._differed = ""
+        """What `_other_watch` was when the node last looked around."""
         self._other_watch = ""
         """What the observer watches with and this controller's own watch has not."""
         needs_effort = bool(self._watch) and ObserverSettings.from_sections(self._watch).torque_source == MEASURED
@@ -102,6 +109,23 @@ class ControllerNode(ManagedNode):
         self._make_controller().rehearse()
         if self._watch:
             self._make_watcher().rehearse()
+
+    def change_arm(self, arm: Arm) -> None:
+        """Control an arm with another tool, once it is held at rest."""
+        self.inbox.call(self._controller.check_tool)
+        # Beside the loop, which has no time for it.
+        other, watched = self._make_controller(arm), RobotModel(arm) if self._watch else None
+
+        def change() -> None:
+            self._controller.check_tool()
+            self.note_call(Taken.TOOL)
+            self._controller.change_tool(other, watched)
+
+        self.inbox.call(change)
+
+    def on_change(self) -> None:
+        """Compare the new tool with those of the others."""
+        self._compare()
 
     def files(self) -> Mapping[str, Settings]:
         """The observer's settings, with which the controller watches itself; empty if it does not."""
@@ -137,9 +161,9 @@ class ControllerNode(ManagedNode):
         }
         return controller.stop_reason or waiting, values
 
-    def _make_controller(self) -> Controller:
+    def _make_controller(self, arm: Arm | None = None) -> Controller:
         settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
-        return Controller(self.arm, settings, self.period)
+        return Controller(arm or self.arm, settings, self.period)
 
     def _watch_settings(self) -> Mapping[str, Settings]:
         """Settings and budget of the observer by prefix; none if the controller does not watch itself."""
@@ -159,7 +183,9 @@ class ControllerNode(ManagedNode):
         controller = self._controller
         rivals, differs = rivalry(self, self._exclusive), self._other_watch
         controller.not_yet = f"{rivals}: end the others first" if rivals else differs
-        if controller.not_yet and controller.started and not controller.stop_reason:
+        # A tool is changed in one node after the other.
+        differs, self._differed = differs if differs == self._differed else "", differs
+        if (rivals or differs) and controller.started and not controller.stop_reason:
             code = StopCode.RIVAL if rivals else StopCode.DISAGREEMENT
             reason = StopReason(code, rivals or differs)
             self.inbox.post(lambda: self._stop_for(reason))
@@ -199,16 +225,21 @@ class ControllerNode(ManagedNode):
         self._compute.add(time.monotonic_ns() - self.inbox.handled_ns)
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
-        if message.name == _PLANNER:
-            self._disagreement = disagreement(self.reported_settings(), read_settings(message))
-        elif message.name == OBSERVER and self._watch:
+        if message.name in (_PLANNER, OBSERVER):
+            self._others[message.name] = read_settings(message)
+            self._compare()
+
+    def _compare(self) -> None:
+        own = self.reported_settings()
+        self._disagreement = disagreement(own, self._others.get(_PLANNER, {}))
+        if self._watch:
             names = [
                 full_name(prefix, entry.name)
                 for prefix, settings in self._watch.items()
                 for entry in settings.declared()
                 if entry.name != _OWN_FILE
             ]
-            differs = differences(self.reported_settings(), read_settings(message), OBSERVER, names)
+            differs = differences(own, self._others.get(OBSERVER, {}), OBSERVER, names)
             hint = "start both with the same parameter file, or with supervision.watch_itself: false"
             self._other_watch = f"observer and controller disagree: {differs}; {hint}" if differs else ""
 

@@ -85,7 +85,15 @@ class ViewerNode(ManagedNode):
         self._server = serve(settings.port, TITLE)
         self._page = call(
             self._server,
-            lambda: Page(self._server, self.arm, source, budget, recording, settings.shadows, settings.dark),
+            lambda: Page(
+                self._server,
+                recording.arm if recording else self.arm,
+                source,
+                budget,
+                recording,
+                settings.shadows,
+                settings.dark,
+            ),
         )
         port = self._server.get_port()
         self.get_logger().info(

@@ -243,6 +243,23 @@ class Observer:
         """
         self.monitor.reset()
 
+    def check_rest(self) -> None:
+        """Raise `InputError` while the arm moves and `change_model` would be refused."""
+        self.monitor.check_rest("another tool")
+
+    def change_model(self, model: RobotModel) -> None:
+        """Observe an arm with another tool from the next state on, as after a hand-over; a stop stays latched.
+
+        Raises
+        ------
+        InputError
+            If the arm moves.
+        """
+        self.check_rest()
+        self.arm = model.arm
+        self.momentum.change_model(model)
+        self._locator = ContactLocator(model, self.monitor.budget.contact_thresholds)
+
     def resume(self, residual: Array) -> None:
         """Continue from an external torque (n,), N m, for recordings that begin late."""
         self.momentum.residual = residual

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, array_numbers, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError
@@ -20,7 +21,7 @@ from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import checked_stamp
-from contact_reach_ros.reexecution.settings import SECTIONS, recorded_arm, recorded_sections
+from contact_reach_ros.reexecution.settings import SECTIONS, recorded_sections
 from contact_reach_ros.units import NANOSECONDS
 
 SETTINGS = "settings"
@@ -85,7 +86,9 @@ class RecordedInputs:
     settings :
         Recorded settings by node and full name.
     arm :
-        The arm that was recorded.
+        The arm that was recorded, with its last tool.
+    arms :
+        By node, the arm with one tool after the other.
     columns :
         Messages of joint states, commands and external torques, by topic.
     intakes :
@@ -99,8 +102,15 @@ class RecordedInputs:
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
-        self.settings = {status.name: read_settings(status) for status in self.messages(SETTINGS)}
+        reports: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+        for status in self.messages(SETTINGS):
+            reports[status.name].append(read_settings(status))
+        self.settings = {node: values[-1] for node, values in reports.items()}
         self.arm = recorded_arm(self.settings)
+        self.arms = {
+            node: [arm for arm, _ in itertools.groupby(recorded_arm({node: values}) for values in every)]
+            for node, every in reports.items()
+        }
         joints = self.arm.n
         columns: dict[str, Collector] = {
             JOINT_STATES: JointStates(("position", "velocity", "effort"), self.arm.joint_names),

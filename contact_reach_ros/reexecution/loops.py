@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.errors import BagError, InputError
@@ -93,6 +95,7 @@ class _Loop:
         self.outputs: list[_Output] = []
         self.reasons: list[str] = []
         self.recorded_reasons = inputs.safety_reasons(node)
+        self.arm, *self._later_arms = inputs.arms[node]
         self.handlers: dict[Taken, Callable[[Row], None]] = {}
 
     def run(self) -> Reexecution:
@@ -121,6 +124,22 @@ class _Loop:
             tuple(self._notes()),
             time.process_time() - began,
         )
+
+    def take_next_arm(self) -> Arm:
+        """The arm with the tool that the node changed to.
+
+        Raises
+        ------
+        BagError
+            If the bag lacks it.
+        """
+        if not self._later_arms:
+            raise BagError(
+                f"bag '{self.inputs.bag.summary.path}': the tool of the {self.node} was changed, and its settings "
+                "afterwards are not in the bag: it cannot be re-executed"
+            )
+        self.arm = self._later_arms.pop(0)
+        return self.arm
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
         """Keep an output, beside the recorded one unless the bag lacks it."""
@@ -177,14 +196,13 @@ def _make_observer(loop: _Loop, period: float, locates: bool = True) -> Observer
     """The observer of a node's settings, for states every `period` seconds."""
     settings = ObserverSettings.from_sections(loop.settings)
     inertias = loop.changes.inertia_set
-    return Observer(loop.inputs.arm, settings, loop.settings[BUDGET], period, inertias, locates)
+    return Observer(loop.arm, settings, loop.settings[BUDGET], period, inertias, locates)
 
 
 class _ControllerLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
         super().__init__("controller", inputs, changes)
-        sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
-        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
+        self.controller = self._make_controller()
         self.watch = _make_observer(self, self.controller.watch_period, locates=False)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
@@ -199,7 +217,16 @@ class _ControllerLoop(_Loop):
             Taken.REFERENCE_POSTURE: self._follow,
             Taken.STOP: lambda _: self.controller.stop(self.next_stop()),
             Taken.RESET: lambda row: self.controller.reset(self._clock_ns(row)),
+            Taken.TOOL: self._change_tool,
         }
+
+    def _make_controller(self) -> Controller:
+        sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
+        return Controller(self.arm, ControllerSettings(*sections), self.period, self.changes.inertia_set)
+
+    def _change_tool(self, _: Row) -> None:
+        watched = RobotModel(self.take_next_arm(), self.changes.inertia_set)
+        self.controller.change_tool(self._make_controller(), watched)
 
     def _clock_ns(self, row: Row) -> int:
         return self.controller.stamp_ns if self.lockstep else row.clock_ns
@@ -274,7 +301,11 @@ class _ObserverLoop(_Loop):
             Taken.COMMANDS: self._command,
             Taken.STOP: lambda _: self.observer.stop(self.next_stop()),
             Taken.RESET: lambda _: self.observer.reset(),
+            Taken.TOOL: self._change_tool,
         }
+
+    def _change_tool(self, _: Row) -> None:
+        self.observer.change_model(RobotModel(self.take_next_arm(), self.changes.inertia_set))
 
     def _command(self, row: Row) -> None:
         at = self.commands.get(row.sent_ns)

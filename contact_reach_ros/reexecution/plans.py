@@ -84,6 +84,7 @@ class RecordedPlans:
                 _ONE_THREAD,
             )
         self._settings = inputs.sections("planner")
+        self._arm, *_ = inputs.arms["planner"]
         self.requests = self._find_requests()
         self._planner: RecedingHorizonPlanner | None = None
 
@@ -151,9 +152,7 @@ class RecordedPlans:
         # The recorded number of steps stands for the deadline.
         planning = dataclasses.replace(settings["planning"], deadline=0.0)
         force = settings[BUDGET].permitted_force
-        return RecedingHorizonPlanner(
-            self._inputs.arm, planning, settings["impedance"], force, settings[""].max_spheres
-        )
+        return RecedingHorizonPlanner(self._arm, planning, settings["impedance"], force, settings[""].max_spheres)
 
     def _is_first(self, number: int) -> bool:
         """Whether the planner had forgotten the plans before this one."""
@@ -190,7 +189,7 @@ class RecordedPlans:
             knot_duration_s=self._settings["planning"].knot_duration,
             positions=parts["positions"].reshape(-1, 3).astype(float),
             rotations=parts["rotations"].reshape(-1, 3, 3).astype(float),
-            postures=parts["postures"].reshape(-1, self._inputs.arm.n).astype(float),
+            postures=parts["postures"].reshape(-1, self._arm.n).astype(float),
             predicted_q=nothing,
             predicted_positions=nothing,
             predicted_contact_forces=nothing,
@@ -221,13 +220,16 @@ class RecordedPlans:
 
     def _find_requests(self) -> dict[int, Request]:
         """Pass on everything that the planner took in to a planner without a core; returns its requests by plan."""
-        settings, arm = self._settings, self._inputs.arm
+        settings, arm = self._settings, self._arm
         obstacles = ObstacleMarkerReader(arm.base_frame, AssumedMaterial.of(settings[""]))
         stiffness, sees = settings["planning"].contact_stiffness, settings[""].max_spheres > 0
         reaction = ContactReaction(arm, settings["unexpected_contact"], stiffness, sees)
         planner = Planner(arm, None, reaction, settings[""], refuse=lambda *_: None)
         requests: dict[int, Request] = {}
         for row in self._inputs.intakes["planner"]:
+            if row.what is Taken.TOOL:
+                _log.warning("the tool of the planner was changed: later plans are not re-executed")
+                break
             try:
                 request = self._take(planner, obstacles, row)
             except InputError:

@@ -11,6 +11,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
@@ -106,7 +107,7 @@ class ReportBag:
 
 
 def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) -> ReportBag:
-    """Read a bag, complete or not.
+    """Read a bag, complete or not, of the arm that it records, or of `arm` if it records none.
 
     Raises
     ------
@@ -127,6 +128,11 @@ def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) 
         if f"/{topic}" not in reader.topics()
     ]
     notes += [*lacking, *signals.notes]
+    if signals.settings:
+        try:
+            arm = recorded_arm(signals.settings)
+        except BagError as error:
+            notes.append(str(error))
     budget = recorded_section(signals, "observer", "budget", load_budget(), notes).resolve(arm)
     limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]

@@ -17,12 +17,13 @@ from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.messages.topics import DIAGNOSTICS, LOCKSTEP_HORIZON, SETTINGS, Topic
-from contact_reach_ros.parameter_files import AUTOSTART, CPUS, RATE, ROBOT, full_name
+from contact_reach_ros.parameter_files import AUTOSTART, CPUS, EVERY_SECTION, RATE, ROBOT, TOOL, full_name
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.lockstep import Lockstep
@@ -43,7 +44,7 @@ class ManagedNode(LifecycleNode):
     Attributes
     ----------
     arm
-        The arm that the parameter `robot` names.
+        The arm that the parameter `robot` names, with the tool of the section `tool`.
     period
         Nominal time between joint states, s.
     settings
@@ -59,7 +60,7 @@ class ManagedNode(LifecycleNode):
     NAME: ClassVar[str]
     SECTIONS: ClassVar[Sections]
     CHANGEABLE: ClassVar[Sequence[str]] = ()
-    """Settings without a prefix that may be changed while the node runs, see `on_change`."""
+    """Parameters that may be changed while the node runs: some without a prefix, see `on_change`, and the tool's."""
     ARGUMENTS: ClassVar[Sequence[str]] = ()
     """The command line of the process, which `run` sets."""
 
@@ -68,10 +69,11 @@ class ManagedNode(LifecycleNode):
         self.autostart = bool(self.declare_parameter(AUTOSTART.name, AUTOSTART.default).value)
         self.cpus = str(self.declare_parameter(CPUS.name, CPUS.default).value)
         self.lockstep = bool(self.get_parameter("use_sim_time").value)
-        self.arm = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
+        bare = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
         rate: Any = RATE.check(self.declare_parameter(RATE.name, RATE.default).value, f"{RATE.name} of {self.NAME}")
         self.period = 1.0 / rate
-        self.settings = declare(self, self.SECTIONS, self.arm, self.CHANGEABLE)
+        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, bare, self.CHANGEABLE)
+        self.arm = bare.with_tool(self.settings[TOOL])
         self.boundary = Boundary(lambda text: self.say(LoggingSeverity.ERROR, text), self.on_fault)
         self.inbox = Inbox(self, self.refuse)
         self.running = False
@@ -175,6 +177,12 @@ class ManagedNode(LifecycleNode):
     def on_change(self) -> None:
         """Take the values of settings that were changed, from `settings`; in the executor's thread."""
 
+    def change_arm(self, arm: Arm) -> None:
+        """Go on with the arm with another tool, in the executor's thread; `self.arm` is replaced afterwards.
+
+        Raises `InputError` unless the arm is at rest, without a goal.
+        """
+
     def configure(self) -> None:
         """Prepare what must be ready before the first message; may raise."""
 
@@ -267,12 +275,32 @@ class ManagedNode(LifecycleNode):
         fixed = ", ".join(parameter.name for parameter in parameters if parameter.name not in self.CHANGEABLE)
         if fixed:
             raise InputError(f"{fixed}: parameters are set at the start; restart the node with other values")
-        declared = {entry.name: entry for entry in self.settings[""].declared()}
-        values = {one.name: declared[one.name].check(one.value, f"{one.name} of {self.NAME}") for one in parameters}
-        self.settings[""] = dataclasses.replace(self.settings[""], **values)
-        self.on_change()
+        before, values = self.settings, {one.name: one.value for one in parameters}
+        self.settings = {
+            prefix: self._changed(prefix, settings, values) if prefix in ("", TOOL) else settings
+            for prefix, settings in before.items()
+        }
+        try:
+            if self.settings[TOOL] != before[TOOL]:
+                arm = load_arm(self.arm.name).with_tool(self.settings[TOOL])
+                self.change_arm(arm)
+                self.arm = arm
+            self.on_change()
+        except ContactReachError:
+            self.settings = before
+            raise
         if self.running:
             self._publish_settings()
+
+    def _changed(self, prefix: str, settings: Settings, values: Mapping[str, Any]) -> Settings:
+        """The settings of one prefix, with what there is for them among values by full name."""
+        names = {full_name(prefix, entry.name): entry for entry in settings.declared()}
+        own = {
+            entry.name: entry.check(values[name], f"{name} of {self.NAME}")
+            for name, entry in names.items()
+            if name in values
+        }
+        return dataclasses.replace(settings, **own) if own else settings
 
     def _log_refusals(self) -> None:
         for line in self.boundary.last_refusals():

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.bags.columns import JointStates, Stamps, read_raw
 from contact_reach_ros.bags.goals import pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
+from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.history import SPAN, joint_labels, quantities, thinned
@@ -56,10 +58,12 @@ class Recording:
     path
         The bag.
     arm
-        The recorded arm.
+        The arm if the bag records none.
 
     Attributes
     ----------
+    arm
+        The recorded arm, with its tool.
     duration
         Time from the first to the last joint state, s.
     ticks
@@ -75,9 +79,9 @@ class Recording:
 
     def __init__(self, path: Path, arm: Arm) -> None:
         self.path = path
-        self._arm = arm
         self._read_obstacles = ObstacleMarkerReader(arm.base_frame, ANY_MATERIAL).read
         self._reader = BagReader(path, of_stack=True)
+        self.arm = self._recorded_arm() or arm
         self._read()
         self.events = self._find_events()
         self._table = self._make_table()
@@ -100,7 +104,7 @@ class Recording:
             external_torque=self._torques[torque] if torque >= 0 else None,
             obstacles=self._newest(_OBSTACLES, until_ns, self._read_obstacles),
             plan=self._newest(_PICTURES, until_ns, read_plan),
-            forces=dict(zip(self._arm.contact_links, self._forces[contact].tolist(), strict=True))
+            forces=dict(zip(self.arm.contact_links, self._forces[contact].tolist(), strict=True))
             if contact >= 0
             else {},
             goal=self._goals[1][goal] if goal >= 0 else None,
@@ -125,11 +129,17 @@ class Recording:
         """Start of the first contact after a time, s; None without any."""
         return next((event.time for event in self.events if event.kind == "contact" and event.time > time + 1e-6), None)
 
+    def _recorded_arm(self) -> Arm | None:
+        if "/settings" not in self._reader.topics():
+            return None
+        statuses = (item.message for item in self._reader.messages(["/settings"]))
+        return recorded_arm({status.name: read_settings(status) for status in statuses})
+
     def _read(self) -> None:
         columns = {
-            _STATES: JointStates(["position"], self._arm.joint_names),
-            _TORQUES: JointStates(["effort"], self._arm.joint_names),
-            _CONTACTS: JointStates(["effort"], (*self._arm.contact_links, "max")),
+            _STATES: JointStates(["position"], self.arm.joint_names),
+            _TORQUES: JointStates(["effort"], self.arm.joint_names),
+            _CONTACTS: JointStates(["effort"], (*self.arm.contact_links, "max")),
             _PLANS: Stamps(),
         }
         received: dict[str, list[int]] = {topic: [] for topic in _ASKED_FOR}
@@ -257,7 +267,7 @@ class Recording:
     def _make_table(self) -> Array:
         """All plotted quantities at equidistant times."""
         times = np.arange(0.0, self.duration + 0.5 * _SAMPLES, _SAMPLES)
-        names = quantities(self._arm.n)
+        names = quantities(self.arm.n)
         table = np.full((len(times), len(names)), np.nan)
         columns = dict(zip(names, table.T, strict=True))
         columns["time"][:] = times
@@ -265,7 +275,7 @@ class Recording:
         known = np.flatnonzero(goal >= 0)
         if len(known):
             ticks = np.searchsorted(self.ticks, times[known] + 1e-9, side="right") - 1
-            flange = tip_positions(self._arm, self._q[ticks])
+            flange = tip_positions(self.arm, self._q[ticks])
             columns["distance"][known] = 1000.0 * np.linalg.norm(flange - self._goals[1][goal[known]], axis=1)
         place = np.searchsorted(times, self._contact_times)
         inside = place < len(times)
@@ -273,7 +283,7 @@ class Recording:
         _hold(columns["force"])
         if len(self._torque_times):
             rows = np.searchsorted(self._torque_times, times + 1e-9, side="right") - 1
-            for joint, name in enumerate(joint_labels(self._arm.n)):
+            for joint, name in enumerate(joint_labels(self.arm.n)):
                 columns[name][:] = np.where(rows >= 0, self._torques[rows, joint], np.nan)
         if len(self._plan_times):
             rows = np.searchsorted(self._plan_times, times + 1e-9, side="right") - 1

@@ -15,8 +15,8 @@ from contact_reach_ros.errors import RenderingError
 
 ARM = load_arm()
 HOME = np.array(ARM.home)
-TURNED = HOME + np.array([1.0, 0, 0, 0, 0, 0, 0])
-CAMERA = frame([*arm_shapes(ARM, HOME), *arm_shapes(ARM, TURNED)], 160, 120)
+WITH_TOOL = HOME + np.array([1.0, 0, 0, 0, 0, 0, 0])
+CAMERA = frame([*arm_shapes(ARM, HOME), *arm_shapes(ARM, WITH_TOOL)], 160, 120)
 
 
 def changed(first, second):
@@ -25,9 +25,9 @@ def changed(first, second):
 
 @pytest.mark.parametrize("renderer", BACKENDS)
 def test_the_arm_is_seen_and_moves_with_its_joints(renderer):
-    shapes = [[], arm_shapes(ARM, HOME), arm_shapes(ARM, TURNED)]
+    shapes = [[], arm_shapes(ARM, HOME), arm_shapes(ARM, WITH_TOOL)]
     views = [View(each, CAMERA, floor()) for each in shapes]
-    views.append(View(arm_shapes(ARM, HOME), CAMERA, floor(), [Ghost(arm_shapes(ARM, TURNED), 0.5)]))
+    views.append(View(arm_shapes(ARM, HOME), CAMERA, floor(), [Ghost(arm_shapes(ARM, WITH_TOOL), 0.5)]))
     try:
         empty, home, turned, ghost = render(views, renderer)
     except RenderingError as error:

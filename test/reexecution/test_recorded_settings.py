@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import pytest
 from arm_simulation import ARM
 
+from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.reexecution.settings import recorded_arm, recorded_sections
+from contact_reach_ros.reexecution.settings import recorded_sections
 
 
 class TestArm:
@@ -24,7 +25,7 @@ class TestArm:
             recorded_arm({"controller": {"robot": ARM.name, "robot digest": "0123"}})
 
     def test_one_that_this_version_does_not_have_is_named(self):
-        with pytest.raises(BagError, match="settings of the observer: arm 'iiwa15' is unknown"):
+        with pytest.raises(BagError, match="settings of the observer: robot = 'iiwa15': expected one of iiwa14"):
             recorded_arm({"controller": {}, "observer": {"robot": "iiwa15"}})
 
 

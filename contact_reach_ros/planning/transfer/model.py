@@ -43,6 +43,8 @@ class ArmModel:
     """(n, 3, 3) rotation of each link frame in the one before at angle zero."""
     flange_offset: Array
     """(3,) flange in the last link frame, m."""
+    flange_rotation: Array
+    """(3, 3) rotation of the flange in the last link frame."""
     mass: Array
     """(n,), kg."""
     center_of_mass: Array
@@ -141,6 +143,7 @@ def read_arm(system: brax.System) -> ArmModel:
         joint_offset=_double(link.transform.pos)[links],
         joint_rotation=np.array(joint_rotation),
         flange_offset=_exact(model.site(TIP_SITE).pos),
+        flange_rotation=_tidy(rotation_from_quaternion(model.site(TIP_SITE).quat)),
         mass=_double(inertia.mass)[links],
         center_of_mass=_double(inertia.transform.pos)[links],
         inertia=np.array([_tidy(tensor) for tensor in tensors]),

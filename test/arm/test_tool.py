@@ -1,0 +1,140 @@
+"""A tool at the flange: what it makes of the arm, and which values are none."""
+
+import re
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import ARM, HOME, TOOL, WITH_TOOL, random_states
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaternion, tensor_matrix
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.tool import Tool
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.parameter_files import arm_in
+
+MASS, CENTER, TENSOR, TIP = TOOL.mass, TOOL.center, TOOL.inertia, TOOL.flange_to_tip
+G = 9.81
+
+
+@pytest.fixture(params=[ARM, WITH_TOOL], ids=["iiwa", "tool"])
+def bare(request):
+    return request.param
+
+
+def test_without_a_tool_it_is_the_same_arm():
+    assert ARM.with_tool(Tool()) is ARM
+    assert arm_in({"tool.mass": 0.0}, "test") is load_arm()
+
+
+def test_the_tip_is_where_the_tool_has_it(bare):
+    arm = bare.with_tool(TOOL)
+    for q in random_states(20)[0]:
+        rotations, origins = link_frames(bare, q)
+        tip_rotations, tip_origins = link_frames(arm, q)
+        np.testing.assert_allclose(tip_origins[-1], origins[-1] + rotations[-1] @ TIP[:3], atol=1e-11)
+        turn = Rotation.from_euler("xyz", TIP[3:]).as_matrix()
+        np.testing.assert_allclose(tip_rotations[-1], rotations[-1] @ turn, atol=1e-11)
+
+
+def test_weight_and_inertia_are_those_of_a_body_fixed_to_the_flange(bare):
+    """MuJoCo attaches it by itself; nothing is composed there."""
+    flange = f'<body name="{bare.tip_frame}"'
+    xml = build_mjcf(bare)
+    place = xml.index("/>", xml.index('site name="flange"')) + 2
+    numbers = [" ".join(map(repr, values)) for values in (CENTER, TENSOR)]
+    body = f'<inertial mass="{MASS}" pos="{numbers[0]}" fullinertia="{numbers[1]}"/>'
+    assert flange in xml
+    model = mujoco.MjModel.from_xml_string(xml[:place] + body + xml[place:])
+    data, composed = mujoco.MjData(model), RobotModel(bare.with_tool(TOOL))
+    mass_matrix = np.zeros((ARM.n, ARM.n))
+    for q, v in zip(*random_states(50), strict=True):
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass_matrix)
+        composed.update(q, v)
+        np.testing.assert_allclose(composed.mass_matrix, mass_matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(composed.bias, data.qfrc_bias, rtol=0, atol=1e-9)
+
+
+def test_every_inertia_set_carries_it():
+    arm = ARM.with_tool(TOOL)
+    for name in ARM.inertia_sets:
+        difference = RobotModel(arm, name).gravity_at(HOME) - RobotModel(ARM, name).gravity_at(HOME)
+        model = RobotModel(ARM, name).pinocchio
+        data = model.createData()
+        pin.forwardKinematics(model, data, HOME)
+        flange = pin.updateFramePlacement(model, data, model.getFrameId(ARM.tip_frame))
+        lever = flange.translation + flange.rotation @ CENTER
+        expected = [
+            MASS * G * np.cross(data.oMi[joint].rotation[:, 2], lever - data.oMi[joint].translation)[2]
+            for joint in range(1, ARM.n + 1)
+        ]
+        np.testing.assert_allclose(difference, expected, atol=1e-9)
+
+
+def test_a_tool_on_a_tool_is_one_whose_values_are_composed():
+    first, second = Tool(mass=1.0, flange_to_tip=(0.0, 0.0, 0.1, 0.0, 0.5, 0.0)), Tool(mass=1.0, center=(0.0, 0.0, 0.1))
+    both = ARM.with_tool(first).with_tool(second)
+    end = rotation_from_quaternion(first.rotation) @ (0.0, 0.0, 0.1) + (0.0, 0.0, 0.1)
+    center = 0.5 * end
+    spread = end @ end * np.eye(3) - np.outer(end, end)
+    tensor = 0.5 * spread
+    one = Tool(
+        mass=2.0,
+        center=tuple(center),
+        inertia=(*tensor.diagonal(), tensor[0, 1], tensor[0, 2], tensor[1, 2]),
+        flange_to_tip=first.flange_to_tip,
+    )
+    ours, theirs = both.inertias()[-1], ARM.with_tool(one).inertias()[-1]
+    np.testing.assert_allclose(ours.center, theirs.center, atol=1e-11)
+    np.testing.assert_allclose(tensor_matrix(ours.tensor), tensor_matrix(theirs.tensor), atol=1e-11)
+
+
+def test_a_radius_gives_it_a_capsule_from_flange_to_tip():
+    arm = ARM.with_tool(TOOL)
+    (added,) = arm.capsules[len(ARM.capsules) :]
+    assert (added.link, added.start, added.end, added.radius) == (ARM.n, ARM.tip_offset, arm.tip_offset, 0.02)
+    assert arm.contact_links == ARM.contact_links
+    assert ARM.with_tool(Tool(mass=1.0)).capsules == ARM.capsules
+
+
+def test_a_longer_arm_reaches_farther():
+    assert ARM.with_tool(Tool(flange_to_tip=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))).reach == pytest.approx(ARM.reach + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"mass": -1.0}, "Tool.mass = -1.0: expected a number in [0, 50] kg"),
+        ({"mass": float("nan")}, "Tool.mass = nan: expected a number in [0, 50] kg"),
+        ({"inertia": (0.01, 0.01, 0.01, 0.0, 0.0, 0.0)}, "expected zeros, as mass = 0 kg"),
+        ({"center": (0.0, 0.0, 0.1)}, "Tool.center = (0.0, 0.0, 0.1): expected zeros, as mass = 0 kg"),
+        ({"mass": 1.0, "inertia": (0.01, 0.01, 0.05, 0.0, 0.0, 0.0)}, "none above the sum of the others"),
+        ({"mass": 1.0, "inertia": (0.01, 0.01, 0.01, 0.02, 0.0, 0.0)}, "none below zero"),
+        (
+            {"mass": 1.0, "inertia": (0.01, 0.01, 0.01)},
+            "Tool.inertia = (0.01, 0.01, 0.01): expected a list of 6 values",
+        ),
+        ({"flange_to_tip": (0.0, 0.0, 120.0, 0.0, 0.0, 0.0)}, "Tool.flange_to_tip"),
+        ({"radius": 0.02}, "expected 0 where flange_to_tip leads nowhere"),
+    ],
+)
+def test_what_is_no_tool_is_refused_with_what_was_expected(values, message):
+    with pytest.raises(SettingsError, match=re.escape(message)):
+        Tool(**values)
+
+
+def test_a_rod_and_a_point_are_bodies():
+    assert Tool(mass=1.0, inertia=(0.01, 0.01, 0.0, 0.0, 0.0, 0.0)).mass == Tool(mass=1.0).mass
+
+
+def test_the_file_is_named_in_which_a_value_is_wrong():
+    with pytest.raises(SettingsError, match=r"own\.yaml.*tool: mass = -1"):
+        arm_in({"tool.mass": -1}, "own.yaml")
+    with pytest.raises(SettingsError, match=r"own\.yaml: Tool\.inertia"):
+        arm_in({"tool.mass": 1.0, "tool.inertia": [0.01, 0.01, 0.05, 0.0, 0.0, 0.0]}, "own.yaml")
