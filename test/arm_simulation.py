@@ -19,6 +19,8 @@ from contact_reach_ros.world.obstacle import Obstacle, numbered
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene, SceneFile
 
 ARM = load_arm("iiwa14")
+TURNED = dataclasses.replace(ARM, tip_offset=(0.03, -0.02, 0.12), tip_rotation=(0.8, 0.3, -0.4, 0.2))
+"""With a tip that has axes of its own."""
 HOME = np.array(ARM.home)
 REST = np.zeros(ARM.n)
 POSITION_LIMITS = np.array(ARM.upper)

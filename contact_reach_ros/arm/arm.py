@@ -21,6 +21,9 @@ from contact_reach_ros.errors import SettingsError
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
+PARALLEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
+"""Rotation (w, x, y, z) of a frame whose axes are those of the frame that it is in."""
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -78,7 +81,7 @@ class Arm:
     base_frame, tip_frame
         Frame that goals are given in, and frame that is to reach them.
     tip_offset
-        Position of the tip in the frame of the last link, m; not rotated.
+        Position of the tip in the frame of the last link, m.
     capsules
         Collision shapes of the moving links, from base to tip.
     base_capsule
@@ -91,6 +94,8 @@ class Arm:
         Joint angles at which episodes start unless a scene specifies others, rad.
     defaults
         Per-joint values of the settings that depend on the arm, by the name of the setting; others are zero.
+    tip_rotation
+        Rotation (w, x, y, z) of the tip frame in the frame of the last link, not necessarily normalised.
     """
 
     name: str
@@ -106,6 +111,7 @@ class Arm:
     reach: float
     home: tuple[float, ...]
     defaults: Mapping[str, tuple[float, ...]]
+    tip_rotation: Quaternion = PARALLEL
 
     @cached_property
     def n(self) -> int:
@@ -147,6 +153,9 @@ class Arm:
         """Fingerprint of everything that models are built from, the same on every machine."""
         values = dataclasses.asdict(self)
         del values["defaults"]
+        if self.tip_rotation == PARALLEL:
+            # Bags from before there was a rotation have the same digest.
+            del values["tip_rotation"]
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     def inertias(self, inertia_set: str = "nominal") -> tuple[Inertia, ...]:

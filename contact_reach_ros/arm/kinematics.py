@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arm import PARALLEL, Arm
 from contact_reach_ros.arrays import Array
 
 
@@ -37,6 +37,12 @@ def _frames_at_zero(arm: Arm) -> tuple[Array, Array]:
     return offsets, np.array([rotation_from_quaternion(joint.rotation) for joint in arm.joints])
 
 
+@functools.cache
+def tip_turn(arm: Arm) -> Array | None:
+    """Rotation (3, 3) of the tip frame in the last link's; None if they are parallel."""
+    return None if arm.tip_rotation == PARALLEL else rotation_from_quaternion(arm.tip_rotation)
+
+
 def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
     """Rotations (3, 3) and origins (3,) of the n link frames, then the tip, in the base frame, at `q` (n,), rad."""
     offsets, at_zero = _frames_at_zero(arm)
@@ -53,7 +59,9 @@ def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
         rotation = rotation @ step
         rotations.append(rotation)
         origins.append(origin)
-    return [*rotations, rotation], [*origins, origin + rotation @ arm.tip_offset]
+    turn = tip_turn(arm)
+    tip = rotation if turn is None else rotation @ turn
+    return [*rotations, tip], [*origins, origin + rotation @ arm.tip_offset]
 
 
 def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
@@ -73,7 +81,8 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
         frame[0] = cosine[joint] * x + sine[joint] * y
         frame[1] = cosine[joint] * y - sine[joint] * x
         frame[2] = z
-    axes[-1] = frame
+    turn = tip_turn(arm)
+    axes[-1] = frame if turn is None else (turn.T @ frame.reshape(3, -1)).reshape(3, 3, -1)
     origins[-1] = origin + (np.array(arm.tip_offset) @ frame.reshape(3, -1)).reshape(3, -1)
     return axes, origins
 

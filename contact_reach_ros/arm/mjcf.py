@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from contact_reach_ros.arm.arm import Arm, Capsule
+from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
 
 ROBOT_CONTACT_TYPE = 1
 OBSTACLE_CONTACT_TYPE = 2
@@ -91,6 +91,8 @@ def build_mjcf(
         for index, capsule in enumerate(on_link):
             body.append(_capsule(capsule, _capsule_name(number, index)))
     flange = SubElement(body, "body", name=arm.tip_frame, pos=numbers(arm.tip_offset))
+    if arm.tip_rotation != PARALLEL:
+        flange.set("quat", numbers(arm.tip_rotation))
     SubElement(flange, "site", name="flange")
     if payload > 0.0:
         diagonal = numbers([PAYLOAD_INERTIA * payload] * 3)

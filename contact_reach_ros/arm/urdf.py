@@ -61,7 +61,8 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
         parent = name
     SubElement(robot, "link", name=arm.tip_frame)
     flange = SubElement(robot, "joint", name=f"{arm.tip_frame}_joint", type="fixed")
-    SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy="0 0 0")
+    turn = rotation_from_quaternion(arm.tip_rotation)
+    SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy=numbers(roll_pitch_yaw(turn)))
     SubElement(flange, "parent", link=parent)
     SubElement(flange, "child", link=arm.tip_frame)
     ElementTree.indent(robot)

@@ -17,6 +17,7 @@ from contact_reach_ros.arm.capsules import (
     shapes,
 )
 from contact_reach_ros.arm.inverse_kinematics import is_attainable
+from contact_reach_ros.arm.kinematics import tip_turn
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.goal import Target
@@ -145,4 +146,7 @@ def _hand(arm: Arm, goal: Target) -> tuple[Array, Array, Array]:
     radii[0] = max(0.0, (radii - segment_distances((starts, ends), (tip, tip)))[1:].max(initial=0.0))
     if goal.rotation is None:
         return goal.position[None], goal.position[None], radii[:1]
-    return goal.position + (starts - tip) @ goal.rotation.T, goal.position + (ends - tip) @ goal.rotation.T, radii
+    turn = tip_turn(arm)
+    # Of the last link, whose frame the capsules are in.
+    rotation = goal.rotation if turn is None else goal.rotation @ turn.T
+    return goal.position + (starts - tip) @ rotation.T, goal.position + (ends - tip) @ rotation.T, radii

@@ -33,6 +33,7 @@ def test_copies_are_equal_and_the_same_key(make):
     [
         {"name": "other"},
         {"tip_offset": (0.0, 0.0, 0.046)},
+        {"tip_rotation": (0.0, 1.0, 0.0, 0.0)},
         {"joints": (dataclasses.replace(ARM.joints[0], upper=3.0), *ARM.joints[1:])},
         {"capsules": ARM.capsules[:-1]},
         {"inertia_sets": {"nominal": ARM.inertias()}},
@@ -45,6 +46,10 @@ def test_whatever_models_are_built_from_makes_another_arm(changes):
     other = dataclasses.replace(ARM, **changes)
     assert other != ARM and other.digest != ARM.digest
     assert len({ARM: 1, other: 2}) == 2
+
+
+def test_the_digest_of_the_iiwa_is_that_in_bags():
+    assert ARM.digest == "a1afed95948d1e7c"
 
 
 def test_default_thresholds_are_settings_and_make_no_other_arm():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM, HOME, TURNED
 
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
@@ -16,22 +16,25 @@ def seeds(count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-LIMITS, LIMITS, (count, 7))
 
 
-def test_frames_of_many_postures_are_those_of_each():
+@pytest.mark.parametrize("arm", [ARM, TURNED])
+def test_frames_of_many_postures_are_those_of_each(arm):
     q = seeds(5)
-    axes, origins = link_frames_of_many(ARM, q)
+    axes, origins = link_frames_of_many(arm, q)
     for index, posture in enumerate(q):
-        rotations, expected = link_frames(ARM, posture)
+        rotations, expected = link_frames(arm, posture)
         np.testing.assert_allclose(origins[:, :, index], expected, rtol=0, atol=1e-12)
         np.testing.assert_allclose(axes[..., index].transpose(0, 2, 1), rotations, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("rotation", [ROTATIONS[-1], None])
-def test_solutions_are_at_the_goal_and_within_the_limits(rotation):
-    found = solve_ik(ARM, POSITION, rotation, seeds(200), 0.1)
+@pytest.mark.parametrize(
+    ("arm", "rotation"), [(ARM, ROTATIONS[-1]), (ARM, None), (TURNED, link_frames(TURNED, HOME)[0][-1])]
+)
+def test_solutions_are_at_the_goal_and_within_the_limits(arm, rotation):
+    found = solve_ik(arm, POSITION, rotation, seeds(200), 0.1)
     assert len(found) > 50
     assert (np.abs(found) <= LIMITS - 0.1 + 1e-12).all()
     for q in found:
-        rotations, origins = link_frames(ARM, q)
+        rotations, origins = link_frames(arm, q)
         assert np.linalg.norm(origins[-1] - POSITION) < 1e-4
         if rotation is not None:
             np.testing.assert_allclose(rotations[-1], rotation, rtol=0, atol=2e-3)

@@ -6,8 +6,9 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import ARM, random_states
+from arm_simulation import ARM, TURNED, random_states
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
@@ -19,8 +20,8 @@ TOLERANCE = 1e-9
 class MujocoModel:
     """The same quantities as `RobotModel`, from MuJoCo."""
 
-    def __init__(self, inertia_set: str) -> None:
-        self.model = mujoco.MjModel.from_xml_string(build_mjcf(ARM, inertia_set))
+    def __init__(self, arm: Arm, inertia_set: str) -> None:
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(arm, inertia_set))
         self.data = mujoco.MjData(self.model)
         self.flange = self.model.site("flange").id
 
@@ -37,9 +38,9 @@ class MujocoModel:
         self.rotation = data.site_xmat[self.flange].reshape(3, 3)
 
 
-@pytest.mark.parametrize("inertia_set", tuple(ARM.inertia_sets))
-def test_pinocchio_agrees_with_mujoco(inertia_set):
-    pinocchio, other = RobotModel(ARM, inertia_set), MujocoModel(inertia_set)
+@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (TURNED, "nominal")])
+def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
+    pinocchio, other = RobotModel(arm, inertia_set), MujocoModel(arm, inertia_set)
     for q, v in zip(*random_states(STATES), strict=True):
         pinocchio.update(q, v)
         other.update(q, v)
@@ -78,10 +79,11 @@ def test_pinocchio_agrees_with_brax():
             np.testing.assert_allclose(result[index], value, rtol=0, atol=TOLERANCE)
 
 
-def test_pinocchio_agrees_with_the_table():
-    model = RobotModel(ARM)
+@pytest.mark.parametrize("arm", [ARM, TURNED])
+def test_pinocchio_agrees_with_the_table(arm):
+    model = RobotModel(arm)
     for q, v in zip(*random_states(100), strict=True):
         model.update(q, v)
-        rotations, origins = link_frames(ARM, q)
+        rotations, origins = link_frames(arm, q)
         np.testing.assert_allclose(model.position, origins[-1], rtol=0, atol=1e-12)
         np.testing.assert_allclose(model.rotation, rotations[-1], rtol=0, atol=1e-12)

@@ -4,47 +4,63 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import ARM, random_states
+from arm_simulation import ARM, TURNED, random_states
+from scipy.spatial.transform import Rotation
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.planning.transfer.closed_loop import Reference, pose_error
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 
 COUNT = 40
+POSITION, TURN = np.array([0.4, 0.1, 0.3]), np.array([0.1, -0.2, 0.15])
+
+
+def turned(rotation: jax.Array) -> jax.Array:
+    """Rotations (3, 3, B) from which those given are turned by `TURN` about the axes of the base."""
+    return jnp.einsum("ij,jkb->ikb", Rotation.from_rotvec(-TURN).as_matrix(), rotation)
+
+
+@pytest.fixture(scope="module", params=[ARM, TURNED], ids=["iiwa", "turned tip"])
+def arm(request) -> Arm:
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def computed() -> tuple[np.ndarray, ...]:
-    """Flange positions, rotations, Jacobians, mass matrices and drifts of random states, lanes last."""
+def computed(arm) -> tuple[np.ndarray, ...]:
+    """Flange positions, rotations, Jacobians, mass matrices, drifts and pose errors of random states, lanes last."""
 
     @jax.jit
     def run(q: jax.Array, v: jax.Array) -> tuple[jax.Array, ...]:
         keep = make_keep(q)
-        frames = link_frames(arm_model(ARM), q, keep)
-        dynamics = arm_dynamics(arm_model(ARM), frames, keep)
+        frames = link_frames(arm_model(arm), q, keep)
+        dynamics = arm_dynamics(arm_model(arm), frames, keep)
         drift = flange_drift(frames, v, keep)
-        return frames.flange, frames.flange_rotation, dynamics.jacobian, dynamics.mass_matrix, drift
+        error = pose_error(frames, Reference(jnp.asarray(POSITION)[:, None], turned(frames.flange_rotation), q))
+        return frames.flange, frames.flange_rotation, dynamics.jacobian, dynamics.mass_matrix, drift, error
 
     q, v = random_states(COUNT)
     return tuple(np.asarray(array) for array in run(jnp.asarray(q.T), jnp.asarray(v.T)))
 
 
 @pytest.fixture(scope="module")
-def expected() -> list[dict[str, np.ndarray]]:
-    model = RobotModel(ARM)
+def expected(arm) -> list[dict[str, np.ndarray]]:
+    model = RobotModel(arm)
     states = []
     for q, v in zip(*random_states(COUNT), strict=True):
         model.update(q, v)
         names = ("position", "rotation", "jacobian", "mass_matrix", "drift")
         states.append({name: getattr(model, name).copy() for name in names})
+        states[-1]["error"] = np.concatenate([model.position - POSITION, TURN])
     return states
 
 
 @pytest.mark.parametrize(
     ("index", "name", "tolerance"),
-    [(0, "position", 1e-6), (1, "rotation", 2e-6), (2, "jacobian", 2e-6), (4, "drift", 1e-4)],
+    [(0, "position", 1e-6), (1, "rotation", 2e-6), (2, "jacobian", 2e-6), (4, "drift", 1e-4), (5, "error", 1e-5)],
 )
 def test_quantity_agrees_with_pinocchio(computed, expected, index, name, tolerance):
     reference = np.stack([state[name] for state in expected], axis=-1)

@@ -1,5 +1,6 @@
 """Distances of the arm from rigid bodies and from itself, and goals that are refused for them."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -113,6 +114,16 @@ class TestGoals:
     def test_an_arm_without_a_shape_on_its_last_link_has_a_point_there(self):
         with pytest.raises(InputError, match=r"lies 10\.0 mm deep in the table"):
             check_hand(SIX_AXIS, Target(np.array([0.5, 0.0, 0.19]), DOWN), (TABLE,))
+
+    def test_a_goal_places_the_hand_whatever_the_axes_of_the_tip(self):
+        arm = dataclasses.replace(ARM, tip_rotation=(0.8, 0.3, -0.4, 0.2))
+        rotation = link_frames(arm, HOME)[0][-1]
+        for goal, whose in (
+            (Target(np.array([0.5, 0.0, 0.23]), DOWN), ARM),
+            (Target(np.array([0.5, 0.0, 0.23]), rotation), arm),
+        ):
+            with pytest.raises(InputError, match=r"lies 15\.0 mm deep in the table"):
+                check_hand(whose, goal, (TABLE,))
 
 
 class TestValues:

@@ -118,12 +118,8 @@ def pose_error(frames: Frames, reference: Reference) -> jax.Array:
 
     The rotation vector comes from the sine of its angle by a series, good to 0.1 mrad up to 0.5 rad.
     """
-    desired = reference.rotation
-    sine = 0.5 * (
-        cross(desired[:, 0], frames.x[:, -1])
-        + cross(desired[:, 1], frames.y[:, -1])
-        + cross(desired[:, 2], frames.z[:, -1])
-    )
+    desired, (x, y, z) = reference.rotation, frames.flange_axes
+    sine = 0.5 * (cross(desired[:, 0], x) + cross(desired[:, 1], y) + cross(desired[:, 2], z))
     square = dot(sine, sine)
     rotation = sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0 + square * (15.0 / 336.0))))
     return jnp.concatenate([frames.flange - reference.position, rotation])

@@ -25,11 +25,13 @@ class Frames(NamedTuple):
     """(3, n, B), m."""
     flange: jax.Array
     """(3, B), m."""
+    flange_axes: tuple[jax.Array, ...]
+    """Its x, y and z axis, (3, B) each."""
 
     @property
     def flange_rotation(self) -> jax.Array:
         """(3, 3, B), indexed [row, column]."""
-        return jnp.stack([self.x[:, -1], self.y[:, -1], self.z[:, -1]], axis=1)
+        return jnp.stack(self.flange_axes, axis=1)
 
 
 def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
@@ -46,7 +48,9 @@ def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
         frames.append((*axes, origin))
     flange = origin + combine(axes, arm.flange_offset)
     x, y, z, origins = (jnp.stack(parts, axis=1) for parts in zip(*frames, strict=True))
-    return Frames(x, y, z, origins, flange)
+    last = [x[:, -1], y[:, -1], z[:, -1]]
+    flange_axes = tuple(combine(last, arm.flange_rotation[:, column]) for column in range(3))
+    return Frames(x, y, z, origins, flange, flange_axes)
 
 
 def capsule_segments(arm: ArmModel, frames: Frames) -> tuple[jax.Array, jax.Array]:

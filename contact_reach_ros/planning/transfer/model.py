@@ -34,6 +34,8 @@ class ArmModel:
     """(n, 3, 3) rotation of each link frame in the one before at angle zero."""
     flange_offset: Array
     """(3,) flange in the last link frame, m."""
+    flange_rotation: Array
+    """(3, 3) rotation of the flange in the last link frame."""
     mass: Array
     """(n,), kg."""
     center_of_mass: Array
@@ -96,6 +98,7 @@ def arm_model(arm: Arm) -> ArmModel:
         joint_offset=_double(link.transform.pos),
         joint_rotation=np.array(joint_rotation),
         flange_offset=np.array(arm.tip_offset),
+        flange_rotation=rotation_from_quaternion(arm.tip_rotation),
         mass=_double(inertia.mass),
         center_of_mass=_double(inertia.transform.pos),
         inertia=np.array([_tidy(tensor) for tensor in tensors]),
