@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import functools
 import importlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.table import arm_of_table
+from contact_reach_ros.arm.table import arm_of_table, table_of
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import read_yaml
 
 DEFAULT_ARM = "iiwa14"
+ROBOT, ROBOT_DIGEST, ROBOT_TABLE = "robot", "robot digest", "robot table"
+"""Names under which nodes report their arm."""
 ENDINGS = (".urdf", ".yaml", ".yml")
 """Of files that hold arms."""
 _FOLDER = Path(__file__).parent
@@ -50,3 +54,22 @@ def load_arm(name: str = DEFAULT_ARM) -> Arm:
 def is_shipped(arm: Arm) -> bool:
     """Whether `load_arm` finds this arm by its name."""
     return arm.name in ARMS and load_arm(arm.name) == arm
+
+
+def arm_settings(arm: Arm) -> dict[str, Any]:
+    """What nodes report of their arm: name and digest, and all of its numbers if the package does not have it."""
+    settings: dict[str, Any] = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest}
+    return settings if is_shipped(arm) else settings | {ROBOT_TABLE: table_of(arm)}
+
+
+def reported_arm(settings: Mapping[str, Any]) -> Arm:
+    """The arm of a node that reports these settings; it is the iiwa 14 where they name none.
+
+    Raises
+    ------
+    SettingsError
+        If this version does not have the arm.
+    """
+    if ROBOT_TABLE in settings:
+        return arm_of_table(settings[ROBOT_TABLE], ROBOT_TABLE)
+    return load_arm(str(settings.get(ROBOT, DEFAULT_ARM)))

@@ -142,7 +142,7 @@ class _Configuration:
         try:
             wanted = BringupOptions.from_mapping({**vars(self._wanted), **changes}, f"parameters of {NAME}")
             processes(wanted)
-            make_scene(read_scene(wanted.scene), load_arm(), wanted.seed, parse_target(wanted.target))
+            make_scene(read_scene(wanted.scene), load_arm(wanted.arm), wanted.seed, parse_target(wanted.target))
         except ContactReachError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._wanted = wanted

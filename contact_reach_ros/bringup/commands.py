@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import load_arm, reported_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
@@ -253,7 +253,8 @@ class _Operator:
         wanted = (_PLANNER, _CONTROLLER)
 
         def is_there() -> bool:
-            return all(name in self.diagnostics for name in wanted) and bool(self._goals.get_subscription_count())
+            heard = self._orientation is not None and all(name in self.diagnostics for name in wanted)
+            return heard and bool(self._goals.get_subscription_count())
 
         if not self._until(lambda: bool(self._heard or self.diagnostics), _FOUND_S):
             raise ContactReachError(_no_stack(self._node))
@@ -282,7 +283,6 @@ class _Operator:
 
     def check_orientation(self, has_one: bool) -> None:
         """Raise `ContactReachError` if a goal has an orientation that the planner would ignore, or lacks one."""
-        self._until(lambda: self._orientation is not None, _FOUND_S)
         if has_one == (self._orientation == POSE):
             return
         if has_one:
@@ -396,7 +396,8 @@ class _Operator:
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
         if message.name == _PLANNER:
-            self._orientation = read_settings(message).get("goal_orientation")
+            settings = read_settings(message)
+            self.arm, self._orientation = reported_arm(settings), settings.get("goal_orientation")
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         self._heard.add(message.name)

@@ -60,6 +60,8 @@ _RECORDED = (
 class DemoOptions:
     """What the command line asks for."""
 
+    arm: str = ""
+    """Name of the arm, or the path of its file; empty leaves it to the parameter file."""
     scene: str = "ball"
     seed: int = 2
     """With which the arm touches the ball."""
@@ -116,6 +118,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         bag=str(bag),
         parameters=options.parameters,
         view=options.view,
+        robot=options.arm,
         overrides=(f"driver:waits_for={DEMO}",) if options.lockstep else (),
     )
     table = processes(bringup)
@@ -125,8 +128,9 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
     with bare_node(DEMO) as node:
         began = time.monotonic()
         goal = None if options.goal is None else np.array(options.goal)
-        scene = make_scene(read_scene(options.scene), load_arm(), options.seed, goal)
-        model = RobotModel(load_arm("iiwa14"))
+        arm = load_arm(bringup.arm)
+        scene = make_scene(read_scene(options.scene), arm, options.seed, goal)
+        model = RobotModel(arm)
         refuse_beside_another(node, [process.name for process in table], began)
         options.output.mkdir(parents=True, exist_ok=True)
         stack = StackProcesses(node, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))

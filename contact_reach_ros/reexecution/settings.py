@@ -6,8 +6,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
@@ -73,33 +72,9 @@ MODEL = "model"
 
 _INERTIA_SET = "inertia_set"
 _CONTACT_BUDGET = "contact_budget"
-_EVERY_NODE = ("use_sim_time", "robot", "robot digest", "state_rate")
+_EVERY_NODE = ("use_sim_time", ROBOT, ROBOT_DIGEST, ROBOT_TABLE, "state_rate")
 _OF_PROCESSES = ("use_sim_time", "robot", "autostart", "cpus", "state_rate")
 """Parameters of every node that do not change what it computes."""
-_FIRST_ARM = "iiwa14"
-"""The arm of bags that name none."""
-
-
-def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
-    """The arm that the nodes of a bag had.
-
-    Raises
-    ------
-    BagError
-        If this version does not have it, or has another one of that name.
-    """
-    for node, values in settings.items():
-        try:
-            arm = load_arm(str(values.get("robot", _FIRST_ARM)))
-        except SettingsError as error:
-            raise BagError(f"settings of the {node}: {error}") from error
-        digest = values.get("robot digest", arm.digest)
-        if digest != arm.digest:
-            raise BagError(
-                f"settings of the {node}: the arm '{arm.name}' had digest {digest}, this version's has {arm.digest}; "
-                "use the version that recorded the bag"
-            )
-    return load_arm(str(next(iter(settings.values()), {}).get("robot", _FIRST_ARM)))
 
 
 def recorded_period(node: str, settings: Mapping[str, Mapping[str, Any]]) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.recorded_arm import arm_in
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -105,7 +106,7 @@ class ReportBag:
         return self.signals.answers_ns / 1000.0
 
 
-def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) -> ReportBag:
+def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportBag:
     """Read a bag, complete or not.
 
     Raises
@@ -114,6 +115,7 @@ def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) 
         If the file is no bag.
     """
     reader = BagReader(path, of_stack=True)
+    arm = arm_in(reader)
     signals = read_signals(reader, arm.joint_names)
     notes = list(reader.notes)
     if not reader.summary.message_count:

@@ -17,7 +17,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import arm_settings, load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
@@ -287,7 +287,7 @@ class ManagedNode(LifecycleNode):
             for entry in values.declared()
         }
         values["use_sim_time"] = self.get_parameter("use_sim_time").value
-        values |= {"robot": self.arm.name, "robot digest": self.arm.digest, RATE.name: 1.0 / self.period}
+        values |= {**arm_settings(self.arm), RATE.name: 1.0 / self.period}
         return values
 
     def _publish_settings(self) -> None:

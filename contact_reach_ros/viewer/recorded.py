@@ -18,6 +18,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.bags.columns import JointStates, Stamps, read_raw
 from contact_reach_ros.bags.goals import pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.recorded_arm import arm_in
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.cdr import after_string, text_at
 from contact_reach_ros.units import NANOSECONDS
@@ -99,6 +100,9 @@ class Recording:
         self._arm = arm
         self._decode = decoders
         self._reader = BagReader(path, of_stack=True)
+        recorded = arm_in(self._reader)
+        if recorded != arm:
+            raise BagError(f"bag '{path}' is of arm '{recorded.name}', the page of '{arm.name}': view it with --arm")
         self._read()
         self.events = self._find_events()
         self._table = self._make_table()
