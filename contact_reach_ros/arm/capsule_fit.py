@@ -18,6 +18,8 @@ from contact_reach_ros.arrays import Array
 
 _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""
+_ROUGH = 0.01
+"""Share of a radius by which the polygon around a cylinder may stand out of the spheres at its ends."""
 _SAMPLES = 4000
 """Points on the surface of the shapes, against which the overhang is measured."""
 
@@ -117,7 +119,7 @@ def _outer(balls: Array) -> Array:
                 nearest = first[:3] + np.clip(share, 0.0, 1.0)[:, None] * axis
                 depth = first[3] - balls[:, 3] - np.linalg.norm(balls[:, :3] - nearest, axis=1)
                 own = (balls == first).all(axis=1) | (balls == second).all(axis=1)
-                keep &= (depth < -1e-6) | own
+                keep &= (depth < -_ROUGH * first[3]) | own
     balls = np.unique(balls[keep], axis=0)
     if len(balls) > 8 and not balls[:, 3].any():
         try:

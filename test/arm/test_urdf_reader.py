@@ -8,15 +8,18 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_simulation import ARM
 from urdf_texts import AXES, LIMIT, ball, joint, link, odd_arm, written
 
 from contact_reach_ros.arm.arm import Arm, Inertia
 from contact_reach_ros.arm.arm_file import read_arm_file
 from contact_reach_ros.arm.arm_options import ArmOptions
+from contact_reach_ros.arm.assumptions import thresholds
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.table import arm_of_table, table_of, table_text
+from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arm.urdf_reader import read_arm
 from contact_reach_ros.errors import SettingsError
 
@@ -109,6 +112,31 @@ def test_a_table_holds_all_of_an_arm(odd, tmp_path):
     assert again == arm and again.digest == arm.digest and again.defaults == arm.defaults
     file = written(tmp_path, table_text(arm, digits=17), "table.yaml")
     assert read_arm_file(file).arm.digest == arm.digest
+
+
+def test_the_urdf_that_the_package_writes_is_the_same_arm(tmp_path):
+    file = written(tmp_path, build_urdf(ARM))
+    arm = read_arm(file, ArmOptions(home=ARM.home)).arm
+    assert (arm.base_frame, arm.tip_frame, arm.joint_names) == (ARM.base_frame, ARM.tip_frame, ARM.joint_names)
+    assert arm.shoulder == ARM.shoulder and arm.reach == pytest.approx(ARM.reach, abs=0.002)
+    ours, theirs = RobotModel(arm), RobotModel(ARM)
+    for q, v in states(ARM)[:20]:
+        ours.update(q, v)
+        theirs.update(q, v)
+        np.testing.assert_allclose(ours.mass_matrix, theirs.mass_matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ours.bias, theirs.bias, rtol=0, atol=1e-9)
+    # Spheres and cylinders are capsules again.
+    assert [capsule.link for capsule in arm.capsules] == [capsule.link for capsule in ARM.capsules]
+    for ours_, theirs_ in zip(arm.capsules, ARM.capsules, strict=True):
+        assert ours_.radius == pytest.approx(theirs_.radius, abs=2e-4)
+        lengths = [np.linalg.norm(np.subtract(each.end, each.start)) for each in (ours_, theirs_)]
+        assert lengths[0] == pytest.approx(lengths[1], abs=2e-4)
+
+
+@pytest.mark.parametrize("limits", [ARM.torque_limits], ids=["iiwa14"])
+def test_rule_for_thresholds_is_near_those_that_were_measured(limits):
+    for name, values in thresholds(limits).items():
+        np.testing.assert_allclose(values, ARM.default(name), rtol=0, atol=6.0 if name == "model_error" else 3.0)
 
 
 def test_options_lie_beside_the_urdf_and_either_path_leads_to_the_arm(tmp_path):
