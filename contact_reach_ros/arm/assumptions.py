@@ -60,7 +60,7 @@ def reach(arm: Arm) -> float:
 
 
 def home(arm: Arm) -> tuple[float, ...]:
-    """A posture far from singularities, with tip in front of the arm, last joint's axis down, and elbow up.
+    """A posture far from singularities, tip in front, last joint's axis down, all links above the base, elbow up.
 
     Each of these counts, none is required, except that the arm does not touch itself.
     """
@@ -74,6 +74,7 @@ def home(arm: Arm) -> tuple[float, ...]:
     down = -axes[-2, 2, 2] if arm.tip_offset[2] >= 0.0 else axes[-2, 2, 2]
     wrong += np.arccos(np.clip(down, -1.0, 1.0)) + 0.5 * np.abs(q).mean(axis=1)
     wrong -= 2.0 * np.minimum(origins[1:-1, 2].mean(axis=0) / arm.reach, 0.5)
+    wrong += 10.0 * np.maximum(0.15 - origins[1:, 2].min(axis=0) / arm.reach, 0.0)
     few = wrong.argsort()[: _POSTURES // 200]
     joint_axes = axes[:-1, 2][:, :, few]
     linear = np.cross(joint_axes, origins[-1][:, few] - origins[:-1][:, :, few], axis=1) / arm.reach
