@@ -227,7 +227,7 @@ def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOption
         verdict += ", stopped"
     title = f"scene {options.scene}, seed {options.seed}: {verdict}"
     plot = bag.with_suffix(".png")
-    episode.plot(plot, title, load_budget())
+    episode.plot(plot, title, load_budget().resolve(model.arm))
     report = {**summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
     if options.json is not None:
         options.json.write_text(json.dumps(report, indent=2) + "\n")
