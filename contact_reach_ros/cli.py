@@ -6,10 +6,11 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.experiments.commands import add_benches
 from contact_reach_ros.versions import VERSION
 
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 0)")
     up.add_argument("--target", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position for the scene, m")
     up.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
+    up.add_argument("--robot", metavar="ARM", help="name of the arm (default: the parameter file's)")
     up.add_argument("--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)")
     up.add_argument("--bag", metavar="DIR", help="record a bag (default: none)")
     up.add_argument("--parameters", metavar="FILE", help="parameter file for the nodes (default: the package's)")
@@ -92,22 +94,24 @@ def _parser() -> argparse.ArgumentParser:
         help="orientation of the flange: rotations about the base frame's x, y and z, rad; for a planner with "
         "goal_orientation: pose",
     )
-    home = add("home", _home, "send the flange to where it is in the arm's home posture, as goto")
+    home = add("home", partial(_operate, "home"), "send the flange to where it is in the arm's home posture, as goto")
     for moving in (goto, home):
         moving.add_argument("--wait", action="store_true", help="also wait until it has settled there")
         moving.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
-        _add_discovery(moving, "how far to look for the stack")
-        _add_namespace(moving)
-    speed = add("speed", _speed, "let the planner of the running stack use a share of its speed, from the next plan on")
+        _add_stack(moving)
+    speed = add(
+        "speed",
+        partial(_operate, "speed"),
+        "let the planner of the running stack use a share of its speed, from the next plan on",
+    )
     speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
-    _add_discovery(speed, "how far to look for the stack")
-    _add_namespace(speed)
-    stop = add("stop", _stop, "stop the arm of the running stack, compliantly, until reset")
-    _add_discovery(stop, "how far to look for the stack")
-    _add_namespace(stop)
-    reset = add("reset", _reset, "release all stops of the running stack; the arm then waits for a new goal")
-    _add_discovery(reset, "how far to look for the stack")
-    _add_namespace(reset)
+    _add_stack(speed)
+    stop = add("stop", partial(_operate, "stop"), "stop the arm of the running stack, compliantly, until reset")
+    _add_stack(stop)
+    reset = add(
+        "reset", partial(_operate, "reset"), "release all stops of the running stack; the arm then waits for a new goal"
+    )
+    _add_stack(reset)
 
     view = add("view", _view, "serve a page for browsers that shows the running stack, or a bag")
     # Without a default of its own, argparse passes on the name of the suppressed one.
@@ -149,17 +153,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     reexecute.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
 
-    # Two things were called replay; this one refuses, whatever its arguments are: none begins with the prefix.
-    replay = commands.add_parser("replay", add_help=False, prefix_chars="\0")
-    replay.add_argument("arguments", nargs="*")
-    replay.set_defaults(run=_replay)
-
-    fault = commands.add_parser("fault", help="make things go wrong in the running stack", add_help=False)
-    # Its own parser is made where rclpy may be imported, and knows the rest.
-    fault.add_argument("-h", "--help", dest="wants_help", action="store_true")
-    fault.add_argument("arguments", nargs=argparse.REMAINDER)
-    fault.set_defaults(run=_fault)
-
     bag = commands.add_parser("bag", help="look into a recording, or repair it").add_subparsers(
         required=True, metavar="WHAT"
     )
@@ -174,6 +167,11 @@ def _parser() -> argparse.ArgumentParser:
 
     add_benches(commands.add_parser("bench", help="measure on this machine"))
     return parser
+
+
+def _add_stack(command: argparse.ArgumentParser) -> None:
+    _add_discovery(command, "how far to look for the stack")
+    _add_namespace(command)
 
 
 def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
@@ -214,33 +212,13 @@ def _up(target: Sequence[float] | None = None, **options: Any) -> int:
 
 
 def _goto(x: float, y: float, z: float, **options: Any) -> int:
-    from contact_reach_ros.bringup.commands import goto
-
-    return goto((x, y, z), **options)
+    return _operate("goto", position=(x, y, z), **options)
 
 
-def _home(**options: Any) -> int:
-    from contact_reach_ros.bringup.commands import home
+def _operate(command: str, **options: Any) -> int:
+    from contact_reach_ros.bringup import commands
 
-    return home(**options)
-
-
-def _speed(**options: Any) -> int:
-    from contact_reach_ros.bringup.commands import speed
-
-    return speed(**options)
-
-
-def _stop(**options: Any) -> int:
-    from contact_reach_ros.bringup.commands import stop
-
-    return stop(**options)
-
-
-def _reset(**options: Any) -> int:
-    from contact_reach_ros.bringup.commands import reset
-
-    return reset(**options)
+    return int(getattr(commands, command)(**options))
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:
@@ -272,21 +250,6 @@ def _reexecute(**options: Any) -> int:
     from contact_reach_ros.reexecution.command import ReexecutionOptions, run_reexecution
 
     return run_reexecution(ReexecutionOptions(**options))
-
-
-def _replay(arguments: Sequence[str]) -> int:
-    raise SettingsError(
-        "there is no command 'replay'; expected 'contact-reach reexecute BAG [--plan N]' to execute the nodes of a bag "
-        "again, or '.venv/bin/replay BAG' (with ROS 2 sourced: 'ros2 run contact_reach_ros replay BAG') to publish its "
-        "messages again"
-    )
-
-
-def _fault(wants_help: bool, arguments: Sequence[str]) -> None:
-    from contact_reach_ros.doctor.fault_tool import make_parser
-
-    chosen = make_parser("contact-reach fault").parse_args(["--help"] if wants_help else arguments)
-    chosen.act(chosen)
 
 
 def _bag_info(bag: Path, json: Path | None) -> None:

@@ -13,6 +13,10 @@ class InputError(ContactReachError):
     """A message or argument is refused: non-finite, of the wrong size, in an unknown frame, out of reach, ..."""
 
 
+class FrameError(InputError):
+    """A message is in another frame than the arm's base frame."""
+
+
 class PlanningError(ContactReachError):
     """There is no plan: for example, a collision-free path does not exist or was not found in time."""
 
@@ -26,4 +30,4 @@ class BagError(ContactReachError):
 
 
 class RenderingError(ContactReachError):
-    """A picture cannot be rendered: for example, the renderer is unknown or does not work on this machine."""
+    """A picture cannot be rendered: for example, OpenGL does not work on this machine."""

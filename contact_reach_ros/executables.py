@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from functools import partial
 
 from contact_reach_ros.command_line import answer, asks_for_help, foreign_arguments
 from contact_reach_ros.parameter_files import NODES
@@ -25,51 +26,13 @@ def _run(module: str) -> None:
     importlib.import_module(f"contact_reach_ros.{module}").main()
 
 
-def driver() -> None:
-    """Run the driver of the simulated arm."""
-    _run("nodes.driver")
-
-
-def controller() -> None:
-    """Run the controller."""
-    _run("nodes.controller")
-
-
-def observer() -> None:
-    """Run the observer."""
-    _run("nodes.observer")
-
-
-def planner() -> None:
-    """Run the planner."""
-    _run("nodes.planner")
-
-
-def adapter() -> None:
-    """Run the adapter between controller and drive."""
-    _run("nodes.adapter")
-
-
-def recorder() -> None:
-    """Run the recorder."""
-    _run("nodes.recorder")
-
-
-def replay() -> None:
-    """Publish a bag again."""
-    _run("nodes.replay")
-
-
-def bringup() -> None:
-    """Run the whole stack."""
-    _run("bringup.bringup")
-
-
-def faults() -> None:
-    """Run the fault tool."""
-    _run("doctor.fault_tool")
-
-
-def viewer() -> None:
-    """Serve the browser page."""
-    _run("nodes.viewer")
+driver = partial(_run, "nodes.driver")
+controller = partial(_run, "nodes.controller")
+observer = partial(_run, "nodes.observer")
+planner = partial(_run, "nodes.planner")
+adapter = partial(_run, "nodes.adapter")
+recorder = partial(_run, "nodes.recorder")
+replay = partial(_run, "nodes.replay")
+viewer = partial(_run, "nodes.viewer")
+bringup = partial(_run, "bringup.bringup")
+faults = partial(_run, "doctor.fault_tool")

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
+import pickle
 import sys
 from pathlib import Path
+from typing import Any
 
 from contact_reach_ros.errors import ContactReachError
 
 PACKAGE = "contact_reach_ros"
+
+_KEPT = 300
+"""Files in a folder of the cache."""
 
 
 def share_directory() -> Path:
@@ -77,3 +84,39 @@ def cache_directory() -> Path:
             "set XDG_CACHE_HOME to a directory that can be written"
         ) from error
     return directory
+
+
+class KeptFile:
+    """A value in the user's cache, under everything that it depends on.
+
+    Parameters
+    ----------
+    folder
+        Of the cache; the least recently used files go when there are many.
+    parts
+        What the value depends on.
+    """
+
+    def __init__(self, folder: str, *parts: object) -> None:
+        name = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
+        self._file = cache_directory() / folder / f"{name}.pickle"
+
+    def load(self) -> Any:
+        """The value; None if it is not there, or the file is damaged."""
+        try:
+            value = pickle.loads(self._file.read_bytes())
+            os.utime(self._file)
+        except Exception:  # pickle raises whatever the damage leads to
+            return None
+        return value
+
+    def store(self, value: object) -> None:
+        """Keep a value; that it cannot be written is no error."""
+        with contextlib.suppress(OSError):
+            self._file.parent.mkdir(exist_ok=True)
+            new = self._file.with_suffix(f".{os.getpid()}")
+            new.write_bytes(pickle.dumps(value))
+            new.replace(self._file)
+            files = sorted(self._file.parent.glob("*.pickle"), key=lambda each: each.stat().st_mtime)
+            for old in files[:-_KEPT]:
+                old.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ import sysconfig
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 DEFINITIONS = {
@@ -79,10 +80,11 @@ _SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_
 _PREFIX = Path(sys.prefix)
 
 
-def message_packages(cache):
+def message_packages(cache, numpy_headers=None):
     """A folder from which Python imports the packages, made once and kept in `cache`; () where all are installed.
 
-    Skips the test where there is no compiler, or ROS is not that of the wheels.
+    They are compiled against the headers of the NumPy at hand, or those in another folder. Skips the test where there
+    is no compiler, or ROS is not that of the wheels.
     """
     if not MISSING:
         return ()
@@ -90,12 +92,12 @@ def message_packages(cache):
         pytest.skip(f"{', '.join(MISSING)}: not installed, and no headers to build them with")
     if shutil.which("g++") is None or not Path(sysconfig.get_path("include"), "Python.h").is_file():
         pytest.skip("needs g++ and Python's headers")
-    key = hashlib.sha256(f"{MISSING}{sys.version}{Path(__file__).read_text()}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{numpy_headers}{MISSING}{sys.version}{Path(__file__).read_text()}".encode()).hexdigest()[:16]
     folder = Path(cache) / key
     if not folder.is_dir():
         with tempfile.TemporaryDirectory(dir=cache) as made:
             for name, files in MISSING.items():
-                _build(name, files, Path(made) / "packages")
+                _build(name, files, Path(made) / "packages", numpy_headers or np.get_include())
             try:
                 os.rename(Path(made) / "packages", folder)
             except OSError:
@@ -104,7 +106,7 @@ def message_packages(cache):
     return (str(folder),)
 
 
-def _build(name, files, folder):
+def _build(name, files, folder, numpy_headers):
     package = folder / name
     package.mkdir(parents=True)
     for file, text in files.items():
@@ -113,7 +115,7 @@ def _build(name, files, folder):
     # Two of the generators give files the same names.
     beside = folder / "introspection" / name
     _generate(name, list(files), package, beside)
-    includes = [f"-I{folder}", f"-I{beside.parent}", f"-I{sysconfig.get_path('include')}", f"-I{_numpy_headers()}"]
+    includes = [f"-I{folder}", f"-I{beside.parent}", f"-I{sysconfig.get_path('include')}", f"-I{numpy_headers}"]
     headers = _PREFIX / "include"
     includes += [f"-I{each}" for each in (headers, *headers.iterdir()) if each.is_dir()]
     flags = [*includes, "-O1", "-w", "-fPIC", "-shared", f"-L{_PREFIX / 'lib'}", f"-Wl,-rpath,{_PREFIX / 'lib'}"]
@@ -178,9 +180,3 @@ def _compile(target, sources, libraries, flags):
 def _run(command, **options):
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options)
     assert done.returncode == 0, done.stdout[-4000:]
-
-
-def _numpy_headers():
-    import numpy as np
-
-    return np.get_include()

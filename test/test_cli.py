@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from contact_reach_ros.cli import main
+from contact_reach_command import contact_reach
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
@@ -28,18 +27,6 @@ def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]
     assert (process.returncode, errors) == (1, "")
 
 
-@pytest.mark.parametrize("arguments", [[], ["BAG"], ["--recompute", "BAG"], ["BAG", "--plan", "4"], ["--help"]])
-def test_replay_names_the_two_commands_that_were_meant(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["replay", *arguments])
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    for meant in ("contact-reach reexecute BAG", "'.venv/bin/replay BAG'", "ros2 run contact_reach_ros replay BAG"):
-        assert meant in line
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -50,6 +37,4 @@ def test_replay_names_the_two_commands_that_were_meant(
 def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch, arguments, expected):
     given = []
     monkeypatch.setattr("contact_reach_ros.nodes.viewer.view", lambda chosen, *_: given.append(chosen) or 0)
-    with pytest.raises(SystemExit) as ended:
-        main(["view", *arguments])
-    assert ended.value.code == 0 and given == [expected]
+    assert contact_reach("view", *arguments) == 0 and given == [expected]

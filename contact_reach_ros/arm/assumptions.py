@@ -19,13 +19,14 @@ _HOME_MARGIN = 0.35
 """Least distance of the home posture from joint limits, rad, unless their range is too small for it."""
 
 
-def thresholds(torque_limits: Array) -> dict[str, tuple[float, ...]]:
-    """Thresholds of the contact budget in proportion to the torque limits (n,), N m.
+def defaults(arm: Arm) -> dict[str, tuple[float, ...]]:
+    """Settings with a value for each joint: thresholds in proportion to the torque limits, and q_d of law (6).
 
     A joint stops the arm at 14 % of its torque limit, but at 8 to 30 N m, or at half the limit where that is less; the
     others are shares of this one. Those of the iiwa 14, which were chosen by measurement, are met within 1.5 N m.
     """
-    stop = np.minimum(np.clip(0.14 * torque_limits, 8.0, 30.0), 0.5 * torque_limits)
+    limits = arm.torque_limits
+    stop = np.minimum(np.clip(0.14 * limits, 8.0, 30.0), 0.5 * limits)
     shares = {
         "torque_thresholds": stop,
         "torque_per_speed": np.clip(stop / 15.0, 1.0, 2.0),
@@ -34,6 +35,8 @@ def thresholds(torque_limits: Array) -> dict[str, tuple[float, ...]]:
         "contact_per_speed": np.clip(stop / 30.0, 0.5, 1.0),
         "model_error": np.clip(0.25 * stop, 2.0, 8.0),
         "handover_thresholds": np.clip(0.25 * stop, 3.0, 10.0),
+        # Zeros, as far as they are well within the limits.
+        "reference_posture": np.clip(0.0, arm.lower + _HOME_MARGIN, arm.upper - _HOME_MARGIN),
     }
     return {name: tuple(round(float(value), 3) for value in values) for name, values in shares.items()}
 

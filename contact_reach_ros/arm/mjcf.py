@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
+from contact_reach_ros.arm.capsules import self_pairs
 
 ROBOT_CONTACT_TYPE = 1
 OBSTACLE_CONTACT_TYPE = 2
 """Contact type with which robot and obstacles touch each other, and neither itself, except for listed pairs."""
+
+TIP_SITE = "flange"
+"""Name of the site at the tip, which the last link carries."""
+VELOCITY_LIMITS = "velocity_limits"
+"""Custom field of the joints' speed limits, rad/s."""
+SELF_PAIRS = "self_pairs"
+"""Custom field of the pairs of geometries that can touch each other: indices into `capsule_names`, two by two."""
 
 PAYLOAD_CENTER = (0.0, 0.0, 0.05)
 """Position of the payload in the flange's frame, m."""
@@ -41,6 +49,7 @@ def build_mjcf(
     obstacles: Sequence[Element] = (),
     payload: float = 0.0,
     contacts: Sequence[Element] = (),
+    fields: Mapping[str, Iterable[float]] | None = None,
 ) -> str:
     """Build the MJCF text of an arm.
 
@@ -56,6 +65,8 @@ def build_mjcf(
         Mass at the flange, kg; zero adds nothing.
     contacts
         Pairs of geometries that touch although their types would not.
+    fields
+        Custom fields to add to those of the arm.
 
     Raises
     ------
@@ -90,10 +101,12 @@ def build_mjcf(
         on_link = [capsule for capsule in arm.capsules if capsule.link == number]
         for index, capsule in enumerate(on_link):
             body.append(_capsule(capsule, _capsule_name(number, index)))
+    # Not in the tip's body: Brax, which fuses bodies without joints, would round it.
+    site = SubElement(body, "site", name=TIP_SITE, pos=numbers(arm.tip_offset))
     flange = SubElement(body, "body", name=arm.tip_frame, pos=numbers(arm.tip_offset))
     if arm.tip_rotation != PARALLEL:
-        flange.set("quat", numbers(arm.tip_rotation))
-    SubElement(flange, "site", name="flange")
+        for element in (site, flange):
+            element.set("quat", numbers(arm.tip_rotation))
     if payload > 0.0:
         diagonal = numbers([PAYLOAD_INERTIA * payload] * 3)
         SubElement(flange, "inertial", mass=repr(payload), pos=numbers(PAYLOAD_CENTER), diaginertia=diagonal)
@@ -104,6 +117,13 @@ def build_mjcf(
     for joint in arm.joints:
         limit = numbers((-joint.torque_limit, joint.torque_limit))
         SubElement(actuators, "motor", name=joint.name, joint=joint.name, ctrlrange=limit)
+    pairs = [index for pair in self_pairs(arm) for index in pair]
+    limits = [joint.velocity_limit for joint in arm.joints]
+    custom = SubElement(root, "custom")
+    all_fields: dict[str, Iterable[float]] = {VELOCITY_LIMITS: limits, SELF_PAIRS: pairs, **(fields or {})}
+    for name, values in all_fields.items():
+        if data := numbers(values):
+            SubElement(custom, "numeric", name=name, data=data)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 

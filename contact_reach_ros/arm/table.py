@@ -39,7 +39,7 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     for capsule in arm.capsules:
         if not 1 <= capsule.link <= arm.n:
             raise SettingsError(f"{source}: capsules: link = {capsule.link}; expected a number from 1 to {arm.n}")
-    return dataclasses.replace(arm, defaults={**assumptions.thresholds(arm.torque_limits), **arm.defaults})
+    return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
 
 
 def table_of(arm: Arm) -> dict[str, Any]:

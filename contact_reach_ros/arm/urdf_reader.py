@@ -118,7 +118,7 @@ class _Reader:
                 )
         if not options.thresholds:
             self.assumed.append("thresholds: by the joints' torque limits")
-        defaults = {**assumptions.thresholds(arm.torque_limits), **options.thresholds}
+        defaults = {**assumptions.defaults(arm), **options.thresholds}
         return dataclasses.replace(arm, home=home, defaults=defaults)
 
     def _check_lengths(self, n: int) -> None:

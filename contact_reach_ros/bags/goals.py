@@ -25,7 +25,7 @@ def goal_in(numbers: Mapping[str, float]) -> Array | None:
 
 
 def pursued(positions: Array, planned: Sequence[Array]) -> NDArray[np.bool_]:
-    """(n,) whether the goals at `positions` (n, 3), m, are among the goals of plans; all are where no plan says so."""
+    """(n,) whether the goals at `positions` (n, 3), m, are goals of plans; all are if no plan names its goal."""
     if not len(planned):
         return np.ones(len(positions), bool)
     away = np.abs(positions[:, None] - np.unique(np.stack(planned), axis=0)).max(axis=2)

@@ -1,6 +1,6 @@
 """Overview of a bag from its index: topics, rates, gaps and lost messages.
 
-In lockstep messages come as fast as the machine computes them, which says nothing about the robot: rates and gaps are
+In lockstep messages come as fast as the machine computes them, which is no property of the robot: rates and gaps are
 then on the robot's clock, to which the stamps of the joint states translate the times of reception.
 """
 

@@ -8,46 +8,34 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import struct
-import zlib
 from array import array
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
-from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
-import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE, SeekingReader
-from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.reader import SeekingReader
+from mcap.records import Channel, ChunkIndex, Header, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from contact_reach_ros.bags.mcap_records import DAMAGE, LATEST_NS, messages_of, summary_is_sound, unpacked
 from contact_reach_ros.errors import BagError
 
 PROFILE = "ros2"
 """Profile of the mcap files that rosbag2 writes."""
 
-_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError)
-"""What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text, or a
-length that nothing can have."""
-_LATEST_NS = 2**63 - 1
-"""Last time that ROS can express; a message with a later one is damaged."""
 _LOOSE_BYTES = 2**20
 """Messages outside of chunks are read in portions of this size."""
 _CACHED_PARTS = 4
-"""Parts kept for the next request, which often lies close by: the viewer asks topic by topic and moment by moment."""
-_CHECKSUM_BYTES = 4
-_RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
-"""Beginnings of a record, opcode and length, and of a message: channel, sequence, times of reception and sending."""
+"""Parts kept for the next request, which often lies close by: the viewer reads topic by topic and moment by moment."""
 _RECEPTION = attrgetter("log_time")
 
 Times = NDArray[np.int64]
@@ -160,7 +148,7 @@ class McapFile:
         if self._chunks:
             try:
                 found = self._indexed_times()
-            except _DAMAGE:
+            except DAMAGE:
                 found = {}
             if all(len(found.get(channel, ())) == count for channel, count in self.contents.message_counts.items()):
                 return found
@@ -177,13 +165,13 @@ class McapFile:
             with self.path.open("rb") as stream:
                 stream.seek(part.start)
                 for record in self._records(stream, skip_magic=True):
-                    records += _unpacked(record)
+                    records += unpacked(record)
                     if stream.tell() >= part.end:
                         break
-        except _DAMAGE:
+        except DAMAGE:
             self._damaged.add(part.start)
             return []
-        return _messages(records, self.contents.channels)
+        return messages_of(records, self.contents.channels)
 
     def _records(self, stream: BinaryIO, skip_magic: bool = False) -> Iterator[McapRecord]:
         reader = StreamReader(stream, skip_magic=skip_magic, emit_chunks=True, record_size_limit=self._size)
@@ -194,12 +182,12 @@ class McapFile:
         with self.path.open("rb") as stream:
             reader = SeekingReader(stream)
             try:
-                summary = reader.get_summary() if _summary_is_sound(stream) else None
+                summary = reader.get_summary() if summary_is_sound(stream) else None
                 if summary is None or summary.statistics is None or not self._is_complete(summary):
                     return None
                 metadata = {record.name: record.metadata for record in reader.iter_metadata()}
                 profile = reader.get_header().profile
-            except (*_DAMAGE, OSError):
+            except (*DAMAGE, OSError):
                 # OSError: a file that is shorter than a footer.
                 return None
         self._chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
@@ -227,8 +215,8 @@ class McapFile:
                 for record in self._records(stream):
                     start, end = position, stream.tell()
                     try:
-                        records = _unpacked(record)
-                    except _DAMAGE:
+                        records = unpacked(record)
+                    except DAMAGE:
                         if end >= self._size:
                             # Nothing follows: this is where the file is cut.
                             raise
@@ -243,10 +231,10 @@ class McapFile:
                             contents.schemas[found.id] = found
                         elif isinstance(found, Channel):
                             contents.channels[found.id] = found
-                    if messages := _messages(records, contents.channels):
+                    if messages := messages_of(records, contents.channels):
                         self._add_part(start, end, messages, is_loose=isinstance(record, Message))
                     position = end
-            except _DAMAGE:
+            except DAMAGE:
                 contents.cut_at = position
         contents.message_counts = {channel: len(times) for channel, times in self._times.items()}
         contents.start_ns = min((part.first_ns for part in self._parts), default=0)
@@ -268,7 +256,7 @@ class McapFile:
             self._times.setdefault(message.channel_id, array("q")).append(message.log_time)
 
     def _indexed_times(self) -> dict[int, Times]:
-        """Read times of reception by channel from the message indexes; raises one of `_DAMAGE` if one is damaged."""
+        """Read times of reception by channel from the message indexes; raises one of `DAMAGE` if one is damaged."""
         # Not by `MessageIndex.read`, which takes seconds for the three million messages of ten minutes.
         found: dict[int, list[Times]] = {}
         with self.path.open("rb") as stream:
@@ -283,50 +271,7 @@ class McapFile:
                         raise ValueError(f"no message index at byte {position}")
                     # Pairs of time and position.
                     entries = np.frombuffer(data.read(size), "<u8").reshape(-1, 2)
-                    if entries.max(initial=0) > _LATEST_NS:
+                    if entries.max(initial=0) > LATEST_NS:
                         raise ValueError(f"message index at byte {position} has times that ROS cannot express")
                     found.setdefault(channel, []).append(entries[:, 0].astype(np.int64))
         return {channel: np.concatenate(parts) for channel, parts in found.items()}
-
-
-def _unpacked(record: McapRecord) -> list[McapRecord]:
-    """Return the records of a chunk, checked, or the record itself.
-
-    Not by `breakup_chunk`: its seven reads for each message made the report on ten minutes take three times as long.
-    """
-    if not isinstance(record, Chunk):
-        return [record]
-    stream, size = get_chunk_data_stream(record, validate_crc=True)
-    data = stream.read(size)
-    records: list[McapRecord] = []
-    at = 0
-    while at < size:
-        opcode, length = _RECORD.unpack_from(data, at)
-        start, at = at + _RECORD.size, at + _RECORD.size + length
-        if at > size:
-            raise ValueError(f"a record of a chunk ends {at - size} bytes beyond it")
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
-            content = data[start + _MESSAGE.size : at]
-            records.append(Message(channel, log_time, content, publish_time, sequence))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            kind = Schema if opcode == Opcode.SCHEMA else Channel
-            records.append(kind.read(ReadDataStream(BytesIO(data[start:at]))))
-    return records
-
-
-def _messages(records: Sequence[McapRecord], channels: Collection[int]) -> list[Message]:
-    messages = (record for record in records if isinstance(record, Message) and record.channel_id in channels)
-    return [message for message in messages if max(message.log_time, message.publish_time) <= _LATEST_NS]
-
-
-def _summary_is_sound(stream: BinaryIO) -> bool:
-    """Return whether the summary matches the checksum in the footer; `SeekingReader` does not look."""
-    stream.seek(-FOOTER_SIZE - len(MCAP0_MAGIC), os.SEEK_END)
-    data = ReadDataStream(stream)
-    _opcode, _length, footer = data.read1(), data.read8(), Footer.read(data)
-    if not footer.summary_crc or not footer.summary_start:
-        return True
-    stream.seek(footer.summary_start)
-    content = stream.read()[: -len(MCAP0_MAGIC) - _CHECKSUM_BYTES]
-    return zlib.crc32(content) == footer.summary_crc

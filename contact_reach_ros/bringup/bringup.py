@@ -17,10 +17,11 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.interruption import Interruption
 from contact_reach_ros.bringup.processes import processes
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
-from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
+from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.command_line import answer
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.parameter_files import check_node_names, sections_of_others
@@ -162,13 +163,13 @@ def _next_bag(bag: str) -> str:
 
 def _supervise(configuration: _Configuration, stack: StackProcesses) -> None:
     log = configuration.node.get_logger()
-    said = ""
+    shown = ""
 
     def progress(line: str) -> None:
-        nonlocal said
-        if line != said:
+        nonlocal shown
+        if line != shown:
             log.info(line)
-            said = line
+            shown = line
 
     try:
         stack.bring_up(STARTUP_TIMEOUT_S, progress)

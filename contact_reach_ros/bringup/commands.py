@@ -5,56 +5,20 @@ Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError`
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
-from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import load_arm, reported_arm
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_goal_pose
-from contact_reach_ros.messages.goal_state import describe, read_goal_state
-from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.bringup.operating import Operator, operating
 from contact_reach_ros.parameter_files import as_arguments
-from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.node_settings import SPEED_SCALE
-from contact_reach_ros.ros.inbox import Inbox
-from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
-from contact_reach_ros.ros.process import bare_node, in_namespace
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.stopping import Outcome, release, stop_arm
-from contact_reach_ros.world.orientations import POSE
 
-Diagnostics = Mapping[str, Mapping[str, str]]
-"""Newest values by name, of each node."""
-
-_PLANNER, _CONTROLLER = "planner", "controller"
-_FOLLOWED = "plans accepted"
-_REFUSED = (f"refused {topics.REFERENCE_POSE.contents}", "refused plans")
-
-_LOOK_S = 0.05
-_FOUND_S = 4.0
-"""Longer than participants take to announce themselves again, where the first answer was lost."""
-_ANSWER_S = 3.0
-_SETTLED_S = 1.0
-"""Time without a new safety state after which all nodes have been heard."""
-_JUDGED_S = 8.0
-"""Longest time until diagnostics, which come once a second, show what became of a goal."""
-_SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
 
@@ -97,11 +61,11 @@ def goto(
         Of the stack.
     """
     rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
-    with _operator(discovery, namespace) as operator:
+    with operating(discovery, namespace) as operator:
         operator.find_stack()
         operator.check_orientation(rpy is not None)
-        outcome = operator.go(np.array(position, float), rotation, wait, timeout)
-    return _tell(outcome)
+        outcome = _go(operator, np.array(position, float), rotation, wait, timeout)
+    return _report(outcome)
 
 
 def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", namespace: str = "") -> int:
@@ -111,30 +75,30 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
     """
     from contact_reach_ros.arm.model import RobotModel
 
-    with _operator(discovery, namespace) as operator:
+    with operating(discovery, namespace) as operator:
         operator.find_stack()
         position, rotation = RobotModel(operator.arm).tip_pose(np.array(operator.arm.home))
-        outcome = operator.go(position, rotation, wait, timeout)
-    return _tell(outcome)
+        outcome = _go(operator, position, rotation, wait, timeout)
+    return _report(outcome)
 
 
 def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
     """Let the planner use this share, 0.01 to 1, of the speed that its bounds permit, from the next plan on."""
-    with _operator(discovery, namespace) as operator:
-        outcome = operator.set_parameter(_PLANNER, SPEED_SCALE, scale)
-    return _tell(outcome)
+    with operating(discovery, namespace) as operator:
+        outcome = operator.set_parameter("planner", SPEED_SCALE, scale)
+    return _report(outcome)
 
 
 def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
-    with _operator(discovery, namespace) as operator:
+    with operating(discovery, namespace) as operator:
         outcome = stop_arm(operator.call, operator.find_service("stop"))
-    return _tell(outcome)
+    return _report(outcome)
 
 
 def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
-    with _operator(discovery, namespace) as operator:
+    with operating(discovery, namespace) as operator:
         operator.find_service("reset")
         operator.hear_everybody()
         give_up = time.monotonic() + _REST_S
@@ -142,277 +106,17 @@ def reset(discovery: str = "host", namespace: str = "") -> int:
         while not outcome.done and time.monotonic() < give_up:
             operator.hear_everybody()
             outcome = release(operator.stops, operator.call)
-    return _tell(outcome)
+    return _report(outcome)
 
 
-def _tell(outcome: Outcome) -> int:
+def _go(operator: Operator, position: Array, rotation: Array | None, wait: bool, timeout: float) -> Outcome:
+    outcome = operator.go(position, rotation)
+    if outcome.done and wait:
+        print(outcome.text, flush=True)
+        outcome = operator.watch(timeout)
+    return outcome
+
+
+def _report(outcome: Outcome) -> int:
     print(outcome.text)
     return 0 if outcome.done else 1
-
-
-def judge_goal(state: GoalState | None, before: Mapping[str, str], now: Mapping[str, str]) -> Outcome | None:
-    """Judge whether a goal is taken, by its state and the controller's diagnostics from before it was sent and after.
-
-    None while that is open.
-    """
-    if state is None:
-        return None
-    if state.phase.is_over:
-        return Outcome(False, f"the planner did not take the goal: {describe(state)}")
-
-    def more(*keys: str) -> bool:
-        return any(int(now.get(key, 0)) > int(before.get(key, 0)) for key in keys)
-
-    if more(_FOLLOWED):
-        return Outcome(True, "the goal is taken: the controller follows the plans for it")
-    if more(*_REFUSED):
-        reasons = [text for key, text in now.items() if key.replace("last refusal of", "refused") in _REFUSED]
-        return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
-    return None
-
-
-@contextmanager
-def _operator(discovery: str, namespace: str) -> Iterator[_Operator]:
-    with bare_node(OPERATOR, discovery, namespace=namespace) as node:
-        operator = _Operator(node)
-        try:
-            yield operator
-        finally:
-            operator.close()
-
-
-class _Operator:
-    """A user's node: hears what the stack reports, sends goals, and calls services.
-
-    Attributes
-    ----------
-    arm
-        The stack's.
-    diagnostics
-        Newest values by name, of each node.
-    stops
-        What stopped the arm, by node.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self.arm = load_arm()
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
-        self._goals = node.create_publisher(
-            topics.GOAL_POSE.type, topics.GOAL_POSE.name, qos_profile(topics.GOAL_POSE.qos)
-        )
-        self.diagnostics: dict[str, dict[str, str]] = {}
-        self.stops: dict[str, str] = {}
-        self._heard: set[str] = set()
-        self._goal_ns = 0
-        self._goal_state: GoalState | None = None
-        """Of the goal with this stamp."""
-        self._orientation: str | None = None
-        """The planner's setting; None before it was heard."""
-        # What is malformed is the sender's affair, whose boundary names it.
-        self._inbox = Inbox(node, lambda what, error: None)
-        self._inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        self._inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
-        self._inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
-        self._inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
-
-    def close(self) -> None:
-        """Leave the executor."""
-        self._executor.shutdown()
-
-    def find_service(self, service: str) -> list[str]:
-        """Wait until the controller offers a service, or for a second longer than until another node does.
-
-        Returns the stoppable nodes, those that offer it first.
-
-        Raises
-        ------
-        ContactReachError
-            If no node does within some seconds.
-        """
-        clients = [self._node.create_client(Trigger, f"{name}/{service}") for name in STOPPABLE]
-        found = self._until(lambda: any(client.service_is_ready() for client in clients), _FOUND_S)
-        if found:
-            self._until(clients[STOPPABLE.index(_CONTROLLER)].service_is_ready, _SETTLED_S)
-        offers = {name: client.service_is_ready() for name, client in zip(STOPPABLE, clients, strict=True)}
-        for client in clients:
-            self._node.destroy_client(client)
-        if not found:
-            raise ContactReachError(_no_stack(self._node))
-        return sorted(STOPPABLE, key=lambda name: not offers[name])
-
-    def find_stack(self) -> None:
-        """Wait until planner and controller have reported what they do, and the planner hears goals.
-
-        Raises
-        ------
-        ContactReachError
-            If they do not within some seconds.
-        """
-        wanted = (_PLANNER, _CONTROLLER)
-
-        def is_there() -> bool:
-            heard = self._orientation is not None and all(name in self.diagnostics for name in wanted)
-            return heard and bool(self._goals.get_subscription_count())
-
-        if not self._until(lambda: bool(self._heard or self.diagnostics), _FOUND_S):
-            raise ContactReachError(_no_stack(self._node))
-        if not self._until(is_there, _FOUND_S):
-            missing = [name for name in wanted if name not in self.diagnostics]
-            raise ContactReachError(f"no answer from {missing[0] if missing else _PLANNER}: contact-reach doctor")
-
-    def hear_everybody(self) -> None:
-        """Wait until the controller's safety state is known, and no other node's has come for a while.
-
-        Raises
-        ------
-        ContactReachError
-            If the controller does not report it.
-        """
-        known, since = -1, time.monotonic()
-        deadline = since + _FOUND_S
-        while time.monotonic() < deadline:
-            self._spin()
-            if len(self._heard) != known or _CONTROLLER not in self._heard:
-                known, since = len(self._heard), time.monotonic()
-            elif time.monotonic() > since + _SETTLED_S:
-                return
-        if _CONTROLLER not in self._heard:
-            raise ContactReachError("no safety state from the controller: contact-reach doctor")
-
-    def check_orientation(self, has_one: bool) -> None:
-        """Raise `ContactReachError` if a goal has an orientation that the planner would ignore, or lacks one."""
-        if has_one == (self._orientation == POSE):
-            return
-        if has_one:
-            raise ContactReachError(
-                f"the planner has goal_orientation = {self._orientation}: give no --rpy, or start it with "
-                "goal_orientation = pose"
-            )
-        raise ContactReachError("the planner has goal_orientation = pose: give the orientation with --rpy")
-
-    def go(self, position: Array, rotation: Array | None, wait: bool, timeout: float) -> Outcome:
-        """Send a goal, and wait until it is taken or refused, and if wanted until it is done, as `goto`."""
-        outcome = self.command(position, rotation)
-        if outcome.done and wait:
-            print(outcome.text, flush=True)
-            outcome = self.watch(timeout)
-        return outcome
-
-    def command(self, position: Array, rotation: Array | None = None) -> Outcome:
-        """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
-        self.hear_everybody()
-        if self.stops:
-            return Outcome(False, f"not sent, the arm is stopped: {self._why_stopped()}; first: contact-reach reset")
-        before = self.diagnostics[_CONTROLLER]
-        stamp = self._node.get_clock().now().to_msg()
-        self._goal_ns, self._goal_state = nanoseconds(stamp), None
-        self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, stamp, rotation))
-        judged: list[Outcome] = []
-
-        def is_judged() -> bool:
-            outcome = judge_goal(self._goal_state, before, self.diagnostics[_CONTROLLER])
-            judged.extend([outcome] if outcome else [])
-            return outcome is not None or bool(self.stops)
-
-        self._until(is_judged, _JUDGED_S)
-        if self.stops:
-            return Outcome(False, f"stopped: {self._why_stopped()}")
-        return judged[-1] if judged else Outcome(False, "nothing followed the goal: contact-reach doctor")
-
-    def watch(self, timeout: float) -> Outcome:
-        """Wait until the flange has settled at the goal, for at most some time of the robot's clock, s."""
-        while True:
-            state, self._goal_state = self._goal_state, None
-            if state is None and self._until(lambda: self._goal_state is not None or bool(self.stops), _SILENCE_S):
-                state = self._goal_state
-            if self.stops:
-                return Outcome(False, f"stopped: {self._why_stopped()}")
-            if state is None:
-                return Outcome(False, f"nothing heard of the goal for {_SILENCE_S:g} s: contact-reach doctor")
-            if not state.phase.is_open:
-                return Outcome(state.phase is GoalPhase.SETTLED, describe(state))
-            if state.elapsed > timeout:
-                return Outcome(False, f"not settled; {describe(state)}")
-
-    def set_parameter(self, node: str, name: str, value: float) -> Outcome:
-        """Change a parameter of a node, if the node lets it.
-
-        Raises
-        ------
-        ContactReachError
-            If there is no such node, or no answer.
-        """
-        client = self._node.create_client(SetParameters, f"{node}/set_parameters")
-        if not self._until(client.service_is_ready, _FOUND_S):
-            raise ContactReachError(_no_stack(self._node))
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        future = client.call_async(SetParameters.Request(parameters=[parameter]))
-        if not self._until(future.done, _ANSWER_S):
-            raise ContactReachError(f"no answer from {node} within {_ANSWER_S:g} s: contact-reach doctor")
-        result = future.result().results[0]
-        return Outcome(result.successful, f"{name} = {value:g}" if result.successful else result.reason)
-
-    def call(self, service: str) -> Any:
-        """Call a Trigger service and return its answer.
-
-        Raises
-        ------
-        ContactReachError
-            If nobody offers it, or there is no answer.
-        """
-        client = self._node.create_client(Trigger, service)
-        try:
-            if not client.wait_for_service(timeout_sec=_SETTLED_S):
-                raise ContactReachError(f"{service}: there is no such service")
-            future = client.call_async(Trigger.Request())
-            self._executor.spin_until_future_complete(future, timeout_sec=_ANSWER_S)
-            if not future.done():
-                raise ContactReachError(f"{service}: no answer within {_ANSWER_S:g} s")
-            return future.result()
-        finally:
-            self._node.destroy_client(client)
-
-    def _until(self, condition: Callable[[], bool], timeout: float) -> bool:
-        deadline = time.monotonic() + timeout
-        while not condition():
-            if time.monotonic() > deadline:
-                return False
-            self._spin()
-        return True
-
-    def _spin(self) -> None:
-        self._executor.spin_once(timeout_sec=_LOOK_S)
-        self._inbox.poll()
-
-    def _why_stopped(self) -> str:
-        return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
-
-    def _on_goal_state(self, message: DiagnosticStatus) -> None:
-        stamp_ns, state = read_goal_state(message)
-        if stamp_ns == self._goal_ns:
-            self._goal_state = state
-
-    def _on_settings(self, message: DiagnosticStatus) -> None:
-        if message.name == _PLANNER:
-            settings = read_settings(message)
-            self.arm, self._orientation = reported_arm(settings), settings.get("goal_orientation")
-
-    def _on_safety(self, message: DiagnosticStatus) -> None:
-        self._heard.add(message.name)
-        self.stops.pop(message.name, None)
-        if is_stopped(message):
-            self.stops[message.name] = message.message
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.diagnostics[status.name] = {entry.key: entry.value for entry in status.values}
-
-
-def _no_stack(node: Node) -> str:
-    domain, namespace = os.environ.get("ROS_DOMAIN_ID", "0"), node.get_namespace()
-    return (
-        f"no stack answers in ROS domain {domain}, namespace {namespace}: start one with 'contact-reach up', or set "
-        "ROS_DOMAIN_ID to its domain, and --namespace and --discovery to what it was started with"
-    )

@@ -58,7 +58,7 @@ _RECORDED = (
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     arm: str = ""
     """Name of the arm, or the path of its file; empty leaves it to the parameter file."""

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
@@ -20,9 +16,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from contact_reach_ros.bringup.children import Children, StackError
 from contact_reach_ros.bringup.interruption import Interruption
 from contact_reach_ros.bringup.processes import Process, Wave
-from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.parameter_files import as_arguments, namespace_arguments
@@ -36,19 +32,12 @@ _ACTIVE = "active"
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
-_END_TIMEOUT_S = 15.0
 _ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
 """Topics that a recorder should hear before time begins: of earlier messages it receives only the last seconds."""
 _HEARD_S = 3.0
 """Longest wait for the recorder, which need not record everything."""
 _WATCHDOG_S = 0.3
 """Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
-
-_PR_SET_PDEATHSIG = 1
-
-
-class StackError(ContactReachError):
-    """The stack did not come up, or one of its processes died."""
 
 
 class StackProcesses:
@@ -84,13 +73,9 @@ class StackProcesses:
         self._interruption = interruption
         self._table = list(table)
         self.parameter_file = parameter_file
-        self._log_path = log
-        self._log: IO[bytes] | None = None
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._children = Children(log)
         self._is_alone = False
         """Whether no other stack was found before the first loop was started."""
-        self._optional: set[str] = set()
-        """Processes whose end changes nothing, once they are up."""
         self._boundary = Boundary(node.get_logger().error)
         node.create_timer(1.0, self._log_refusals, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._boundary.protect(node)
@@ -118,22 +103,20 @@ class StackProcesses:
         KeyboardInterrupt
             If it was interrupted.
         """
-        if self._log_path is not None and self._log is None:
-            self._log = self._log_path.open("wb")
         prioritise_middleware()
         deadline = time.monotonic() + timeout
         for wave in Wave:
             if wave is Wave.LOOPS and not self._is_alone:
                 self._look_around()
             processes = [
-                process for process in self._table if process.wave is wave and process.name not in self._running
+                process for process in self._table if process.wave is wave and process.name not in self._children
             ]
-            if wave is Wave.LAST and processes and RECORDER in self._running:
+            if wave is Wave.LAST and processes and RECORDER in self._children:
                 self._until_heard(RECORDER, _ANSWERS, min(deadline, time.monotonic() + _HEARD_S))
             for process in processes:
-                self._start(process)
+                self._children.start(process.name, ["-m", process.module, *self._arguments(process)])
             self._wait_active(processes, deadline, timeout, progress)
-            self._optional |= {process.name for process in processes if not process.essential}
+            self._children.optional |= {process.name for process in processes if not process.essential}
 
     def restart(
         self, table: Sequence[Process], keep: Collection[str], timeout: float, progress: Callable[[str], None]
@@ -171,11 +154,11 @@ class StackProcesses:
         missing = self._until_heard(listener, heard, time.monotonic() + timeout)
         if missing:
             names = ", ".join(topic.name for topic in missing)
-            raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._see_log()}")
+            raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._children.see_log()}")
 
     def _look_around(self) -> None:
         """Look for another stack once more: discovery has settled while the first processes got ready."""
-        others = running(self._node, [process.name for process in self._table], self._running)
+        others = running(self._node, [process.name for process in self._table], self._children.process_ids)
         if others:
             raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
         self._is_alone = True
@@ -193,17 +176,6 @@ class StackProcesses:
         name = self._node.resolve_topic_name(topic.name)
         return {endpoint.node_name for endpoint in self._node.get_subscriptions_info_by_topic(name)}
 
-    def _start(self, process: Process) -> None:
-        self._running[process.name] = subprocess.Popen(
-            [sys.executable, "-m", process.module, *self._arguments(process)],
-            stdin=subprocess.DEVNULL,
-            stdout=self._log,
-            stderr=self._log,
-            # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
-            start_new_session=True,
-            preexec_fn=end_with_parent,
-        )
-
     def _wait_active(
         self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
     ) -> None:
@@ -216,7 +188,7 @@ class StackProcesses:
                 self.check()
                 if time.monotonic() > deadline:
                     named = ", ".join(f"{name} ({state})" for name, state in missing.items())
-                    raise StackError(f"not active after {timeout:.0f} s: {named}{self._see_log()}")
+                    raise StackError(f"not active after {timeout:.0f} s: {named}{self._children.see_log()}")
                 progress("waiting for " + ", ".join(missing))
                 for name in list(missing):
                     state = self._state_of(clients[name])
@@ -247,33 +219,24 @@ class StackProcesses:
             If there was an interruption.
         """
         self._interruption.check()
-        for name, process in list(self._running.items()):
-            code = process.poll()
-            if code is not None:
-                how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-                if name in self._optional:
-                    print(f"{name} ended ({how}); the stack goes on without it", file=sys.stderr)
-                    del self._running[name]
-                    continue
-                raise StackError(f"{name} ended ({how}){self._see_log()}")
+        self._children.check()
 
     @property
     def process_ids(self) -> dict[str, int]:
         """Of the processes that were started, by name."""
-        return {name: process.pid for name, process in self._running.items()}
+        return self._children.process_ids
 
     def shutdown(self) -> None:
         """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
         self._end_all(())
         self._executor.shutdown()
-        if self._log is not None:
-            self._log.close()
+        self._children.close()
 
     def _end_all(self, keep: Collection[str]) -> None:
         self._halt()
         for process in reversed(self._table):
             if process.name not in keep:
-                self._end(process.name)
+                self._children.end(process.name)
             if process.name == "controller":
                 self.spin(_WATCHDOG_S)
 
@@ -303,8 +266,7 @@ class StackProcesses:
 
     def _halt(self) -> None:
         """Ask the controller for its compliant stop and wait until the arm is at rest."""
-        controller = self._running.get("controller")
-        if controller is None or controller.poll() is not None:
+        if not self._children.is_alive("controller"):
             self.spin(_WATCHDOG_S)
             return
         client = self._node.create_client(Trigger, "controller/stop")
@@ -315,30 +277,9 @@ class StackProcesses:
             self.spin(0.02)
         self._node.destroy_client(client)
 
-    def _end(self, name: str) -> None:
-        process = self._running.pop(name, None)
-        if process is None or process.poll() is not None:
-            return
-        # Not SIGINT, which Python turns into a traceback while it is still importing.
-        process.terminate()
-        try:
-            process.wait(_END_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGTERM: killed", file=sys.stderr)
-            process.kill()
-            process.wait()
-
-    def _see_log(self) -> str:
-        return f"; its output is in {self._log_path}" if self._log_path else ""
-
     def _log_refusals(self) -> None:
         for line in self._boundary.last_refusals():
             self._node.get_logger().warning(line)
 
     def _on_state(self, message: JointState) -> None:
         self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")
-
-
-def end_with_parent() -> None:
-    """In a child: be ended by the kernel when its parent is killed, so that no orphan moves an arm."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

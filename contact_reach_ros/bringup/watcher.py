@@ -7,15 +7,15 @@ from collections import deque
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
+from contact_reach_ros.bringup.children import StackError
+from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import set_time, to_point
+from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.joint_order import JointOrder
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds
@@ -127,15 +127,8 @@ class Watcher:
 
     def send_goal(self) -> None:
         """Ask the planner for `target`."""
-        goal = PoseStamped()
-        goal.header.frame_id = self._model.arm.base_frame
-        if self._lockstep is None:
-            goal.header.stamp = self._node.get_clock().now().to_msg()
-        else:
-            set_time(goal.header.stamp, self.stamp_ns)
-        goal.pose.position = to_point(self.target.tolist())
-        goal.pose.orientation.w = 1.0
-        self._goals.publish(goal)
+        stamp = self._node.get_clock().now().to_msg() if self._lockstep is None else to_time(self.stamp_ns)
+        self._goals.publish(to_goal_pose(self.target.tolist(), self._model.arm.base_frame, stamp))
         if self._lockstep is not None:
             self._lockstep.promise(FOREVER_NS)
 

@@ -56,8 +56,8 @@ _DISCOVERY_S = 5.0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line, and exit with 0, or with 2 and a line that says what is wrong."""
-    options = make_parser("faults").parse_args(sys.argv[1:] if arguments is None else arguments)
+    """Run the command line, and exit with 0, or with 2 and a line that names what is wrong."""
+    options = make_parser().parse_args(sys.argv[1:] if arguments is None else arguments)
     try:
         options.act(options)
     except ContactReachError as error:
@@ -67,9 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(130)
 
 
-def make_parser(program: str) -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Make the parser of the command line."""
-    parser = argparse.ArgumentParser(prog=program, description="Makes things go wrong in the running stack.")
+    parser = argparse.ArgumentParser(prog=NAME, description="Makes things go wrong in the running stack.")
     actions = parser.add_subparsers(required=True, metavar="ACTION")
     send = actions.add_parser("send", help="send a schedule to the simulated driver, in place of the current one")
     send.add_argument("schedule", help="faults; see docs/faults.md")

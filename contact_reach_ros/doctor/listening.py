@@ -26,7 +26,7 @@ from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.ros.discovery import wait_until_settled
-from contact_reach_ros.ros.hearing import UNKNOWN_NODE
+from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, full_name, node_of
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import ADAPTER, DOCTOR, MANAGED
 from contact_reach_ros.ros.process import bare_node
@@ -185,7 +185,7 @@ class Look:
         return self._nodes(), [self._node.count_publishers(topic.name) for topic in topics.ALL]
 
     def _nodes(self) -> list[str]:
-        found = (f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces())
+        found = (full_name(namespace, name) for name, namespace in self._node.get_node_names_and_namespaces())
         return sorted(name for name in found if name != f"/{DOCTOR}")
 
     def _publishers(self) -> dict[str, list[Endpoint]]:
@@ -225,6 +225,4 @@ def _endpoints(infos: Sequence[TopicEndpointInfo]) -> list[Endpoint]:
 
 
 def _node_name(info: TopicEndpointInfo) -> str:
-    if info.node_name == UNKNOWN_NODE:
-        return "an unknown node"
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+    return "an unknown node" if info.node_name == UNKNOWN_NODE else node_of(info)

@@ -23,7 +23,7 @@ _LISTEN_S = 1.0
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     parameters: str = ""
     """Parameter file of the nodes; the package's own when empty."""

@@ -96,7 +96,7 @@ def discovery_in_use() -> Finding:
             f"leave discovery at host and unset {RANGE}; else use a network of its own or SROS 2, see docs/security.md"
         )
     elif not heard.choice:
-        found = f"as {heard.why} says"
+        found = f"set by {heard.why}"
         fix = "see that the file keeps to 127.0.0.1, or unset the variable to use the package's own profile"
     elif heard.shared_memory:
         found = f"this host only ({heard.why}), also by shared memory, in which publishers were seen to stall"

@@ -7,6 +7,7 @@ writes their pictures to the file that is its argument.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import pickle
 import subprocess
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.drawing.camera import frame
 from contact_reach_ros.drawing.shapes import Capsule, Mesh, Shape, Sphere
 from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError
@@ -37,14 +39,58 @@ _LIGHT = np.array([0.25, -0.4, 0.88]) / np.linalg.norm([0.25, -0.4, 0.88])
 """Unit vector towards the light, base frame."""
 
 
-def render_offscreen(views: Sequence[View], backend: str) -> list[Picture]:
-    """Render views, without their ghosts, by one of `BACKENDS`, to pictures (height, width, 3).
+_BALL = Sphere(np.zeros(3), 0.1, (1.0, 1.0, 1.0, 1.0))
+_TRIAL = View([_BALL], frame([_BALL], 16, 16))
+
+
+def find_backend() -> str:
+    """The first of `BACKENDS` that renders a small picture on this machine.
 
     Raises
     ------
     RenderingError
-        If this OpenGL does not work here; the message says why, and what to install.
+        If none works; the message names the reason and what to install.
     """
+    refusals = []
+    for backend in BACKENDS:
+        try:
+            render([_TRIAL], backend)
+        except RenderingError as error:
+            refusals.append(str(error))
+        else:
+            return backend
+    raise RenderingError("; ".join(refusals))
+
+
+def render(views: Sequence[View], backend: str) -> list[Picture]:
+    """Render views by one of `BACKENDS`, to pictures (height, width, 3).
+
+    Raises
+    ------
+    RenderingError
+        If this OpenGL does not work here; the message names the reason and what to install.
+    """
+    layers = iter(_render_layers([layer for view in views for layer in _layers(view)], backend))
+    return [_overlay(next(layers), [(next(layers), ghost.opacity) for ghost in view.ghosts]) for view in views]
+
+
+def _layers(view: View) -> list[View]:
+    """The view without ghosts, then once with each of them drawn as solid."""
+    return [
+        dataclasses.replace(view, shapes=[*view.shapes, *shapes], ghosts=())
+        for shapes in [(), *(ghost.shapes for ghost in view.ghosts)]
+    ]
+
+
+def _overlay(picture: Picture, ghosts: Sequence[tuple[Picture, float]]) -> Picture:
+    mixed = picture.astype(float)
+    for with_ghost, opacity in ghosts:
+        mixed += opacity * (with_ghost.astype(float) - picture)
+    return np.clip(np.rint(mixed), 0, 255).astype(np.uint8)
+
+
+def _render_layers(views: Sequence[View], backend: str) -> list[Picture]:
+    """Render views without ghosts in a child process."""
     source = Path(__file__).parents[2]
     paths = [str(source), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(paths)}

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.doctor.machine import TimerTest
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.experiments.load import LOADED, NAMESPACE, count_lost
 from contact_reach_ros.experiments.machine import hogs, machine, memory_mb
 from contact_reach_ros.experiments.output import write_report
 from contact_reach_ros.experiments.repeat import repeat_bag
@@ -27,6 +28,10 @@ from contact_reach_ros.resources import share_directory
 
 SAMPLE = "bags/sample"
 """The recording that comes with the package, below its share directory."""
+
+NAMESPACE = "/bench"
+LOADED = ("joint_states", "effort_controller/commands", "external_torque", "external_wrench", "sim/contacts")
+"""Topics of `experiments/load_publisher.py`, below `NAMESPACE`."""
 
 _LIMITS = {
     "lost_messages": ("<=", 0.0),
@@ -115,6 +120,21 @@ def _recording(bag: Path, seconds: float) -> dict[str, Any]:
         "recorder_mb": memory,
         "recorded_mb": sum(path.stat().st_size for path in bag.iterdir()) / _MEGA,
     }
+
+
+def count_lost(bag: Path, ticks: int) -> int:
+    """How many messages are missing where each topic had `ticks`; one that came twice makes up for none.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    """
+    reader = BagReader(bag)
+    arrived: defaultdict[str, set[int]] = defaultdict(set)
+    for raw in reader.raw_messages([f"{NAMESPACE}/{name}" for name in LOADED]):
+        arrived[raw.topic].add(raw.sequence)
+    return ticks * len(LOADED) - sum(map(len, arrived.values()))
 
 
 def _replaying(bag: Path, folder: Path, seconds: float) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,10 @@ from rclpy.node import Node
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
+from contact_reach_ros.bringup.children import StackError, end_with_parent
 from contact_reach_ros.bringup.interruption import Interruption
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes
-from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses, end_with_parent
+from contact_reach_ros.bringup.processes import BringupOptions, processes
+from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.bringup.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.errors import ContactReachError
@@ -33,7 +34,6 @@ from contact_reach_ros.experiments.control_report import (
     CONTROLLER,
     DRIVER,
     ControlBench,
-    Part,
     Run,
     Sample,
     make_report,
@@ -43,10 +43,9 @@ from contact_reach_ros.experiments.machine import hogs, memory_mb
 from contact_reach_ros.experiments.output import say, write_report
 from contact_reach_ros.messages import topics
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
-from contact_reach_ros.ros.interfaces import RECORDER, VIEWER
+from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.process import initialise
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY
-from contact_reach_ros.viewer import pages
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 
@@ -59,8 +58,6 @@ _SETTLE_S = 3.0
 """After bring-up, before the measurement."""
 _ECHO_S = (3.0, 20.0)
 _ECHO_SHARE = 0.25
-_PAGES_S = 30.0
-"""For pages to open."""
 _TIMER_PRIORITY = DRIVER_PRIORITY + 1
 
 
@@ -81,7 +78,7 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
     say("bare echoes ...")
     with hogs(bench.load):
         echoes = measure_echo(float(np.clip(_ECHO_SHARE * bench.seconds, *_ECHO_S)))
-    options = BringupOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"), view=bench.pages > 0)
+    options = BringupOptions(scene=bench.scene, seed=bench.seed, bag=str(directory / "bag"))
     interruption = Interruption()
     initialise([NAME])
     node = Node(NAME)
@@ -105,7 +102,7 @@ def _measure(bench: ControlBench, stack: StackProcesses, watcher: Watcher) -> Ru
     began = time.monotonic()
     stack.bring_up(STARTUP_TIMEOUT_S, lambda line: None)
     stack.wait_heard(RECORDER, (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
-    watcher.wait_ready(listeners=3 if bench.pages else 2)
+    watcher.wait_ready(listeners=2)
     say(f"stack active after {time.monotonic() - began:.1f} s; {bench.seconds:g} s with {bench.load} hogs ...")
     identities = stack.process_ids
     realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (DRIVER, CONTROLLER))
@@ -113,41 +110,13 @@ def _measure(bench: ControlBench, stack: StackProcesses, watcher: Watcher) -> Ru
     with hogs(bench.load), _BareTimer() as timer:
         trips = _go_to_and_fro(stack, watcher, goals)
         _until(time.monotonic() + _SETTLE_S, trips)
-        parts = []
-        for seconds, count in bench.parts:
-            with _pages(count):
-                if bench.pages:
-                    _wait_pages(count, watcher, trips)
-                first = _sample(stack, watcher, timer)
-                _until(time.monotonic() + seconds, trips)
-                parts.append(Part(count, first, _sample(stack, watcher, timer)))
+        samples = [_sample(stack, watcher, timer)]
+        for seconds in (bench.settled, bench.seconds - bench.settled):
+            _until(time.monotonic() + seconds, trips)
+            samples.append(_sample(stack, watcher, timer))
         reached = next(trips)
-    return Run(parts, reached, realtime)
-
-
-@contextmanager
-def _pages(count: int) -> Iterator[None]:
-    """Open so many pages of the viewer."""
-    if not count:
-        yield
-        return
-    command = [sys.executable, "-m", pages.__name__, page_address(BringupOptions().parameter_file), str(count)]
-    process = subprocess.Popen(command, preexec_fn=end_with_parent, start_new_session=True)
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
-def _wait_pages(count: int, watcher: Watcher, trips: Iterator[int]) -> None:
-    """Wait until the viewer serves at least so many pages, and 3 s longer."""
-    deadline = time.monotonic() + _PAGES_S
-    while (served := int(watcher.diagnostics.get(VIEWER, {}).get("browsers", "0"))) < count:
-        if time.monotonic() > deadline:
-            raise StackError(f"{count} pages were opened, and after {_PAGES_S:g} s the viewer serves {served}")
-        next(trips)
-    _until(time.monotonic() + _SETTLE_S, trips)
+    first, settled, last = samples
+    return Run(first, settled, last, reached, realtime)
 
 
 def _go_to_and_fro(stack: StackProcesses, watcher: Watcher, goals: Sequence[np.ndarray]) -> Iterator[int]:

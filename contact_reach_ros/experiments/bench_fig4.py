@@ -18,10 +18,9 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.camera import Camera, frame
-from contact_reach_ros.drawing.offscreen import Picture
+from contact_reach_ros.drawing.offscreen import Picture, find_backend, render
 from contact_reach_ros.drawing.palette import GREY, METHOD_COLOURS, SKY_BLUE, WHITE
 from contact_reach_ros.drawing.parts import arm_shapes, environment_shapes, floor, obstacle_shapes, target_shapes
-from contact_reach_ros.drawing.renderer import find_renderer, render
 from contact_reach_ros.drawing.shapes import Shape
 from contact_reach_ros.drawing.view import Ghost, View
 from contact_reach_ros.errors import SettingsError
@@ -80,7 +79,7 @@ def bench_fig4(bench: Fig4, output: Path, file: Path | None, setup: Setup | None
     scenes = {scene.name: scene for scene in map(read_scene, bench.scenes)}
     if len(scenes) < len(bench.scenes):
         raise SettingsError(f"--scenes {' '.join(bench.scenes)}: expected different names")
-    renderer = find_renderer(bench.renderer)
+    renderer = find_backend()
     runs = {
         name: {method: figures.run_method(method, scene, bench, setup) for method in bench.methods}
         for name, scene in scenes.items()

@@ -16,7 +16,7 @@ from matplotlib.patches import FancyArrowPatch
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.camera import Camera, frame
-from contact_reach_ros.drawing.offscreen import Picture
+from contact_reach_ros.drawing.offscreen import Picture, find_backend, render
 from contact_reach_ros.drawing.palette import BLACK, GREY, METHOD_COLOURS, WHITE
 from contact_reach_ros.drawing.parts import (
     arm_shapes,
@@ -26,7 +26,6 @@ from contact_reach_ros.drawing.parts import (
     path_shapes,
     target_shapes,
 )
-from contact_reach_ros.drawing.renderer import find_renderer, render
 from contact_reach_ros.drawing.shapes import Shape
 from contact_reach_ros.drawing.view import View
 from contact_reach_ros.experiments import figures
@@ -95,7 +94,7 @@ def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None
         If the scene cannot be made.
     """
     figures.check(bench, output)
-    renderer = find_renderer(bench.renderer)
+    renderer = find_backend()
     setup = setup or Setup(budget=load_budget())
     scene_file = read_scene(bench.scene)
     runs = {method: figures.run_method(method, scene_file, bench, setup) for method in bench.methods}

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, EpisodeResult, run_episode
 from contact_reach_ros.experiments.grid import episode_seeds
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.metrics import measure
-from contact_reach_ros.experiments.output import write_report
+from contact_reach_ros.experiments.output import say, write_report
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -35,6 +38,8 @@ def bench_setting(
     values: Sequence[Any],
     scenes: Sequence[str] = ("ball", "wall"),
     targets: int = 10,
+    others: Sequence[str] = (),
+    spheres: int | None = None,
     file: Path | None = None,
 ) -> dict[str, Any]:
     """Run episodes, print a table in Markdown and write JSON to `file`.
@@ -49,13 +54,17 @@ def bench_setting(
         Names or YAML files.
     targets
         Seeds of each scene.
+    others
+        Other settings, as in population=32; the same for each value.
+    spheres
+        Number of spheres that plans take into account; by default that of the scene.
 
     Raises
     ------
     SettingsError
         If the setting is unknown or a value is out of range.
     """
-    variants = [_variant(name, value) for value in values]
+    variants = [_variant({**_assignments(others), name: value}) for value in values]
     arm, permitted = load_arm(), load_budget().permitted_force
     report: dict[str, Any] = {"setting": name, "targets": targets, "machine": machine(), "scenes": {}}
     print(f"| scene | {name} | reached | time / limit | largest force, N | mean force, N | over the budget, ms |")
@@ -65,11 +74,14 @@ def bench_setting(
         concrete = [make_scene(scene_file, arm, seed) for seed in range(targets)]
         rows = report["scenes"][scene_file.name] = []
         for value, (settings, options) in zip(values, variants, strict=True):
-            capacity = sphere_capacity(scene_file)
+            capacity = sphere_capacity(scene_file) if spheres is None else spheres
             planner = RecedingHorizonPlanner(arm, settings, ImpedanceSettings(), permitted, capacity)
             method = Method(planner, ControllerSettings())
+            planner.warm_up(say)
+            begin = time.perf_counter()
             results = [_episode(target, scene, method, options) for target, scene in enumerate(concrete)]
             row = {"value": value, **_summary(settings, concrete, results, permitted)}
+            row["wall_s"] = time.perf_counter() - begin
             rows.append(row)
             ratio, force = row["time_ratio"], row["largest_force"]
             print(
@@ -77,6 +89,12 @@ def bench_setting(
                 f"| {force['mean']:.1f} ± {force['sd']:.1f} | {row['mean_force']:.2f} | {row['over_budget_ms']:.0f} |",
                 flush=True,
             )
+    took = ", ".join(
+        f"{scene} {row['value']} {row['wall_s'] / targets:.0f} s"
+        for scene, rows in report["scenes"].items()
+        for row in rows
+    )
+    print(f"\nTime of an episode: {took}")
     write_report(report, file)
     return report
 
@@ -88,13 +106,24 @@ def _episode(target: int, scene: Scene, method: Method, options: EpisodeOptions)
     return run_episode(scene, method, dataclasses.replace(options, noise_seed=noise_seed))
 
 
-def _variant(name: str, value: Any) -> tuple[PlanningSettings, EpisodeOptions]:
-    """Settings with that value, and without a deadline, so that results do not depend on the machine."""
+def _assignments(pairs: Sequence[str]) -> dict[str, Any]:
+    """Values by name, from texts such as population=32."""
+    split = [pair.partition("=") for pair in pairs]
+    wrong = [pair for pair, (name, _, value) in zip(pairs, split, strict=True) if not (name and value)]
+    if wrong:
+        raise SettingsError(f"--with {' '.join(wrong)}: expected NAME=VALUE, as in population=32")
+    return {name: yaml.safe_load(value) for name, _, value in split}
+
+
+def _variant(values: Mapping[str, Any]) -> tuple[PlanningSettings, EpisodeOptions]:
+    """Settings with these values, and without a deadline, so that results do not depend on the machine."""
+    planning = {"deadline": 0.0, **values}
     options = EpisodeOptions(budget=load_budget())
-    if name == LATENCY:
+    if LATENCY in planning:
         # As in Table I, the next plan is begun when the last one is ready.
-        return PlanningSettings(deadline=0.0), dataclasses.replace(options, latency=float(value), period=float(value))
-    return PlanningSettings.from_mapping({"deadline": 0.0, name: value}, "bench setting"), options
+        latency = float(planning.pop(LATENCY))
+        options = dataclasses.replace(options, latency=latency, period=latency)
+    return PlanningSettings.from_mapping(planning, "bench setting"), options
 
 
 def _summary(

@@ -17,7 +17,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.output import Report, say, table, write_report
-from contact_reach_ros.experiments.workers import run_all, workers
+from contact_reach_ros.experiments.workers import run_each
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
@@ -105,12 +105,9 @@ def bench_smoothness(
         ImpedanceSettings(reference_ramp=ramp)
     cases = [Case(scene, number, ramp) for scene in scenes for ramp in ramps for number in range(seed, seed + seeds)]
     records: list[Report] = []
-    with workers(count, None) as client:
-        for _, record in run_all(client, run_smoothness, cases):
-            if isinstance(record, BaseException):
-                raise record
-            records.append(record)
-            say(f"{len(records)} of {len(cases)} runs")
+    for record in run_each(run_smoothness, cases, count):
+        records.append(record)
+        say(f"{len(records)} of {len(cases)} runs")
     report: Report = {"bench": "smoothness", "machine": machine(), "records": records}
     header = ["scene", "ramp, ms", "reached", "time, s", "largest force, N"]
     header += [f"torque {low:g} to {high:g} Hz, Nm" for low, high in BANDS]

@@ -69,7 +69,7 @@ def bench_solver(
     planner = RecordingPlanner(arm, settings, gains, permitted_force, sphere_capacity(scene_file))
     planner.warm_up(print)
     runs = record_runs(planner, scene_file, 4 * seeds, 0, options, episodes=3)
-    states = _spread_states(runs.warm, seeds)
+    states = spread_states(runs.warm, seeds)
 
     space = ReferenceSpace(arm, settings, gains)
     cost, size = scaled_cost(space), len(space.bounds)
@@ -133,7 +133,7 @@ def _compare_starts(
     }
 
 
-def _spread_states(plans: Sequence[RecordedPlan], count: int) -> list[RecordedPlan]:
+def spread_states(plans: Sequence[RecordedPlan], count: int) -> list[RecordedPlan]:
     """`count` plans, half of them with contact if there are that many, evenly over the runs."""
     touching = [plan for plan in plans if plan.touches]
     others = [plan for plan in plans if not plan.touches]

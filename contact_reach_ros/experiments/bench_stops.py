@@ -14,7 +14,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.output import Report, percentiles, say, table, write_report
-from contact_reach_ros.experiments.workers import run_all, workers
+from contact_reach_ros.experiments.workers import run_each
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import nearest
@@ -91,13 +91,10 @@ def bench_stops(
         raise SettingsError(f"--postures {postures}: expected at least 1")
     cases = [(name, seed) for name in scenes for seed in range(postures)]
     records = []
-    with workers(count, None) as client:
-        for _, record in run_all(client, stop_at_rest, cases):
-            if isinstance(record, BaseException):
-                raise record
-            records.append(record)
-            if len(records) % 20 == 0:
-                say(f"{len(records)} of {len(cases)} stops")
+    for record in run_each(stop_at_rest, cases, count):
+        records.append(record)
+        if len(records) % 20 == 0:
+            say(f"{len(records)} of {len(cases)} stops")
     report: Report = {"bench": "stops", "machine": machine(), "records": records}
     rows = []
     for name in scenes:

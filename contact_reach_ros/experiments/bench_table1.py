@@ -44,6 +44,13 @@ from contact_reach_ros.world.scene import SceneFile
 
 if TYPE_CHECKING:
     from distributed import Client
+from contact_reach_ros.experiments.table1_resume import (
+    check_same,
+    partial_of,
+    read_earlier,
+    refuse_to_drop,
+    refuse_to_lose,
+)
 
 SCENES = ("free", "ball", "wall", "ball_mismatch", "wall_mismatch")
 """In the order of the paper's table."""
@@ -109,12 +116,12 @@ def bench_table1(
     setup = dataclasses.replace(setup, timeout=bench.timeout)
     scenes = _read_scenes(bench)
     header = _header(bench, setup, scenes)
-    latencies, done = _earlier(file, header) if resume else ({}, {})
-    _refuse_to_lose(file, resume)
+    latencies, done = read_earlier(file, header) if resume else ({}, {})
+    refuse_to_lose(file, resume)
     grid = cells(
         scenes, bench.goals, bench.methods, range(bench.seed, bench.seed + bench.targets), range(bench.repeats)
     )
-    _refuse_to_drop(file, grid, done)
+    refuse_to_drop(file, grid, done)
     # A scene that cannot be made is found before hours are spent on the others.
     for name, target in dict.fromkeys((cell.scene, cell.target) for cell in grid if cell not in done):
         concrete_scene(scenes[name], load_arm(setup.arm), target)
@@ -146,11 +153,6 @@ def bench_table1(
         partial.unlink(missing_ok=True)
     show(report(), results)
     return report()
-
-
-def partial_of(file: Path) -> Path:
-    """The file with the report of an unfinished run, beside that of the finished one."""
-    return file.with_name(f"{file.name}.partial")
 
 
 def report_table1(file: Path, results: Path | None, other: Path | None = None) -> Report:
@@ -247,53 +249,6 @@ def command(bench: Table1) -> str:
         if getattr(bench, name) != getattr(standard, name):
             words += [f"--{name}", f"{getattr(bench, name):g}"]
     return shlex.join(words)
-
-
-def _refuse_to_lose(file: Path | None, resume: bool) -> None:
-    if file is not None and not resume and partial_of(file).exists():
-        raise SettingsError(
-            f"{partial_of(file)} holds the episodes of a run that was interrupted: go on with it by --resume, or "
-            "remove the file"
-        )
-
-
-def _refuse_to_drop(file: Path | None, grid: Sequence[Cell], done: dict[Cell, Record]) -> None:
-    outside = sorted(set(done) - set(grid), key=dataclasses.astuple)
-    if outside:
-        raise SettingsError(
-            f"{file}: holds {len(outside)} episodes that these options leave out, such as {outside[0]}: go on with the "
-            "options of that run or with more, or begin another file"
-        )
-
-
-def _earlier(file: Path | None, header: Report) -> tuple[dict[str, Any], dict[Cell, Record]]:
-    """Latencies and episodes of an unfinished or finished run with the same settings, if there is one."""
-    assert file is not None
-    source = next((path for path in (partial_of(file), file) if path.exists()), None)
-    if source is None:
-        return {}, {}
-    earlier = read_report(source, "table1")
-    check_same(earlier["settings"], header["settings"], str(source))
-    header["machine"] = earlier["machine"]
-    return earlier["latencies"], {cell_of(record): record for record in earlier["episodes"]}
-
-
-def check_same(earlier: Any, now: Any, where: str) -> None:
-    """Compare the settings of two runs.
-
-    Raises
-    ------
-    SettingsError
-        If a setting that both runs have differs; `where` and the setting are named.
-    """
-    if isinstance(earlier, dict) and isinstance(now, dict):
-        for key in earlier.keys() & now.keys():
-            check_same(earlier[key], now[key], f"{where}: {key}")
-    elif earlier != now:
-        raise SettingsError(
-            f"{where} was {earlier!r} and is {now!r} now: a run can only go on with the settings it began with; set it "
-            "back, or begin another file"
-        )
 
 
 def _add_latencies(

@@ -37,9 +37,6 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     control.add_argument("--seconds", type=float, help="run the stack in real time for so long instead")
     control.add_argument("--load", type=int, help="with so many processes that never sleep (default: 0)")
     control.add_argument("--scene", help="a name or a YAML file (default: ball)")
-    control.add_argument(
-        "--pages", type=int, help="compare with so many pages of the viewer open (default: 0, no viewer)"
-    )
     bags = add("bags", _plain("bench_bags"), "lost messages, and what recording, replaying and analysing bags costs")
     bags.add_argument("--seconds", type=float, help="of recording five 1 kHz topics (default: 60)")
     bags.add_argument("--minutes", type=float, help="length of the bag to be analysed (default: 10)")
@@ -83,14 +80,26 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     planner.add_argument(
         "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
     )
-    model = add("model", _plain("bench_model"), "the planner's transfer model against the simulated robot")
+    model = add("model", _model, "the planner's transfer model against the simulated robot")
     model.add_argument("--states", type=int, help="random states and actions (default: 500)")
     model.add_argument("--seed", type=int, help="of states and actions (default: 0)")
+    model.add_argument(
+        "--against",
+        nargs="+",
+        choices=BRAX_PIPELINES,
+        help="instead, roll out the plans of closed-loop runs with Brax's pipelines and with MuJoCo",
+    )
+    model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: names or files (default: free ball)")
+    model.add_argument("--plans", type=int, help="with --against: plans per scene (default: 12)")
     setting = add("setting", _plain("bench_setting"), "whole episodes for each value of one of the planner's settings")
     setting.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
     setting.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
     setting.add_argument("--scene", dest="scenes", nargs="+", help="names or YAML files (default: ball wall)")
     setting.add_argument("--targets", type=int, help="episodes per scene and value (default: 10)")
+    setting.add_argument(
+        "--with", dest="others", nargs="+", metavar="NAME=VALUE", help="other settings, the same for each value"
+    )
+    setting.add_argument("--spheres", type=int, help="that plans take into account (default: as many as the scene has)")
     faults = add("faults", _faults, "episodes in which things go wrong at random")
     faults.add_argument("--episodes", type=int, help="how many (default: 200)")
     faults.add_argument("--seed", type=int, help="of the first episode (default: 0)")
@@ -150,7 +159,6 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         figure.add_argument("--methods", nargs="+", metavar="METHOD", help=f"as for table1 (default: {methods})")
         figure.add_argument("--seed", type=int, help="of the target and what stands around (default: 0)")
         figure.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
-        figure.add_argument("--renderer", help="auto, egl or osmesa (default: auto)")
         figure.add_argument("--output", type=Path, help=f"the picture (default: {output})")
     solver = add("solver", _plain("bench_solver"), "Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
@@ -193,6 +201,14 @@ def _planner(
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
     bench_planner(bench, file, plot)
+
+
+def _model(against: list[str] | None = None, **options: Any) -> None:
+    name = "bench_model" if against is None else "bench_referee"
+    wrong = {"scenes", "plans"} & set(options) if against is None else {"states"} & set(options)
+    if wrong:
+        raise SettingsError("--scene and --plans go with --against, --states without it")
+    _plain(name)(**options, **({} if against is None else {"against": against}))
 
 
 def _faults(**options: Any) -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +16,6 @@ DRIVER, CONTROLLER = "driver", "controller"
 
 _MEMORY_S = 60.0
 """Memory is compared with what it is after the first minute, or after half the time if that is shorter."""
-_TURN_S = 20.0
-"""Without pages, and then with them."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +30,12 @@ class ControlBench:
         Processes beside the stack that never sleep.
     scene, seed
         Where the arm goes to and fro between its start and the target.
-    pages
-        The viewer runs, too, and half of the time, in turns, serves so many pages.
     """
 
     seconds: float = 60.0
     load: int = 0
     scene: str = "ball"
     seed: int = 0
-    pages: int = 0
 
     def check(self) -> None:
         """Raise `SettingsError` for what cannot be run."""
@@ -48,17 +43,11 @@ class ControlBench:
             raise SettingsError(f"--seconds {self.seconds:g}: expected 2 to 86400 s")
         if not 0 <= self.load <= 64:
             raise SettingsError(f"--load {self.load}: expected 0 to 64 processes")
-        if not 0 <= self.pages <= 8:
-            raise SettingsError(f"--pages {self.pages}: expected 0 to 8 pages")
 
     @property
-    def parts(self) -> list[tuple[float, int]]:
-        """What the time is divided into: seconds, and how many pages are open."""
-        if not self.pages:
-            settled = min(_MEMORY_S, 0.5 * self.seconds)
-            return [(settled, 0), (self.seconds - settled, 0)]
-        turns = max(round(self.seconds / (2.0 * _TURN_S)), 1)
-        return [(self.seconds / (2.0 * turns), count) for _ in range(turns) for count in (0, self.pages)]
+    def settled(self) -> float:
+        """Time after which memory should not grow any more, s."""
+        return min(_MEMORY_S, 0.5 * self.seconds)
 
 
 @dataclass(frozen=True)
@@ -88,65 +77,43 @@ class Sample:
         return read_counts(self.diagnostics[node][f"{name} counts"])
 
 
-class Part(NamedTuple):
-    """Some of the time: how many pages were open, and what was known when it began and ended."""
-
-    pages: int
-    first: Sample
-    last: Sample
-
-    @property
-    def ticks(self) -> int:
-        """So many were due."""
-        return self.last.number("ticks") - self.first.number("ticks")
-
-    @property
-    def missed_fraction(self) -> float:
-        """Share of the ticks that were missed."""
-        return (self.last.number("missed ticks") - self.first.number("missed ticks")) / max(self.ticks, 1)
-
-    @property
-    def timer_missed_fraction(self) -> float:
-        """Share of the bare timer's ticks that were missed."""
-        due, missed = np.subtract(self.last.timer, self.first.timer).tolist()
-        return float(missed / max(due, 1))
-
-
 @dataclass(frozen=True)
 class Run:
-    """What was seen of the stack.
+    """What was seen of the stack: at the beginning, when memory had settled, and at the end.
 
     Attributes
     ----------
-    parts
-        In order.
     reached
         How many goals were.
     realtime
         Whether the loops had real-time priority.
     """
 
-    parts: Sequence[Part]
+    first: Sample
+    settled: Sample
+    last: Sample
     reached: int
     realtime: bool
 
 
 def make_report(bench: ControlBench, echoes: Mapping[str, float], run: Run) -> dict[str, Any]:
     """The result as JSON has it."""
-    whole = Part(bench.pages, run.parts[0].first, run.parts[-1].last)
-    first, settled, last = whole.first, run.parts[0].last, whole.last
+    first, last = run.first, run.last
+    ticks = last.number("ticks") - first.number("ticks")
+    missed = last.number("missed ticks") - first.number("missed ticks")
+    timer_due, timer_missed = np.subtract(last.timer, first.timer).tolist()
     trip = percentiles_us(counts_between(first.counts(DRIVER, "round trip"), last.counts(DRIVER, "round trip")))
     late = percentiles_us(counts_between(first.counts(DRIVER, "wake-up late"), last.counts(DRIVER, "wake-up late")))
     compute = percentiles_us(counts_between(first.counts(CONTROLLER, "compute"), last.counts(CONTROLLER, "compute")))
-    growth = {name: last.memory[name] - settled.memory[name] for name in last.memory}
+    growth = {name: last.memory[name] - run.settled.memory[name] for name in last.memory}
     return {
         "seconds": bench.seconds,
         "load": bench.load,
         "scene": bench.scene,
         "realtime": run.realtime,
-        "ticks": whole.ticks,
-        "missed_fraction": whole.missed_fraction,
-        "timer_missed_fraction": whole.timer_missed_fraction,
+        "ticks": ticks,
+        "missed_fraction": missed / max(ticks, 1),
+        "timer_missed_fraction": timer_missed / max(timer_due, 1),
         "round_trip_us": {key: trip[key] for key in ("p50", "p99", "p999")},
         "wakeup_late_us": {key: late[key] for key in ("p50", "p99")},
         "compute_us": {key: compute[key] for key in ("p50", "p99")},
@@ -155,24 +122,6 @@ def make_report(bench: ControlBench, echoes: Mapping[str, float], run: Run) -> d
         "memory_growth_mb": max(growth.values()),
         "memory_growth_mb_by_process": growth,
         "goals_reached": run.reached,
-        "pages": _compare_pages(run.parts) if bench.pages else None,
-    }
-
-
-def _compare_pages(parts: Sequence[Part]) -> dict[str, Any]:
-    """Missed ticks with pages and without, from turns next to each other, and the same of the bare timer."""
-    closed, opened = ([part.missed_fraction for part in parts[first::2]] for first in (0, 1))
-    timers = [np.array([part.timer_missed_fraction for part in parts[first::2]]) for first in (0, 1)]
-    differences = np.subtract(opened, closed)
-    error = float(differences.std(ddof=1) / np.sqrt(len(differences))) if len(differences) > 1 else None
-    return {
-        "count": parts[1].pages,
-        "missed_fraction_closed": closed,
-        "missed_fraction_open": opened,
-        "difference_mean": float(differences.mean()),
-        "difference_standard_error": error,
-        "difference_median": float(np.median(differences)),
-        "timer_difference_mean": float((timers[1] - timers[0]).mean()),
     }
 
 
@@ -192,13 +141,5 @@ def print_report(report: Mapping[str, Any]) -> None:
         ("goals reached", f"{report['goals_reached']}"),
         ("real time", "SCHED_FIFO" if report["realtime"] else "no: not permitted"),
     ]
-    compared = report["pages"]
-    if compared is not None:
-        means = [100.0 * np.mean(compared[f"missed_fraction_{kind}"]) for kind in ("open", "closed")]
-        error = compared["difference_standard_error"]
-        text = f"{means[0]:.3f} % missed with {compared['count']} open, {means[1]:.3f} % without"
-        text += f": {100.0 * compared['difference_mean']:+.3f} %"
-        text += "" if error is None else f", standard error {100.0 * error:.3f} %"
-        rows.append(("pages", f"{text}; bare timer {100.0 * compared['timer_difference_mean']:+.3f} %"))
     for label, text in rows:
         print(f"  {label:16}{text}")

@@ -9,14 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.camera import FRONT_SIDE, SIDE
 from contact_reach_ros.drawing.offscreen import Picture
-from contact_reach_ros.drawing.palette import METHOD_COLOURS, WHITE, rgb
 from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
@@ -50,14 +48,11 @@ class FigureOptions:
         Of target and obstacles; with repeat 0 of a table, it seeds solver and noise.
     latency
         Of the plans, s: a constant, so that the figure does not depend on the machine.
-    renderer
-        One of `RENDERERS`.
     """
 
     methods: tuple[str, ...]
     seed: int = 0
     latency: float = 0.04
-    renderer: str = "auto"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -198,9 +193,10 @@ def save(figure: Figure, output: Path) -> None:
     """
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    picture = _few_colours(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+    picture = Image.fromarray(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
     try:
-        picture.save(output, optimize=True, dpi=(DPI, DPI))
+        few = picture.quantize(_COLOURS, dither=Image.Dither.NONE)
+        few.save(output, optimize=True, dpi=(DPI, DPI))
     except OSError as error:
         raise _unwritable(output, error) from error
     say(f"{output}: {output.stat().st_size / 1000:.0f} kB")
@@ -208,18 +204,3 @@ def save(figure: Figure, output: Path) -> None:
 
 def _unwritable(output: Path, error: OSError) -> RenderingError:
     return RenderingError(f"{output}: cannot be written ({error.strerror}); name a file that can be")
-
-
-def _few_colours(pixels: NDArray[np.uint8]) -> Image.Image:
-    """A picture (height, width, 3) with 256 colours; those that mean something, and white, stay as they are."""
-    kept = np.array([rgb(colour) for colour in (WHITE, *METHOD_COLOURS.values())])
-    kept = np.rint(255.0 * kept).astype(np.uint8)
-    few = Image.fromarray(pixels).quantize(_COLOURS - len(kept), dither=Image.Dither.NONE)
-    indices = np.asarray(few).copy()
-    for index, colour in enumerate(kept, start=_COLOURS - len(kept)):
-        indices[(pixels == colour).all(axis=2)] = index
-    rest = (few.getpalette() or [])[: 3 * (_COLOURS - len(kept))]
-    rest += [0] * (3 * (_COLOURS - len(kept)) - len(rest))
-    picture = Image.fromarray(indices)
-    picture.putpalette([*rest, *kept.ravel().tolist()])
-    return picture

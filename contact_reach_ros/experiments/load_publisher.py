@@ -17,7 +17,7 @@ from rclpy.node import Node
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.experiments.load import NAMESPACE
+from contact_reach_ros.experiments.bench_bags import NAMESPACE
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter, WrenchWriter
 from contact_reach_ros.messages.topics import Topic

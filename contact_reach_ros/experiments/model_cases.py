@@ -64,6 +64,8 @@ class Motion:
     """(H, 3) tip at the ends of the knots, m."""
     rotations: Array
     """(H, 3, 3)."""
+    joints: Array
+    """(H, n), rad."""
     speed_share: float
     """Speed of the fastest joint as a share of the arm's highest speed limit."""
     margin: float
@@ -76,18 +78,34 @@ class Motion:
 
 def simulate(case: Case) -> Motion:
     """The simulated robot under the actions, latched as the controller latches them."""
-    arm = case.arm
-    plant = Plant(case.scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
+    return simulate_from(case.scene, case.v, case.actions)
+
+
+def simulate_from(
+    scene: Scene, v: Array, actions: Array, before: Reference | None = None, spheres: Array | None = None
+) -> Motion:
+    """The simulated robot from the start of a scene with the speeds `v` (n,), under the actions (H, 6 + n).
+
+    Parameters
+    ----------
+    before
+        Reference in force at the start; by default that of a hold.
+    spheres
+        (K, 3) positions of the obstacles' spheres at the start, m; by default at rest.
+    """
+    arm = scene.arm
+    plant = Plant(scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
     plant.set_actuation(Actuation.COMMANDED)
+    if spheres is not None:
+        plant.place_obstacles(spheres)
     data = plant.data
-    data.qvel[: arm.n] = case.v
+    data.qvel[: arm.n] = v
     gains = ImpedanceSettings()
     law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
-    position, rotation = model.tip_pose(case.q)
-    before = Reference(position, rotation, case.q)
-    positions, rotations, forces = [], [], []
+    before = before or Reference(*model.tip_pose(scene.start), scene.start)
+    positions, rotations, joints, forces = [], [], [], []
     speed, margin, eigenvalue = 0.0, np.inf, np.inf
-    for action in case.actions:
+    for action in actions:
         q, v = data.qpos[: arm.n], data.qvel[: arm.n]
         ahead = q + 0.5 * gains.reference_ramp * v
         position, rotation = model.tip_pose(ahead)
@@ -108,9 +126,12 @@ def simulate(case: Case) -> Motion:
         model.update(q, v)
         positions.append(model.position.copy())
         rotations.append(model.rotation.copy())
+        joints.append(q.copy())
         forces.append(force)
     share = speed / max(arm.velocity_limits)
-    return Motion(np.array(positions), np.array(rotations), share, margin, eigenvalue, np.array(forces))
+    return Motion(
+        np.array(positions), np.array(rotations), np.array(joints), share, margin, eigenvalue, np.array(forces)
+    )
 
 
 def draw_free(arm: Arm, random: np.random.Generator, count: int) -> list[Case]:

@@ -307,7 +307,7 @@ def _latencies(report: Report) -> Iterator[str]:
         "Latency of the episodes, ms: the median over plans of closed-loop runs that were measured beforehand, rounded "
         "up. Where the CPU plans it is the processor's time, which does not count what other programs take."
         if measured
-        else "Latency of the episodes, ms, as the command says; it was not measured."
+        else "Latency of the episodes, ms, as given on the command line; it was not measured."
     )
     yield ""
     latencies = report["latencies"]

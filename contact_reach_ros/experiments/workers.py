@@ -136,6 +136,17 @@ def run_all(
         yield task, error or future.result()
 
 
+def run_each(
+    function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], count: int | None, scheduler: str | None = None
+) -> Iterator[ResultT]:
+    """Run tasks on `workers(count, scheduler)`; yield the results as they come, and raise the first error."""
+    with workers(count, scheduler) as client:
+        for _, result in run_all(client, function, tasks):
+            if isinstance(result, BaseException):
+                raise result
+            yield result
+
+
 def _require_dask() -> None:
     try:
         import distributed  # noqa: F401

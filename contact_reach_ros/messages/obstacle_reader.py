@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import FrameError, InputError
 from contact_reach_ros.messages.values import nanoseconds, quaternion, vector
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
@@ -89,7 +89,7 @@ class ObstacleMarkerReader:
         Raises
         ------
         InputError
-            If a marker is in another frame, of another type than its namespace asks for, has no size or a value that
+            If a marker is in another frame, of another type than its namespace needs, has no size or a value that
             is not finite, or an edge ends where no node is; the marker is named.
         """
         points = map(points_of, soft_markers(message))
@@ -256,7 +256,7 @@ def environment_of(message: Any, frame: str) -> Environment:
 
 def _check_frame(marker: Any, frame: str) -> None:
     if marker.header.frame_id != frame:
-        raise InputError(f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{frame}'")
+        raise FrameError(f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{frame}'")
 
 
 def _check(marker: Any, frame: str, kind: str, name: str) -> None:

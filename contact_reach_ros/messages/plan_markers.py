@@ -9,13 +9,9 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.messages.conversions import set_time, to_marker, to_point, to_quaternion
+from contact_reach_ros.messages.plan_reader import ARM, CONTACT, ELBOW, FLANGE
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.world.overlap import capsule_segments
-
-FLANGE = "flange"
-ELBOW = "elbow"
-ARM = "arm"
-CONTACT = "contact"
 
 _SHOWN_FORCE = 0.05
 """Least force that is worth a text, N."""

@@ -107,7 +107,7 @@ def observer_values(is_required: bool) -> dict[str, str]:
 
 
 def requires_observer(message: Any) -> bool:
-    """Whether a controller with this safety state requires an observer, as those of earlier versions did not say."""
+    """Whether a controller with this safety state requires an observer, which earlier versions did not publish."""
     return all(item.value != _UNWATCHED for item in message.values if item.key == _WATCHED)
 
 

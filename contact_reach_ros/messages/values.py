@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from contact_reach_ros.units import NANOSECONDS
 
 LATEST_S = 2**31 - 3600
 """Seconds of the latest stamp that is accepted: an hour is left for what follows, which has stamps of its own."""
+
+FARTHEST = 1e3
+"""Of what is drawn, m."""
 
 
 def checked_stamp(seconds: int, nanosec: int, topic: str) -> int:
@@ -54,3 +58,12 @@ def split_array(message: Any) -> dict[str, NDArray[np.float32]]:
         return {}
     names = [dimension.label for dimension in message.layout.dim]
     return dict(zip(names, np.split(data, np.cumsum(sizes)[:-1]), strict=True))
+
+
+def numbers(status: Any) -> Iterator[tuple[str, float]]:
+    """The values of a DiagnosticStatus that are numbers, by their keys."""
+    for item in status.values:
+        try:
+            yield item.key, float(item.value)
+        except ValueError:
+            continue

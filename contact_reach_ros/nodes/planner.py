@@ -15,10 +15,11 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
+from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.goal_state import to_goal_state
@@ -29,6 +30,7 @@ from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_markers import PlanMarkers
 from contact_reach_ros.messages.plan_messages import to_path, to_references, to_solution, to_statistics
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
+from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
@@ -40,6 +42,7 @@ from contact_reach_ros.planning.plan_record import plan_statistics, solution_par
 from contact_reach_ros.planning.planner import Planner, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.ros.frames import Frames
 from contact_reach_ros.ros.hearing import commanders_that_hear
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -103,6 +106,7 @@ class PlannerNode(ManagedNode):
             self.arm.base_frame,
             AssumedMaterial.of(settings),
         )
+        self._frames = Frames(self, self.arm.base_frame)
         self._markers = PlanMarkers(self.arm, self._budget.permitted_force)
         self._markers_due_ns = 0
         self._goals = 0
@@ -249,6 +253,9 @@ class PlannerNode(ManagedNode):
     def _on_goal(self, message: PoseStamped) -> None:
         stamp_ns, before = nanoseconds(message.header.stamp), self._planner.goal_state
         try:
+            if self._frames.is_foreign(message.header):
+                self._frames.publish_goal(message)
+                return
             goal = to_goal(message, self.settings[""])
             self._planner.command(goal)
         except InputError as error:
@@ -285,7 +292,12 @@ class PlannerNode(ManagedNode):
         self._goal_states.publish(to_goal_state(state, stamp_ns, NAME, self.arm))
 
     def _on_obstacles(self, data: bytes) -> None:
-        self._planner.see(self._obstacle_reader.read_serialized(data), self._obstacle_reader.stamp_ns)
+        try:
+            spheres = self._obstacle_reader.read_serialized(data)
+        except FrameError:
+            self._frames.publish_obstacles(decode(data, MarkerArray, topics.OBSTACLES.name))
+        else:
+            self._planner.see(spheres, self._obstacle_reader.stamp_ns)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if self._planner.goal is None:

@@ -30,9 +30,9 @@ _CLOCK_HZ = 100.0
 _RATES = (0.01, 100.0)
 
 
-def make_parser(program: str) -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     """Make the parser of the options of `run_replay`."""
-    parser = argparse.ArgumentParser(prog=program, description="Publishes a bag's messages at their recorded pace.")
+    parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages at their recorded pace.")
     parser.add_argument("bag", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
     parser.add_argument("--rate", type=float, default=1.0, help="recorded time per time, 0.01 to 100 (default: 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
@@ -63,10 +63,10 @@ def make_parser(program: str) -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Replay a bag, and exit with 0 at its end or when interrupted, or with 2 and a line that says what is wrong."""
+    """Replay a bag, and exit with 0 at its end or when interrupted, or with 2 and a line that names what is wrong."""
     given = list(sys.argv if arguments is None else [REPLAY, *arguments])
     own = remove_ros_args(given)
-    options = make_parser(REPLAY).parse_args(own[1:])
+    options = make_parser().parse_args(own[1:])
     try:
         # ROS ignores arguments that are not its own.
         sys.exit(run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])]))
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> int:
-    """Replay a bag as the options say, until its end, Ctrl-C or SIGTERM; returns the exit code.
+    """Replay a bag with these options until its end, Ctrl-C or SIGTERM; returns the exit code.
 
     Raises
     ------

@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import HEADER, STAMP, STAMP_END
 from contact_reach_ros.messages.joint_order import JointOrder
+from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
+from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import checked_stamp
 from contact_reach_ros.nodes.viewer_actions import StackActions
-from contact_reach_ros.nodes.viewer_messages import make_decoders, numbers_in, planned_goal, read_plan, status_in
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.resources import config_file
@@ -32,6 +34,7 @@ from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page, Source
 from contact_reach_ros.viewer.playback import bag_directory
+from contact_reach_ros.viewer.readings import ANY_MATERIAL, named_numbers, planned_goal, safety_status
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
 
@@ -58,14 +61,13 @@ class ViewerNode(ManagedNode):
         self.live = LiveState(self.arm)
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._torque_order = JointOrder(self.arm.joint_names)
-        decoders = make_decoders(self.arm)
-        self._read_obstacles = decoders.obstacles
+        self._obstacles = SerializedObstacleReader(self.arm.base_frame, ANY_MATERIAL)
         inbox = self.inbox
         # The page shows thirty moments a second: of fast topics, only the newest message is ever decoded.
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
         inbox.add(topics.EXTERNAL_TORQUE, self._on_torque, topics.NEWEST)
         inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
-        inbox.add(topics.PLAN_MARKERS, self._on_plan, topics.NEWEST, serialized=True, largest=LARGEST_SCENE)
+        inbox.add(topics.PLAN_MARKERS, self._on_plan, topics.NEWEST, largest=LARGEST_SCENE)
         inbox.add(topics.REFERENCE_POSE, self._on_plan_stamp, _FEW, serialized=True)
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, _FEW)
         inbox.add(topics.PLAN_STATISTICS, self._on_statistics, _FEW)
@@ -76,7 +78,7 @@ class ViewerNode(ManagedNode):
             self.live,
             StackActions(self, self.live),
             bag_directory(bag).parent if settings.bag else Path(settings.bags),
-            lambda path: Recording(path, self.arm, make_decoders(self.arm)),
+            lambda path: Recording(path, self.arm),
         )
         budget = load_budget(settings.contact_budget).resolve(self.arm)
         recording = source.open_bag(bag) if settings.bag else None
@@ -132,10 +134,10 @@ class ViewerNode(ManagedNode):
         self.live.on_external_torque(self._torque_order.pick(message, "effort", topics.EXTERNAL_TORQUE.name))
 
     def _on_obstacles(self, data: bytes) -> None:
-        self.live.on_obstacles(self._read_obstacles(data))
+        self.live.on_obstacles(self._obstacles.read_serialized(data))
 
-    def _on_plan(self, data: bytes) -> None:
-        self.live.on_plan(read_plan(data))
+    def _on_plan(self, message: MarkerArray) -> None:
+        self.live.on_plan(read_plan(message))
 
     def _on_plan_stamp(self, data: bytes) -> None:
         if len(data) < STAMP_END:
@@ -155,18 +157,18 @@ class ViewerNode(ManagedNode):
         self.live.on_contacts(forces, largest)
 
     def _on_statistics(self, message: DiagnosticArray) -> None:
-        goal = planned_goal(numbers_in(message))
+        goal = planned_goal(message)
         if goal is not None:
             self.live.goal = goal
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        name, status = status_in(message, self.arm)
+        name = message.name
         if name not in self.live.safety and len(self.live.safety) == _MOST_NODES:
             raise InputError(f"safety_state: name = '{name}' is that of one more node; expected {_MOST_NODES} at most")
-        self.live.safety[name] = status
+        self.live.safety[name] = safety_status(message, self.arm)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.live.on_numbers(numbers_in(message))
+        self.live.on_numbers(named_numbers(message))
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:

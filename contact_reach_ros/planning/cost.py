@@ -52,11 +52,11 @@ class Objective:
 
         def knot(carry: tuple[State, Pose, Reference | None], action: jax.Array) -> tuple[tuple, tuple]:
             state, pose, before = carry
-            reference = self._latch(state.q, state.qd, pose, action)
+            reference = self.latch(state.q, state.qd, pose, action)
 
             def substep(state: State, share: jax.Array | None) -> tuple[State, tuple[jax.Array, jax.Array]]:
                 state = pipeline.step(self.system, state, on_the_way(before, reference, share))
-                return state, (state.link_force, self._measure(state.link_force))
+                return state, (state.link_force, self.measure(state.link_force))
 
             state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
             pose, capsules = self.end_of_knot(problem, state.q)
@@ -129,7 +129,7 @@ class Objective:
         duration = self.system.timestep * self.substeps
         return weighted_terms(Context(self.system.arm, duration, problem, actions, rollout))
 
-    def _latch(self, q: jax.Array, v: jax.Array, pose: Pose, action: jax.Array) -> Reference:
+    def latch(self, q: jax.Array, v: jax.Array, pose: Pose, action: jax.Array) -> Reference:
         """The reference that an action (6 + n, B) stands for at joint angles `q` (n, B) and speeds `v`.
 
         One that moves lags behind by half of its ramp: it is that of where the arm will be by then at these speeds.
@@ -142,7 +142,7 @@ class Objective:
             return reference
         return reference._replace(posture=_spread(self.posture, action.shape[-1]))
 
-    def _measure(self, link_force: jax.Array) -> jax.Array:
+    def measure(self, link_force: jax.Array) -> jax.Array:
         """contact(·) (B,) of the forces (L, B) on the links."""
         return link_force.max(axis=0) if self.contact_measure == "largest" else sum_over(link_force, 0)
 

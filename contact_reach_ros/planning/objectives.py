@@ -28,7 +28,7 @@ def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSetting
     # Brax's own pipelines are for comparison, and slow to import.
     from contact_reach_ros.planning.transfer.brax_pipelines import STEPS, BraxObjective
 
-    return BraxObjective(*arguments, settings.pipeline, STEPS[settings.pipeline], posture=posture)
+    return BraxObjective(*arguments, settings.pipeline, STEPS[settings.pipeline], arm, posture=posture)
 
 
 def knot_bounds(arm: Arm, settings: PlanningSettings) -> Array:

@@ -14,6 +14,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan
+from contact_reach_ros.planning.programs import Program
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
@@ -77,7 +78,7 @@ class Predictor:
     def __init__(self, system: System, step: Callable[[System, State, Any], State] = pipeline.step) -> None:
         self._system = system
         self._step = step
-        self._run = jax.jit(self._advance)
+        self._run = Program(self._advance)
 
     def predict(
         self, q: Array, v: Array, obstacles: Obstacles | None, pieces: Sequence[Piece]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections import deque
@@ -25,6 +26,7 @@ from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan
 from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
+from contact_reach_ros.planning.programs import Program, preparing
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
@@ -99,7 +101,7 @@ class RecedingHorizonPlanner:
             self._spread = np.full_like(self._space.bounds, settings.sigma)
         self._predictor = Predictor(self._space.objective.system, self._space.step)
         self._solver = solver(scaled_cost(self._space), self.size, settings)
-        self._evaluate = jax.jit(self._roll_out)
+        self._evaluate = Program(functools.partial(_roll_out, self._space))
         self._plans: deque[Plan] = deque(maxlen=PLANS_KEPT)
         self._memory: Memory | None = None
         self._last_state: tuple[int, Array] | None = None
@@ -115,6 +117,10 @@ class RecedingHorizonPlanner:
         SettingsError
             If the deadline is too short for one step of the solver on this machine.
         """
+        with preparing():
+            self._warm_up(progress)
+
+    def _warm_up(self, progress: Callable[[str], None]) -> None:
         begin = time.perf_counter()
         q, v = np.array(self._arm.home), np.zeros(self._arm.n)
         goal = Target(hold_at(self._arm, q).position)
@@ -352,11 +358,6 @@ class RecedingHorizonPlanner:
             return self._solver.init(best, self._spread), float(costs[index])
         return self._solver.shift(carried, best, self._spread, count, passed), float(costs[index])
 
-    def _roll_out(self, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
-        actions = self._space.actions(points, problem)
-        rollout = self._space.objective.roll_out(problem, actions)
-        return rollout, self._space.objective.terms(problem, actions, rollout)
-
     def _plan_of(
         self,
         solution: Solution,
@@ -391,6 +392,12 @@ class RecedingHorizonPlanner:
             ramp_s=self._space.ramp_s,
         )
         return self._space.finish(plan, solution.best)
+
+
+def _roll_out(space: ActionSpace, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
+    actions = space.actions(points, problem)
+    rollout = space.objective.roll_out(problem, actions)
+    return rollout, space.objective.terms(problem, actions, rollout)
 
 
 def _pair(first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:

@@ -45,6 +45,8 @@ class Context:
     actions: jax.Array
     """(H, 6 + n, B)."""
     rollout: Rollout
+    lead: jax.Array | None = None
+    """(3, B) lead of x_d before the first knot, m; None for that of the problem's reference before."""
 
     @property
     def position(self) -> jax.Array:
@@ -171,8 +173,8 @@ def lead_change(context: Context) -> jax.Array:
     """Squared change of x_d's lead over the flange from knot to knot, and from the reference before, m²."""
     lead = jnp.moveaxis(context.actions[:, :3], 1, 0)
     before = context.problem.before
-    first = lead[:, :1]
-    if before is not None:
+    first = lead[:, :1] if context.lead is None else context.lead[:, None]
+    if context.lead is None and before is not None:
         # Where the arm is half a ramp after the start.
         start, ahead = context.position[:, 0], context.rollout.reference.position[0] - context.actions[0, :3]
         first = (before.position - start + ahead - start)[:, None]

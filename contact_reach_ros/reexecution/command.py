@@ -12,13 +12,8 @@ import numpy as np
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import (
-    TOLERANCE,
-    Reexecution,
-    realtime_factor,
-    reexecute_controller,
-    reexecute_observer,
-)
+from contact_reach_ros.reexecution.loops import TOLERANCE, reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.outcome import Reexecution, realtime_factor
 from contact_reach_ros.reexecution.settings import ChangedSettings
 
 IDENTICAL, DIFFERENT = 0, 1
@@ -26,7 +21,7 @@ IDENTICAL, DIFFERENT = 0, 1
 
 @dataclass(frozen=True)
 class ReexecutionOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     bag: Path
     changes: Path | None = None
@@ -121,7 +116,8 @@ def _as_json(found: Reexecution, inputs: RecordedInputs, changes: ChangedSetting
 
 def _reexecute_plan(inputs: RecordedInputs, number: int, changes: ChangedSettings) -> tuple[dict[str, Any], bool]:
     # The planner's libraries take seconds to import.
-    from contact_reach_ros.reexecution.plans import ROUNDING, RecordedPlans
+    from contact_reach_ros.reexecution.plan_outcome import ROUNDING
+    from contact_reach_ros.reexecution.plans import RecordedPlans
 
     found = RecordedPlans(inputs).solve(number, changes)
     plan, recorded = found.plan, found.statistics

@@ -53,7 +53,7 @@ class Intake:
     Attributes
     ----------
     rows :
-        (n, 4) as `intake.COLUMNS` says, without gaps.
+        (n, 4), columns `intake.COLUMNS`, without gaps.
     starts_late :
         Whether the node had taken in something before.
     lost :

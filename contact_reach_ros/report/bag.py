@@ -18,7 +18,7 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.reexecution.command import reexecute
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import Reexecution
+from contact_reach_ros.reexecution.outcome import Reexecution
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report.recorded_settings import recorded_section
 from contact_reach_ros.report.signals import EpisodeSignals, read_signals

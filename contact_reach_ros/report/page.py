@@ -25,7 +25,7 @@ _PAGE = Path(__file__).with_name("template")
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     bags: tuple[Path, ...]
     output: Path | None = None

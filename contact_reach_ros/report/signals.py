@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, Stamps, read_raw
 from contact_reach_ros.bags.goals import goal_in, pursued
@@ -20,7 +19,8 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.values import nanoseconds, numbers
+from contact_reach_ros.report.clock import Clock
 from contact_reach_ros.units import NANOSECONDS
 
 _SPARSE = {
@@ -162,7 +162,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
     handlers = columns | {name: messages.append for name, messages in sparse.items() if name not in other}
     read_raw(bag, {f"/{name}": handler for name, handler in handlers.items()})
     state, command, torque, contact, pose = (column.column() for column in columns.values())
-    clock = _Clock(state)
+    clock = Clock(state)
 
     def received(name: str) -> list[tuple[float, Any]]:
         """Time, s, and message; those that cannot be decoded are left out, which the bag's notes mention."""
@@ -198,40 +198,6 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
     )
 
 
-class _Clock:
-    """Places messages on the robot's clock, in s since its first joint state."""
-
-    def __init__(self, states: Column) -> None:
-        stamped = states.stamp_ns != 0
-        received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
-        if len(stamps):
-            self._received_0, self.origin_ns, self._last_ns = int(received[0]), int(stamps[0]), int(stamps[-1])
-        else:
-            self._received_0 = self.origin_ns = self._last_ns = int(states.log_ns[0]) if len(states) else 0
-        self._received = (received - self._received_0) / NANOSECONDS
-        self._stamps = (stamps - self.origin_ns) / NANOSECONDS
-
-    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether stamps, ns, lie between those of the first joint state and of the last one."""
-        return np.asarray((stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns))
-
-    def of_stamps(self, column: Column) -> np.ndarray:
-        """By the stamps in the headers, or by reception where they are zero."""
-        times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
-        unstamped = column.stamp_ns == 0
-        times[unstamped] = self.of_receptions(column.log_ns[unstamped])
-        return times
-
-    def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
-        """By times of reception, ns."""
-        received = (log_ns - self._received_0) / NANOSECONDS
-        if not len(self._received):
-            return received
-        inside = np.interp(received, self._received, self._stamps)
-        # Outside of the joint states both clocks are taken to run alike.
-        return inside + received - np.clip(received, self._received[0], self._received[-1])
-
-
 def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[Event]:
     """The statuses with a new state: some senders repeat theirs as a sign of life."""
     last: dict[str, tuple[int, str]] = {}
@@ -242,21 +208,12 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[Event]:
             yield Event(time, status.level, status.name, status.message, is_stopped(status))
 
 
-def _plans(clock: _Clock, array: Any) -> Iterator[PlanStatistics]:
+def _plans(clock: Clock, array: Any) -> Iterator[PlanStatistics]:
     stamp = array.header.stamp
     time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
-        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(_numbers(status)))
-
-
-def _numbers(status: Any) -> Iterator[tuple[str, float]]:
-    """The values that are numbers, by their keys."""
-    for item in status.values:
-        try:
-            yield item.key, float(item.value)
-        except ValueError:
-            continue
+        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(numbers(status)))
 
 
 def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
@@ -291,7 +248,7 @@ def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
-def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: _Clock | None) -> Series:
+def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock | None) -> Series:
     """The goals that were not refused; by their stamps on a clock, or without one by reception."""
     places = [message.pose.position for _, message in messages]
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
@@ -309,7 +266,7 @@ def _diagnostics(arrays: Sequence[tuple[float, Any]]) -> dict[str, Series]:
     found: dict[str, tuple[list[float], list[float]]] = {}
     for time, array in arrays:
         for status in array.status:
-            for key, number in _numbers(status):
+            for key, number in numbers(status):
                 column = found.setdefault(f"{status.name}/{key}", ([], []))
                 column[0].append(time)
                 column[1].append(number)

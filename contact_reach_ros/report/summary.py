@@ -85,7 +85,7 @@ class EpisodeSummary:
 
 
 class Episode:
-    """What became of the goal of a bag; a second goal counts from the moment it is sent.
+    """How the goal of a bag ended; a second goal counts from the moment it is sent.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ class Reach(NamedTuple):
     def text(self) -> str:
         """One line for the log."""
         words = {"host": "this host only", "subnet": "OPEN to the subnet, to everybody on it"}
-        return f"discovery: {words.get(self.choice, 'as a file of yours says')} ({self.why})"
+        return f"discovery: {words.get(self.choice, 'as set in a file of yours')} ({self.why})"
 
 
 def environment(choice: str = "host") -> dict[str, str]:

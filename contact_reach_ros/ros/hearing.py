@@ -9,9 +9,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
-
-UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""Name in the graph of a node that was discovered later than its endpoint."""
+from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, node_of
 
 _COMMANDS = (topics.COMMANDS, topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS)
 
@@ -25,5 +23,4 @@ def commanders_that_hear(node: Node, wanted: Iterable[Topic]) -> list[str]:
 
 
 def _names(endpoints: Sequence[TopicEndpointInfo]) -> set[str]:
-    known = (info for info in endpoints if info.node_name != UNKNOWN_NODE)
-    return {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in known}
+    return {node_of(info) for info in endpoints if info.node_name != UNKNOWN_NODE}

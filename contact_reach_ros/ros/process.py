@@ -83,7 +83,7 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
     arguments
         Command line, program name first.
     discovery
-        How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment says otherwise.
+        How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment sets it.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.discovery import wait_until_settled
-from contact_reach_ros.ros.hearing import UNKNOWN_NODE
+from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, node_of
 from contact_reach_ros.ros.interfaces import ACTING, ALONE, COMMANDING, INTERFACES
 
 _WATCHING = frozenset(INTERFACES) - frozenset(ACTING)
@@ -130,8 +130,7 @@ class Guard:
         )
 
     def _full_names(self, endpoints: Iterable[TopicEndpointInfo]) -> frozenset[str]:
-        names = {f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}" for endpoint in endpoints}
-        return frozenset(names - {self._node.get_fully_qualified_name()})
+        return frozenset(map(node_of, endpoints)) - {self._node.get_fully_qualified_name()}
 
 
 def _refuse(graph: Mapping[str, Endpoints]) -> None:

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.hearing import UNKNOWN_NODE
+from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, node_of
 from contact_reach_ros.ros.interfaces import ALONE, MANAGED
 
 LOOK_AROUND_S = 0.25
@@ -49,7 +49,7 @@ def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
 def _full_name(publisher: TopicEndpointInfo) -> str:
     if publisher.node_name == UNKNOWN_NODE:
         return "a node whose name is not known yet"
-    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+    return node_of(publisher)
 
 
 def _has_strangers(counts: Counter[str], owners: list[str]) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from rclpy.node import Node
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.ros.hearing import UNKNOWN_NODE
+from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, full_name, node_of
 from contact_reach_ros.ros.interfaces import ALONE, MANAGED
 from contact_reach_ros.ros.node_processes import node_processes
 
@@ -37,12 +37,12 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
     mine = {node.get_name(): 1, **dict.fromkeys(own, 1)}
     space = node.get_namespace()
     names = Counter(name for name, other in node.get_node_names_and_namespaces() if other == space)
-    found = {_full(space, name) for name in (*planned, *_SUPERVISORS) if names[name] > mine.get(name, 0)}
+    found = {full_name(space, name) for name in (*planned, *_SUPERVISORS) if names[name] > mine.get(name, 0)}
     for topic in ALONE:
         if any(topic.name in MANAGED[name].publishes for name in planned):
             publishers = node.get_publishers_info_by_topic(topic.name)
             found |= {
-                f"{_full(info.node_namespace, info.node_name)} (on {topic.name})"
+                f"{node_of(info)} (on {topic.name})"
                 for info in publishers
                 if info.node_name != UNKNOWN_NODE and (info.node_namespace != space or info.node_name not in planned)
             }
@@ -63,7 +63,7 @@ def refuse_beside_another(node: Node, planned: Collection[str], since: float) ->
     space = node.get_namespace()
     processes = node_processes(domain, namespace=space)
     processes.pop(os.getpid(), None)
-    found = sorted(_full(space, name) for name in {*processes.values()} & {*planned, *_SUPERVISORS})
+    found = sorted(full_name(space, name) for name in {*processes.values()} & {*planned, *_SUPERVISORS})
     while not found and time.monotonic() < since + LOOK_S:
         time.sleep(_POLL_S)
         found = running(node, planned)
@@ -73,7 +73,3 @@ def refuse_beside_another(node: Node, planned: Collection[str], since: float) ->
             f"a stack is already running in ROS domain {domain}: {', '.join(found)}. A second one would stop its arm: "
             f"end it, or start this one in another domain: export ROS_DOMAIN_ID={other}, or in a namespace"
         )
-
-
-def _full(namespace: str, name: str) -> str:
-    return f"{namespace.rstrip('/')}/{name}"

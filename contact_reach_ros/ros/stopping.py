@@ -36,13 +36,13 @@ def stop_arm(call: Call, names: Sequence[str] = STOPPABLE) -> Outcome:
 
 def release(stopped: Collection[str], call: Call) -> Outcome:
     """Release the stops of these nodes; the controller comes last, since it refuses while the observer is stopped."""
-    said: list[str] = []
+    answers: list[str] = []
     for name in [name for name in reversed(STOPPABLE) if name in stopped]:
         try:
             answer = call(f"{name}/reset")
         except ContactReachError as error:
-            return Outcome(False, "; ".join([*said, str(error)]))
-        said.append(f"{name}: {answer.message or 'done'}")
+            return Outcome(False, "; ".join([*answers, str(error)]))
+        answers.append(f"{name}: {answer.message or 'done'}")
         if not answer.success:
-            return Outcome(False, "; ".join(said))
-    return Outcome(True, "; ".join(said) or "nothing is stopped")
+            return Outcome(False, "; ".join(answers))
+    return Outcome(True, "; ".join(answers) or "nothing is stopped")

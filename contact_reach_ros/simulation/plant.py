@@ -9,7 +9,7 @@ from enum import Enum
 import mujoco
 import numpy as np
 
-from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, build_mjcf
+from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.simulation.contacts import ContactReader, Contacts
 from contact_reach_ros.simulation.foam import Foam
@@ -121,7 +121,7 @@ class Plant:
         self._arm = slice(0, scene.arm.n)
         self._torque_limits = scene.arm.torque_limits
         self._torque = np.full(scene.arm.n, np.nan)
-        self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "flange")
+        self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
         self._first_obstacle = self.model.nbody - len(everything)
         self.has_spare_obstacle = spare_obstacle
         self._pushes: list[Push] = []
@@ -216,6 +216,10 @@ class Plant:
         positions = self._rests.copy()
         positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
         return positions
+
+    def place_obstacles(self, positions: Array) -> None:
+        """Move the obstacles' spheres to `positions` (K, 3), m, at rest; those that cannot move stay."""
+        self.data.qpos[self._obstacles] = (positions - self._rests)[self._movable].ravel()
 
     def obstacle_body(self, index: int) -> int:
         """The simulation's body of an obstacle's sphere, by its index in `obstacle_positions`."""

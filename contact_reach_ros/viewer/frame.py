@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.world.spheres import Spheres
 
@@ -27,27 +28,6 @@ class SafetyStatus:
     message: str
     contact: Contact | None = None
     """Contact that the observer has located, if any."""
-
-
-@dataclass(frozen=True)
-class PlanPicture:
-    """Motion that a plan predicts.
-
-    Attributes
-    ----------
-    flange, elbow
-        (N, 3) positions at the knots, m.
-    ghost_starts, ghost_ends
-        (k, 3) ends of the axes of the arm's cylinders at the last knot, m.
-    ghost_radii
-        (k,), m.
-    """
-
-    flange: Array
-    elbow: Array
-    ghost_starts: Array
-    ghost_ends: Array
-    ghost_radii: Array
 
 
 @dataclass(frozen=True)

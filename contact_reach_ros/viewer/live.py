@@ -10,8 +10,9 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.viewer.frame import Frame, PlanPicture, SafetyStatus
+from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.history import History, joint_labels
 from contact_reach_ros.world.spheres import Spheres
 

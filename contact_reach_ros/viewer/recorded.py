@@ -21,10 +21,12 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.recorded_arm import arm_in
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.cdr import after_string, text_at
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
+from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.viewer.frame import Frame, PlanPicture, SafetyLevel, SafetyStatus
+from contact_reach_ros.viewer.frame import Frame, SafetyLevel, SafetyStatus
 from contact_reach_ros.viewer.history import SPAN, joint_labels, quantities, thinned
-from contact_reach_ros.world.spheres import Spheres
+from contact_reach_ros.viewer.readings import ANY_MATERIAL, goal_position, named_numbers, planned_goal, safety_status
 
 Times = NDArray[np.int64]
 
@@ -43,18 +45,6 @@ _CONTACT_PAUSE = 0.3
 _ROUND_TRIP = b"round trip"
 
 T = TypeVar("T")
-
-
-class Decoders(NamedTuple):
-    """Decoders of serialised messages; each raises `InputError` for invalid bytes."""
-
-    obstacles: Callable[[bytes], Spheres]
-    plan: Callable[[bytes], PlanPicture | None]
-    goal: Callable[[bytes], Array]
-    status: Callable[[bytes], tuple[str, SafetyStatus]]
-    numbers: Callable[[bytes], Mapping[str, float]]
-    planned: Callable[[bytes], Array | None]
-    """The goal of a plan, from its statistics; None where they lack it."""
 
 
 class Event(NamedTuple):
@@ -77,8 +67,6 @@ class Recording:
         The bag.
     arm
         The recorded arm.
-    decoders
-        Decoders of messages that contain more than numbers.
 
     Attributes
     ----------
@@ -95,10 +83,10 @@ class Recording:
         If the bag cannot be read or holds no joint states.
     """
 
-    def __init__(self, path: Path, arm: Arm, decoders: Decoders) -> None:
+    def __init__(self, path: Path, arm: Arm) -> None:
         self.path = path
         self._arm = arm
-        self._decode = decoders
+        self._read_obstacles = ObstacleMarkerReader(arm.base_frame, ANY_MATERIAL).read
         self._reader = BagReader(path, of_stack=True)
         recorded = arm_in(self._reader)
         if recorded != arm:
@@ -123,8 +111,8 @@ class Recording:
             time=float(self.ticks[tick]),
             q=self._q[tick],
             external_torque=self._torques[torque] if torque >= 0 else None,
-            obstacles=self._newest(_OBSTACLES, until_ns, self._decode.obstacles),
-            plan=self._newest(_PICTURES, until_ns, self._decode.plan),
+            obstacles=self._newest(_OBSTACLES, until_ns, self._read_obstacles),
+            plan=self._newest(_PICTURES, until_ns, read_plan),
             forces=dict(zip(self._arm.contact_links, self._forces[contact].tolist(), strict=True))
             if contact >= 0
             else {},
@@ -158,7 +146,7 @@ class Recording:
             _PLANS: Stamps(),
         }
         received: dict[str, list[int]] = {topic: [] for topic in _ASKED_FOR}
-        said: list[_Said] = []
+        reported: list[_Reported] = []
         goals: list[tuple[int, Array]] = []
         self._numbers: list[tuple[int, Mapping[str, float]]] = []
         planned: list[Array] = []
@@ -166,22 +154,25 @@ class Recording:
         def note(raw: RawMessage) -> None:
             received[raw.topic].append(raw.log_time_ns)
             if raw.topic == _SAFETY:
-                said.append(_status(raw.data))
+                reported.append(_status(raw.data))
+
+        def take(raw: RawMessage, read: Callable[[Any], T]) -> list[T]:
+            """What is read of a message; nothing of an invalid one."""
+            message = self._reader.decode(raw)
+            with suppress(InputError):
+                return [] if message is None else [read(message)]
+            return []
 
         def take_goal(raw: RawMessage) -> None:
-            with suppress(InputError):
-                goals.append((raw.log_time_ns, self._decode.goal(raw.data)))
+            goals.extend((raw.log_time_ns, goal) for goal in take(raw, goal_position))
 
         def take_planned(raw: RawMessage) -> None:
-            with suppress(InputError):
-                goal = self._decode.planned(raw.data)
-                planned.extend([] if goal is None else [goal])
+            planned.extend(goal for goal in take(raw, planned_goal) if goal is not None)
 
         def take_numbers(raw: RawMessage) -> None:
             # There are thousands of diagnostics, and only the driver's contain the round trip.
             if _ROUND_TRIP in raw.data:
-                with suppress(InputError):
-                    self._numbers.append((raw.log_time_ns, self._decode.numbers(raw.data)))
+                self._numbers.extend((raw.log_time_ns, found) for found in take(raw, named_numbers))
 
         others = {_GOALS: take_goal, _STATISTICS: take_planned, _NUMBERS: take_numbers}
         read_raw(self._reader, {**columns, **dict.fromkeys(_ASKED_FOR, note), **others})
@@ -201,15 +192,15 @@ class Recording:
         self._plan_times = (np.sort(columns[_PLANS].column().stamp_ns) - self._start_ns) / NANOSECONDS
         # The files of a bag may overlap.
         self._messages = {topic: np.sort(np.array(times, np.int64)) for topic, times in received.items()}
-        self._said = [said[row] for row in np.argsort(received[_SAFETY], kind="stable")]
+        self._reported = [reported[row] for row in np.argsort(received[_SAFETY], kind="stable")]
         times = self._time_of(np.array([received_ns for received_ns, _ in goals], np.int64))
         positions = np.array([position for _, position in goals]).reshape(-1, 3)
         accepted = pursued(positions, planned)
         self._goals = times[accepted], positions[accepted]
         self._refused = times[~accepted], positions[~accepted]
         self._speakers = {
-            name: np.array([row for row, entry in enumerate(self._said) if entry.name == name], np.int64)
-            for name in {entry.name for entry in self._said}
+            name: np.array([row for row, entry in enumerate(self._reported) if entry.name == name], np.int64)
+            for name in {entry.name for entry in self._reported}
         }
         self._kept: dict[str, tuple[int, Any]] = {}
 
@@ -220,26 +211,29 @@ class Recording:
     def _row(self, times: Array, time: float) -> int:
         return int(np.searchsorted(times, time + 1e-9, side="right")) - 1
 
-    def _raw(self, topic: str, row: int) -> bytes:
+    def _message(self, topic: str, row: int) -> Any:
+        """A message of a topic, by its place among those by time of reception; None if it cannot be decoded."""
         times = self._messages[topic]
         time_ns = int(times[row])
-        same = (raw.data for raw in self._reader.raw_messages([topic], time_ns) if raw.log_time_ns == time_ns)
-        return next(islice(same, row - int(np.searchsorted(times, time_ns)), None), b"")
+        same = (raw for raw in self._reader.raw_messages([topic], time_ns) if raw.log_time_ns == time_ns)
+        raw = next(islice(same, row - int(np.searchsorted(times, time_ns)), None), None)
+        return None if raw is None else self._reader.decode(raw)
 
     def _last_row(self, topic: str, until_ns: int) -> int:
         """Row of the last message received until `until_ns`; -1 if there is none."""
         return int(np.searchsorted(self._messages[topic], until_ns, side="right")) - 1
 
-    def _newest(self, topic: str, until_ns: int, decode: Callable[[bytes], T]) -> T | None:
+    def _newest(self, topic: str, until_ns: int, read: Callable[[Any], T]) -> T | None:
         row = self._last_row(topic, until_ns)
-        return self._decoded(topic, topic, row, decode) if row >= 0 else None
+        return self._kept_or_read(topic, topic, row, read) if row >= 0 else None
 
-    def _decoded(self, key: str, topic: str, row: int, decode: Callable[[bytes], T]) -> T | None:
-        """Decode a message, keeping the last one of each key; None for an invalid one."""
+    def _kept_or_read(self, key: str, topic: str, row: int, read: Callable[[Any], T]) -> T | None:
+        """Read a message, keeping the last one of each key; None for an invalid one."""
         kept = self._kept.get(key)
         if kept is None or kept[0] != row:
+            message = self._message(topic, row)
             try:
-                kept = row, decode(self._raw(topic, row))
+                kept = row, None if message is None else read(message)
             except InputError:
                 kept = row, None
             self._kept[key] = kept
@@ -252,10 +246,13 @@ class Recording:
         for name, rows in sorted(self._speakers.items()):
             place = int(np.searchsorted(rows, last, side="right")) - 1
             if place >= 0:
-                status = self._decoded(f"{_SAFETY} {name}", _SAFETY, int(rows[place]), self._decode.status)
+                status = self._kept_or_read(f"{_SAFETY} {name}", _SAFETY, int(rows[place]), self._read_status)
                 if status is not None:
-                    found[name] = status[1]
+                    found[name] = status
         return found
+
+    def _read_status(self, message: Any) -> SafetyStatus:
+        return safety_status(message, self._arm)
 
     def _find_events(self) -> tuple[Event, ...]:
         events = [
@@ -269,7 +266,7 @@ class Recording:
         stopped: dict[str, bool] = {}
         in_contact = []
         received_at = self._time_of(self._messages[_SAFETY]).tolist()
-        for time, entry in zip(received_at, self._said, strict=True):
+        for time, entry in zip(received_at, self._reported, strict=True):
             is_stop = entry.level is SafetyLevel.STOP
             if is_stop != stopped.get(entry.name, False):
                 stopped[entry.name] = is_stop
@@ -320,7 +317,7 @@ class Recording:
         return table
 
 
-class _Said(NamedTuple):
+class _Reported(NamedTuple):
     """A safety state without its values."""
 
     name: str
@@ -328,14 +325,14 @@ class _Said(NamedTuple):
     message: str
 
 
-def _status(data: bytes) -> _Said:
+def _status(data: bytes) -> _Reported:
     """Read the needed parts of a serialised DiagnosticStatus; there may be tens of thousands."""
     try:
         name, message = text_at(data, 8), text_at(data, after_string(data, 8))
     except (struct.error, UnicodeDecodeError):
         name = message = ""
     level = SafetyLevel(min(data[4], SafetyLevel.STOP.value)) if len(data) > 4 else SafetyLevel.OK
-    return _Said(name, level, message)
+    return _Reported(name, level, message)
 
 
 def _hold(values: Array) -> None:

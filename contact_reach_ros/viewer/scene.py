@@ -16,9 +16,10 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, rgb
 from contact_reach_ros.drawing.parts import link_shapes
 from contact_reach_ros.drawing.shapes import Capsule, Cylinder, Solid, Sphere
+from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.viewer.colours import as_bytes, share_colour
 from contact_reach_ros.viewer.contacts import ContactView
-from contact_reach_ros.viewer.frame import Frame, PlanPicture
+from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.handles import add_ball, set_if_changed
 from contact_reach_ros.viewer.obstacles import ObstacleView
 

@@ -14,9 +14,9 @@ from urdf_texts import AXES, LIMIT, ball, joint, link, odd_arm, written
 from contact_reach_ros.arm.arm import Arm, Inertia
 from contact_reach_ros.arm.arm_file import read_arm_file
 from contact_reach_ros.arm.arm_options import ArmOptions
-from contact_reach_ros.arm.assumptions import thresholds
+from contact_reach_ros.arm.assumptions import defaults
 from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.table import arm_of_table, table_of, table_text
 from contact_reach_ros.arm.urdf import build_urdf
@@ -81,8 +81,8 @@ def test_simulation_has_the_controllers_model(odd):
         mujoco.mj_fullM(model, data, mass)
         mujoco.mj_jacSite(model, data, linear, angular, 0)
         for mine, other in (
-            (ours.position, data.site("flange").xpos),
-            (ours.rotation.ravel(), data.site("flange").xmat),
+            (ours.position, data.site(TIP_SITE).xpos),
+            (ours.rotation.ravel(), data.site(TIP_SITE).xmat),
             (ours.mass_matrix, mass),
             (ours.bias, data.qfrc_bias),
             (ours.jacobian, np.vstack([linear, angular])),
@@ -133,9 +133,8 @@ def test_the_urdf_that_the_package_writes_is_the_same_arm(tmp_path):
         assert lengths[0] == pytest.approx(lengths[1], abs=2e-4)
 
 
-@pytest.mark.parametrize("limits", [ARM.torque_limits], ids=["iiwa14"])
-def test_rule_for_thresholds_is_near_those_that_were_measured(limits):
-    for name, values in thresholds(limits).items():
+def test_rule_for_thresholds_is_near_those_that_were_measured():
+    for name, values in defaults(ARM).items():
         np.testing.assert_allclose(values, ARM.default(name), rtol=0, atol=6.0 if name == "model_error" else 3.0)
 
 

@@ -2,6 +2,7 @@ import json
 from pathlib import Path
 
 import pytest
+from contact_reach_command import contact_reach
 from rclpy.serialization import serialize_message
 from rich.console import Console
 from std_msgs.msg import String
@@ -9,7 +10,6 @@ from std_msgs.msg import String
 from contact_reach_ros.bags.info import bag_info, read_info
 from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.cli import main
 from contact_reach_ros.resources import share_directory
 
 MS = 1_000_000
@@ -54,9 +54,7 @@ def test_rates_and_gaps_of_a_lockstep_run_are_on_the_robots_clock() -> None:
 
 
 def test_command_prints_a_table_and_writes_json(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["bag", "info", str(bag), "--json", str(tmp_path / "info.json")])
-    assert ended.value.code == 0
+    assert contact_reach("bag", "info", bag, "--json", tmp_path / "info.json") == 0
     assert "1002 messages" in capsys.readouterr().out
     content = json.loads((tmp_path / "info.json").read_text())
     assert [topic["name"] for topic in content["topics"]] == ["/rare", "/stream"]
@@ -76,13 +74,17 @@ def test_cut_bag_is_shown_with_a_note(bag: Path, tmp_path: Path) -> None:
     assert "is cut or damaged" in text
 
 
-@pytest.mark.parametrize("make", [lambda path: None, lambda path: path.touch(), lambda path: path.write_text("text")])
-def test_no_bag_at_all_is_one_line(tmp_path: Path, make, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [(None, "it.mcap' does not exist"), ("", "it.mcap: is empty"), ("text", "it.mcap: is no mcap file")],
+)
+def test_no_bag_at_all_is_one_line(
+    tmp_path: Path, content: str | None, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "it.mcap"
-    make(path)
+    if content is not None:
+        path.write_text(content)
     for command in ("info", "repair"):
-        with pytest.raises(SystemExit) as ended:
-            main(["bag", command, str(path)])
-        assert ended.value.code == 2
+        assert contact_reach("bag", command, path) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert "it.mcap" in line
+        assert expected in line

@@ -132,25 +132,6 @@ def test_message_that_is_none_is_named(tmp_path: Path) -> None:
     assert "received at 12345 ns" in note
 
 
-def test_missing_bag(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="nothing_here' does not exist"):
-        BagReader(tmp_path / "nothing_here")
-
-
-def test_empty_file(tmp_path: Path) -> None:
-    path = tmp_path / "bag.mcap"
-    path.touch()
-    with pytest.raises(BagError, match=r"bag\.mcap: is empty"):
-        BagReader(path)
-
-
-def test_file_of_another_kind(tmp_path: Path) -> None:
-    path = tmp_path / "notes.txt"
-    path.write_text("this is no recording")
-    with pytest.raises(BagError, match=r"notes\.txt: is no mcap file"):
-        BagReader(path)
-
-
 def test_directory_of_another_kind(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"neither metadata\.yaml nor an mcap file"):
         BagReader(tmp_path)

@@ -2,16 +2,10 @@
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import Reader
 
 from contact_reach_ros.bags.info import read_info
-from contact_reach_ros.bags.playback import Playback, read_ahead
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages import topics
-from contact_reach_ros.nodes.recorded_qos import publisher_qos
-from contact_reach_ros.nodes.replay import choose_topics
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.plans import RecordedPlans
 from contact_reach_ros.resources import share_directory
@@ -54,27 +48,3 @@ def test_its_plans_can_be_made_again(reader: BagReader) -> None:
     """Today's planner takes what the bag has; that it comes to the same is tested with a bag of the same machine."""
     plans = RecordedPlans(RecordedInputs(reader))
     assert 40 in plans.statistics
-
-
-def test_other_libraries_read_it(reader: BagReader) -> None:
-    counts = {name: topic.message_count for name, topic in reader.topics().items()}
-    with Reader(SAMPLE) as other:
-        assert {name: topic.msgcount for name, topic in other.topics.items()} == counts
-    (file,) = SAMPLE.glob("*.mcap")
-    with file.open("rb") as stream:
-        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/goal_pose"])
-        (goal,) = [item[3] for item in decoded]
-    assert goal.pose.position.x == pytest.approx(0.51)
-
-
-def test_it_can_be_replayed(reader: BagReader) -> None:
-    """All of it but the way through the middleware, which test_replay.py goes."""
-    chosen = choose_topics(reader, None, everything=True)
-    assert set(chosen) == set(reader.topics())
-    for topic in reader.topics().values():
-        assert publisher_qos(topic.name, topic.offered_qos).depth >= 1
-    published: list[str] = []
-    start_ns = reader.summary.start_ns + int((reader.summary.duration - 5.0) * NANOSECONDS)
-    messages = read_ahead(reader.raw_messages(list(chosen), start_ns))
-    assert Playback(rate=100.0).run(messages, start_ns, lambda raw: published.append(raw.topic))
-    assert len(published) == sum(1 for _ in reader.raw_messages(None, start_ns)) > 10

@@ -18,9 +18,10 @@ EXPECTED = {
     "own_cost_term.py": r"weight 0: reached.*weight 1: reached",
     "own_solver.py": r"reached: True",
     "sweep.py": r"ball +2 +2 ",
+    "brax_training.py": r"-[5-9]\.\d+ at first, -3\.\d+ after training",
 }
 """What each prints."""
-LONG = ("closed_loop.py", "own_cost_term.py", "own_solver.py", "sweep.py")
+LONG = ("brax_training.py", "closed_loop.py", "own_cost_term.py", "own_solver.py", "sweep.py")
 
 
 def run(program: str, directory: Path, arguments: list[str]) -> str:

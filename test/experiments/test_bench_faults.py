@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -12,9 +11,7 @@ from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments import bench_faults
 from contact_reach_ros.experiments.bench_faults import (
-    DRAWS,
     fault_setup,
-    random_schedule,
     run_with_faults,
     summary,
     text_of,
@@ -28,6 +25,7 @@ from contact_reach_ros.experiments.fault_checks import (
     speed_share,
     violations,
 )
+from contact_reach_ros.experiments.fault_draws import DRAWS, random_schedule
 from contact_reach_ros.simulation.fault_kinds import fault_kinds
 from contact_reach_ros.simulation.fault_schedules import parse_faults
 from contact_reach_ros.world.files import read_scene
@@ -132,8 +130,7 @@ def test_summary_counts_ends_and_violations_and_lists_the_seeds_nearest_to_each_
 
 
 def test_bench_runs_its_seeds_on_workers_and_writes_them_in_order(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(bench_faults, "start_workers", lambda count, scheduler: nullcontext())
-    monkeypatch.setattr(bench_faults, "run_all", lambda client, run, seeds: [(s, run(s)) for s in reversed(seeds)])
+    monkeypatch.setattr(bench_faults, "run_each", lambda run, seeds, *workers: map(run, reversed(seeds)))
     monkeypatch.setattr(bench_faults, "run_with_faults", lambda seed, setup: record(seed) | UNTOLD)
     bench_faults.bench_faults(3, 5, file=tmp_path / "faults.json")
     written = json.loads((tmp_path / "faults.json").read_text())

@@ -5,8 +5,8 @@ import json
 
 import pytest
 from arm_simulation import ARM, with_obstacle
+from contact_reach_command import contact_reach
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.experiments import bench_foam
 from contact_reach_ros.world.files import read_scene
@@ -20,9 +20,7 @@ def test_report_holds_every_node_and_the_steps(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_foam, "_PRESS_TICKS", 300)
     monkeypatch.setattr(bench_foam, "_surface_nodes", lambda _: [(0, 5, 0), (1, 5, 1)])
     file = tmp_path / "foam.json"
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "foam", "--json", str(file)])
-    assert ended.value.code == 0
+    assert contact_reach("bench", "foam", "--json", file) == 0
     report = json.loads(file.read_text())
     assert [row["node"] for row in report["press"]] == [[0, 5, 0], [1, 5, 1]]
     for row in report["press"]:
@@ -51,9 +49,7 @@ def test_scene_without_walls_is_refused():
 
 @pytest.mark.parametrize("force", ["0", "-1", "101", "nan", "inf"])
 def test_force_out_of_range_is_refused(force, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "foam", "--force", force])
-    assert ended.value.code == 2
+    assert contact_reach("bench", "foam", "--force", force) == 2
     assert f"force = {force} N: expected a number above 0, at most 100" in capsys.readouterr().err
 
 
@@ -97,12 +93,10 @@ class TestFit:
         monkeypatch.setattr(bench_foam, "_surface_nodes", lambda _: [(0, 5, 0), (0, 0, 0)])
         hard, fitted, report = tmp_path / "hard.yaml", tmp_path / "fitted.yaml", tmp_path / "report.json"
         hard.write_text("base: wall\nwall: {hardening: 5.0}\n")
-        with pytest.raises(SystemExit):
-            main(["bench", "foam", "--scene", str(hard), "--fit"])
+        contact_reach("bench", "foam", "--scene", hard, "--fit")
         line = capsys.readouterr().out.splitlines()[-1]
         fitted.write_text(f"base: hard.yaml\nwall:\n{line}\n")
-        with pytest.raises(SystemExit):
-            main(["bench", "foam", "--scene", str(fitted), "--fit", "--json", str(report)])
+        contact_reach("bench", "foam", "--scene", fitted, "--fit", "--json", report)
         assert "agrees within 20 %" in capsys.readouterr().out
         fit = json.loads(report.read_text())["fit"]
         assert fit["in_use"] == pytest.approx(fit["fitted"], rel=0.01)

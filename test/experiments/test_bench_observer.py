@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from contact_reach_command import contact_reach
 
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.cli import main
 from contact_reach_ros.experiments import bench_observer, observer_trials, slow_pushes
 from contact_reach_ros.experiments.free_motion import START, FreeMotion
 from contact_reach_ros.observer.budget import ContactBudget
@@ -18,9 +18,7 @@ from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_observer, "PUSHES", 6)
     file, plot = tmp_path / "observer.json", tmp_path / "roc.png"
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "observer", "--minutes", "0.05", "--json", str(file), "--plot", str(plot)])
-    assert ended.value.code == 0
+    assert contact_reach("bench", "observer", "--minutes", "0.05", "--json", file, "--plot", plot) == 0
     report = json.loads(file.read_text())
     assert abs(report["step_63_error"]) < 0.05
     assert 0.0 < report["free_rms_nm"]["max"] < 10.0
@@ -40,9 +38,7 @@ def test_slow_pushes_are_seen_early_at_rest_and_reported_joint_by_joint(tmp_path
     monkeypatch.setattr(slow_pushes, "RAMPS", (5.0,))
     monkeypatch.setattr(slow_pushes, "longest_levers", lambda _: [0.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
     file = tmp_path / "slow.json"
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "observer", "--slow", "--json", str(file)])
-    assert ended.value.code == 0
+    assert contact_reach("bench", "observer", "--slow", "--json", file) == 0
     report = json.loads(file.read_text())
     assert list(report["rest"]) == list(report["motion"]) == ["lbr_A2"]
     found = report["rest"]["lbr_A2"]
@@ -72,9 +68,7 @@ def test_pushes_are_seen_from_commands_through_gears_with_ten_times_the_friction
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan", "inf"])
 def test_minutes_out_of_range_are_refused(minutes, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "observer", "--minutes", minutes])
-    assert ended.value.code == 2
+    assert contact_reach("bench", "observer", "--minutes", minutes) == 2
     assert f"minutes = {minutes}: expected a number above 0" in capsys.readouterr().err
 
 
@@ -120,9 +114,7 @@ def test_push_that_is_not_seen_is_missed():
 def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_observer, "PUSHES", 3)
     file = tmp_path / "rates.json"
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "observer", "--minutes", "0.02", "--rate", "100", "500", "--json", str(file)])
-    assert ended.value.code == 0
+    assert contact_reach("bench", "observer", "--minutes", "0.02", "--rate", "100", "500", "--json", file) == 0
     rates = json.loads(file.read_text())["rates"]
     assert list(rates) == ["100", "500"]
     for hertz, found in rates.items():
@@ -134,7 +126,5 @@ def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, cap
 
 
 def test_rates_that_cannot_be_simulated_are_refused(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["bench", "observer", "--rate", "300"])
-    assert ended.value.code == 2
+    assert contact_reach("bench", "observer", "--rate", "300") == 2
     assert "rate = 300 Hz: expected one of 100, 125, 200" in capsys.readouterr().err

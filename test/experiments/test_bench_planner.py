@@ -4,8 +4,8 @@ import json
 import math
 
 import pytest
+from contact_reach_command import contact_reach
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.experiments.bench_planner import PlannerBench
 
 pytestmark = pytest.mark.slow
@@ -13,11 +13,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory) -> dict:
-    folder = tmp_path_factory.mktemp("bench")
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "planner", "--quick", "--scene", "free", "--seed", "3", "--json", str(folder / "report.json")])
-    assert end.value.code == 0
-    return json.loads((folder / "report.json").read_text())
+    file = tmp_path_factory.mktemp("bench") / "report.json"
+    assert contact_reach("bench", "planner", "--quick", "--scene", "free", "--seed", "3", "--json", file) == 0
+    return json.loads(file.read_text())
 
 
 def test_report_has_the_promised_keys(measured):
@@ -61,7 +59,5 @@ def test_torques_and_references_are_planned_in_closed_loops(measured):
 
 
 def test_unknown_scene_is_refused(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "planner", "--quick", "--scene", "nowhere"])
-    assert end.value.code == 2
+    assert contact_reach("bench", "planner", "--quick", "--scene", "nowhere") == 2
     assert "nowhere" in capsys.readouterr().err

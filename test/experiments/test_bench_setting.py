@@ -4,17 +4,15 @@ import dataclasses
 import json
 
 import pytest
+from contact_reach_command import contact_reach
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.experiments import bench_setting
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.grid import episode_seeds
 
 
 def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "setting", *arguments])
-    return end.value.code
+    return contact_reach("bench", "setting", *arguments)
 
 
 @pytest.mark.slow
@@ -55,6 +53,8 @@ def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(m
         (["contact_wieght", "1"], "contact_wieght"),
         (["population", "2"], "population"),
         (["max_steps", "many"], "max_steps"),
+        (["max_steps", "1", "--with", "population"], "expected NAME=VALUE"),
+        (["max_steps", "1", "--with", "populatoin=3"], "populatoin"),
     ],
 )
 def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):

@@ -3,8 +3,8 @@
 import json
 
 import pytest
+from contact_reach_command import contact_reach
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.experiments.bench_solver import STARTS, bench_solver
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS
@@ -50,7 +50,5 @@ def test_states_are_those_of_the_free_scene(measured):
 
 
 def test_one_seed_is_refused(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "solver", "--seeds", "1"])
-    assert end.value.code == 2
+    assert contact_reach("bench", "solver", "--seeds", "1") == 2
     assert "at least 2" in capsys.readouterr().err

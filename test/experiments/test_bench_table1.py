@@ -11,13 +11,14 @@ from pathlib import Path
 
 import psutil
 import pytest
+from contact_reach_command import contact_reach
 from test_grid import TINY, figures
 from test_workers import ended
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command, partial_of
+from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command
 from contact_reach_ros.experiments.output import read_report
+from contact_reach_ros.experiments.table1_resume import partial_of
 
 pytestmark = pytest.mark.slow
 
@@ -34,9 +35,7 @@ BENCH = Table1(
 
 
 def refuse(arguments, message, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "table1", *arguments])
-    assert end.value.code == 2
+    assert contact_reach("bench", "table1", *arguments) == 2
     assert message in capsys.readouterr().err
 
 
@@ -132,9 +131,7 @@ def test_other_settings_cannot_go_on(finished):
 def test_the_page_is_rewritten_from_the_file_alone(finished, tmp_path, capsys):
     _, file, page = finished
     (tmp_path / "fig4.png").touch()
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "table1", "--report-only", "--json", str(file), "--results", str(tmp_path / "results.md")])
-    assert end.value.code == 0
+    assert contact_reach("bench", "table1", "--report-only", "--json", file, "--results", tmp_path / "results.md") == 0
     again = (tmp_path / "results.md").read_text()
     assert again.startswith(page.read_text().rstrip())
     assert "(fig4.png)" in again

@@ -6,13 +6,12 @@ import json
 import numpy as np
 import pytest
 from arm_simulation import ARM
+from contact_reach_command import contact_reach
 from PIL import Image
 from test_episode import StraightPlanner
 from test_grid import TINY
 
-from contact_reach_ros.cli import main
-from contact_reach_ros.drawing.palette import METHOD_COLOURS, rgb
-from contact_reach_ros.drawing.renderer import find_renderer
+from contact_reach_ros.drawing.offscreen import find_backend
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.methods import PATH_METHODS
@@ -57,7 +56,7 @@ def planners():
 def renderer():
     """The one that works here."""
     try:
-        return find_renderer()
+        return find_backend()
     except RenderingError as error:
         pytest.skip(str(error))
 
@@ -69,11 +68,6 @@ def fig5(planners, renderer, tmp_path_factory):
     picture, file = folder / "new" / "fig5.png", folder / "fig5.json"
     bench = Fig5(methods=METHODS, latency=LATENCY)
     return bench_fig5(bench, picture, file, SETUP), picture, file
-
-
-def colours(picture):
-    with Image.open(picture) as image:
-        return {colour for _, colour in image.convert("RGB").getcolors()}
 
 
 def is_small_and_wide(picture):
@@ -123,8 +117,6 @@ def test_files_of_fig5_hold_what_is_returned(fig5):
     report, picture, file = fig5
     assert json.loads(file.read_text()) == json.loads(json.dumps(report))
     assert is_small_and_wide(picture)
-    for colour in ("#FFFFFF", *(METHOD_COLOURS[method] for method in METHODS)):
-        assert tuple(round(255 * part) for part in rgb(colour)) in colours(picture)
 
 
 def test_fig4_names_the_method_that_finds_no_path(renderer, tmp_path, capsys):
@@ -153,16 +145,13 @@ def test_fig4_names_the_method_that_finds_no_path(renderer, tmp_path, capsys):
     [
         (["--methods", "rrt"], "--methods 'rrt' is unknown; expected one of contact_reach"),
         (["--methods", "cma_es", "cma_es"], "--methods cma_es cma_es: expected each of them once"),
-        (["--renderer", "opengl"], "renderer 'opengl' is unknown; expected one of auto, egl, osmesa"),
         (["--output", "picture.jpg"], "--output picture.jpg: expected a file that ends in .png"),
         (["--seed", "-1"], "--seed -1: expected at least 0"),
         (["--latency", "0"], "--latency 0: expected 0.001 to 1 s"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(figure, arguments, message, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["bench", figure, *arguments])
-    assert end.value.code == 2
+    assert contact_reach("bench", figure, *arguments) == 2
     assert message in capsys.readouterr().err
 
 

@@ -14,7 +14,7 @@ from distributed import LocalCluster
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments import workers
-from contact_reach_ros.experiments.workers import local_workers, remote_workers, run_all
+from contact_reach_ros.experiments.workers import local_workers, remote_workers, run_all, run_each
 
 
 def square(value: int) -> int:
@@ -62,6 +62,12 @@ def outcome(client, function, count=6):
 def test_every_task_comes_back_with_its_result_or_its_error():
     with local_workers(2) as client:
         assert outcome(client, square) == {0: "0", 1: "1", 2: "4", 3: "three is refused", 4: "16", 5: "25"}
+
+
+def test_a_bench_ends_with_the_error_of_a_task():
+    assert list(run_each(square, [1, 2], count=1)) == [1, 4]
+    with pytest.raises(ValueError, match="three is refused"):
+        list(run_each(square, [3], count=1))
 
 
 @pytest.mark.parametrize("size", [1, 2])

@@ -7,7 +7,7 @@ import pytest
 from stack_helpers import environment, module
 
 from contact_reach_ros.experiments.bench_control_stack import measure_echo
-from contact_reach_ros.experiments.control_report import ControlBench, Part, Run, Sample, make_report
+from contact_reach_ros.experiments.control_report import ControlBench, Run, Sample, make_report
 from contact_reach_ros.timing import Histogram, write_counts
 
 ECHOES = {"p50": 200.0, "p95": 250.0, "p99": 300.0, "p999": 400.0}
@@ -31,7 +31,7 @@ def test_only_what_happened_in_between_counts():
     first = sample(1000, 500, slow_start, {"driver": 80.0, "planner": 300.0}, (4000, 70))
     settled = sample(3000, 500, slow_start, {"driver": 90.0, "planner": 500.0}, (6000, 70))
     last = sample(5000, 504, slow_start + later, {"driver": 90.5, "planner": 499.0}, (8000, 72))
-    run = Run([Part(0, first, settled), Part(0, settled, last)], reached=3, realtime=True)
+    run = Run(first, settled, last, reached=3, realtime=True)
     report = make_report(ControlBench(4.0, 2), ECHOES, run)
     assert report["ticks"] == 4000
     assert report["missed_fraction"] == pytest.approx(0.001)
@@ -43,28 +43,6 @@ def test_only_what_happened_in_between_counts():
     assert report["memory_growth_mb"] == pytest.approx(0.5)
 
 
-def test_pages_are_compared_in_turns():
-    bench = ControlBench(80.0, pages=2)
-    assert bench.parts == [(20.0, 0), (20.0, 2)] * 2
-    missed = iter([0, 10, 100, 130, 400, 420, 500, 540])
-    timer = iter([(0, 0), (10, 1), (10, 1), (20, 3), (30, 3), (40, 4), (40, 4), (50, 6)])
-    parts = [
-        Part(
-            count,
-            *(sample(20000 * (2 * turn + end), next(missed), [200.0], {"driver": 90.0}, next(timer)) for end in (0, 1)),
-        )
-        for turn, count in enumerate((0, 2, 0, 2))
-    ]
-    found = make_report(bench, ECHOES, Run(parts, reached=3, realtime=True))["pages"]
-    assert found["missed_fraction_closed"] == pytest.approx([10 / 20000, 20 / 20000])
-    assert found["missed_fraction_open"] == pytest.approx([30 / 20000, 40 / 20000])
-    assert found["difference_mean"] == found["difference_median"] == pytest.approx(0.001)
-    assert found["difference_standard_error"] == pytest.approx(0.0, abs=1e-12)
-    assert found["timer_difference_mean"] == pytest.approx(0.1)
-    # One turn says nothing of the spread.
-    assert make_report(bench, ECHOES, Run(parts[:2], 3, True))["pages"]["difference_standard_error"] is None
-
-
 def test_bare_nodes_answer_each_other(monkeypatch, capfd):
     monkeypatch.setenv("ROS_DOMAIN_ID", environment()["ROS_DOMAIN_ID"])
     echoes = measure_echo(0.5)
@@ -73,7 +51,7 @@ def test_bare_nodes_answer_each_other(monkeypatch, capfd):
     assert capfd.readouterr().out == ""
 
 
-@pytest.mark.parametrize("option", [("--seconds", "0.5"), ("--load", "-1"), ("--scene", "nowhere"), ("--pages", "-2")])
+@pytest.mark.parametrize("option", [("--seconds", "0.5"), ("--load", "-1"), ("--scene", "nowhere")])
 def test_what_cannot_be_run_is_refused_at_once(option):
     command = [*module("cli"), "bench", "control", "--seconds", "5", *option]
     done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, timeout=60)

@@ -7,7 +7,7 @@ import numpy as np
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.experiments.load import LOADED, NAMESPACE, count_lost
+from contact_reach_ros.experiments.bench_bags import LOADED, NAMESPACE, count_lost
 from contact_reach_ros.experiments.load_publisher import streams
 from contact_reach_ros.messages.serialization import decode
 

@@ -26,7 +26,7 @@ from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.ros.hearing import UNKNOWN_NODE
+from contact_reach_ros.ros.graph_names import UNKNOWN_NODE
 from contact_reach_ros.ros.interfaces import ALONE
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.rivals import _has_strangers

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from contextlib import contextmanager
@@ -72,6 +73,10 @@ def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, package
     with stack(kind, rate, True, env, tmp_path):
         ((code, said),) = command_lines(env, THERE)
     assert (code, said[:9]) == (0, "settled: ")
+    again = subprocess.run(
+        [*module("cli"), "reexecute", str(tmp_path / "bag")], env=env, capture_output=True, text=True
+    )
+    assert again.returncode == 0 and again.stdout.count("identical") == 2, again.stdout + again.stderr
 
 
 @pytest.mark.parametrize("kind", BRAKES)

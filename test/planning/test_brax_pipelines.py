@@ -17,8 +17,8 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.problem import Problem, Rollout
-from contact_reach_ros.planning.transfer import brax_pipelines
 from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
+from contact_reach_ros.planning.transfer.brax_spheres import network
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.spheres import Spheres
@@ -92,7 +92,7 @@ def test_network_of_the_spheres_is_recovered():
         np.array([[0, 1], [1, 2]]),
         np.array([60.0, 40.0]),
     )
-    stiffness, damping = brax_pipelines._network(obstacles_of(spheres))
+    stiffness, damping = network(obstacles_of(spheres))
     expected = [[160.0, -60.0, 0.0], [-60.0, 150.0, -40.0], [0.0, -40.0, 120.0]]
     np.testing.assert_allclose(stiffness, expected, rtol=1e-4, atol=0.02)
     np.testing.assert_allclose(damping, np.diag([5.0, 6.0, 7.0]), rtol=1e-4, atol=1e-3)

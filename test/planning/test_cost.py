@@ -60,7 +60,7 @@ def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out)
 @pytest.mark.parametrize(("measure", "expected"), [("largest", 4.0), ("sum", 7.0)])
 def test_contact_is_the_largest_force_on_a_link_or_the_sum(measure, expected):
     forces = jnp.array([0.0, 1.0, 4.0, 0.0, 2.0, 0.0])[:, None]
-    assert float(make_objective(measure)._measure(forces)[0]) == expected
+    assert float(make_objective(measure).measure(forces)[0]) == expected
 
 
 def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):

@@ -11,7 +11,8 @@ from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.reexecution import plans as plans
 from contact_reach_ros.reexecution.command import DIFFERENT, IDENTICAL, ReexecutionOptions, run_reexecution
 from contact_reach_ros.reexecution.inputs import RecordedInputs, Row
-from contact_reach_ros.reexecution.plans import PlanDifference, RecordedPlans, ReexecutedPlan, compare_plans
+from contact_reach_ros.reexecution.plan_outcome import PlanDifference, ReexecutedPlan, compare_plans
+from contact_reach_ros.reexecution.plans import RecordedPlans
 from contact_reach_ros.resources import share_directory
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_reach_command import contact_reach
 from plotly.offline import get_plotlyjs
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.cli import main
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report.bag import read_report_bag
 from contact_reach_ros.report.charts import external_torque_chart
@@ -31,9 +31,7 @@ CHARTS = re.compile(r'<script id="charts" type="application/json">(.*?)</script>
 
 
 def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["report", *map(str, arguments)])
-    return int(ended.value.code or 0)
+    return contact_reach("report", *arguments)
 
 
 def titles(text: str) -> list[str]:

@@ -9,11 +9,11 @@ import msgspec
 import pytest
 import viser
 import websockets.asyncio.server
+from contact_reach_command import contact_reach
 from viser import _messages as viser_messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from contact_reach_ros.cli import main
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.viewer.access import serve
 from contact_reach_ros.viewer.settings import ViewerSettings
@@ -119,7 +119,5 @@ def test_a_server_that_cannot_be_guarded_is_not_served(monkeypatch):
 def test_other_addresses_and_tokens_are_refused(name, capsys):
     with pytest.raises(SettingsError, match=f"unknown key '{name}'"):
         ViewerSettings.from_mapping({name: "0.0.0.0"}, "stack.yaml")
-    with pytest.raises(SystemExit) as end:
-        main(["view", f"--{name}", "0.0.0.0"])
-    assert end.value.code == 2
+    assert contact_reach("view", f"--{name}", "0.0.0.0") == 2
     assert f"unrecognized arguments: --{name}" in capsys.readouterr().err

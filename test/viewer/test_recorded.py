@@ -15,7 +15,6 @@ from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.nodes.viewer_messages import make_decoders
 from contact_reach_ros.viewer.frame import SafetyLevel
 from contact_reach_ros.viewer.history import quantities
 from contact_reach_ros.viewer.player import Player
@@ -95,11 +94,11 @@ def recording(request, tmp_path_factory):
     writer = write(folder)
     if request.param == "not closed":
         writer.flush()
-        yield Recording(folder, ARM, make_decoders(ARM))
+        yield Recording(folder, ARM)
         writer.close()
     else:
         writer.close()
-        yield Recording(folder, ARM, make_decoders(ARM))
+        yield Recording(folder, ARM)
 
 
 def test_a_moment_is_shown_as_it_was(recording):
@@ -161,4 +160,4 @@ def test_a_bag_without_joint_states_is_refused(tmp_path):
     writer.write("/goal_pose", serialize_message(PoseStamped()), 1)
     writer.close()
     with pytest.raises(BagError, match="joint_states"):
-        Recording(tmp_path / "bag", ARM, make_decoders(ARM))
+        Recording(tmp_path / "bag", ARM)

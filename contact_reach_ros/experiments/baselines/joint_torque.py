@@ -1,7 +1,7 @@
 """The paper's comparison in Section V-B: planning joint torques instead of references of the control law.
 
 The same cost, the same solver and the same stop rule, but the decision variables are the torques τ_t of (4c) beyond
-C + g, which is known, and no law stands between plan and arm. The paper does not say for how long a torque is held. Law
+C + g, which is known, and no law stands between plan and arm. The paper leaves open for how long a torque is held. Law
 (3) changes its torque as fast as its poles, the fastest of which decays in 11 ms; a torque that stays the same for a
 knot of 0.1 s would leave an undamped arm on its own for as long as the law needs to settle. So there is one torque
 vector per step of the transfer model, 25 ms by default: 84 variables instead of 39. Their bounds are the largest torque
@@ -110,7 +110,7 @@ class TorqueObjective(Objective):
         def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
             state, link_force = self.advance(state, action)
             pose, capsules = self.end_of_knot(problem, state.q)
-            contact = jax.vmap(self._measure)(link_force)
+            contact = jax.vmap(self.measure)(link_force)
             return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0), capsules)
 
         _, (q, poses, link_force, contact, capsules) = jax.lax.scan(knot, start, actions)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contact_reach_ros.planning.programs import Program
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
 from contact_reach_ros.planning.solver.solver import CostFunction, ProblemT, Solution
@@ -94,11 +95,11 @@ class HybridSolver(Generic[ProblemT]):
         self._gradient_steps = gradient_steps
         # Separate programs, so that candidates and line search share the one that evaluates them: half the compilation
         # for a fraction of a millisecond per step.
-        self._costs = jax.jit(cost)
-        self._sample = jax.jit(self._draw_sample)
-        self._select = jax.jit(self._select_elite)
-        self._line = jax.jit(self._points_on_line)
-        self._conclude = jax.jit(self._update_search)
+        self._costs = Program(cost)
+        self._sample = Program(self._draw_sample)
+        self._select = Program(self._select_elite)
+        self._line = Program(self._points_on_line)
+        self._conclude = Program(self._update_search)
 
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on, without recompilation."""

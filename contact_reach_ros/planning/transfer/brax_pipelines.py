@@ -22,14 +22,10 @@ motion, averaged over a step of this package's own pipeline; it is attributed to
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import importlib
-import io
-import warnings
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Element, SubElement
 
 import brax
 import jax
@@ -39,20 +35,20 @@ from brax import kinematics
 from brax.base import Actuator
 from brax.generalized import dynamics as brax_dynamics
 from brax.generalized.base import State as GeneralizedState
-from brax.io import mjcf
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
+from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, on_the_way
 from contact_reach_ros.planning.problem import Problem, Rollout
+from contact_reach_ros.planning.transfer.brax_spheres import network, sphere_body
 from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep
-from contact_reach_ros.planning.transfer.model import ArmModel, arm_model
+from contact_reach_ros.planning.transfer.model import ArmModel, load_system, read_arm
 from contact_reach_ros.planning.transfer.pipeline import Pose
 
 STEPS = {"generalized": 2, "positional": 500, "spring": 500}
@@ -79,6 +75,8 @@ class BraxObjective(Objective):
     """generalized, positional or spring."""
     steps: int
     """Steps of Brax in one time step of `system`."""
+    table: Arm
+    """The arm whose MJCF Brax loads, with spheres."""
 
     @property
     def integration_steps(self) -> int:
@@ -96,7 +94,7 @@ class BraxObjective(Objective):
 
         def knot(carry: tuple[Any, jax.Array, Pose, Reference | None], action: jax.Array) -> tuple[tuple, tuple]:
             state, q, pose, before = carry
-            reference = self._latch(q, world.joints(state)[1], pose, action)
+            reference = self.latch(q, world.joints(state)[1], pose, action)
 
             def window(state: Any, share: jax.Array | None) -> tuple[Any, jax.Array]:
                 act = on_the_way(before, reference, share)
@@ -109,7 +107,7 @@ class BraxObjective(Objective):
                 return state, world.link_force(state, total / self.steps)
 
             state, link_force = jax.lax.scan(window, state, self.shares(), self.substeps)
-            contact = jax.vmap(self._measure)(link_force)
+            contact = jax.vmap(self.measure)(link_force)
             q = world.joints(state)[0]
             pose, capsules = self.end_of_knot(problem, q)
             carry = state, q, pose, self.reached(before, reference)
@@ -144,12 +142,12 @@ class _World(NamedTuple):
     @classmethod
     def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
         count = 0 if obstacles is None else obstacles.radius.shape[0]
-        system, arm = _load(objective.pipeline, count, objective.system.arm.table)
+        system, arm = _load(objective.pipeline, count, objective.table)
         timestep = objective.system.timestep / objective.steps
         system = system.tree_replace({"opt.timestep": timestep})
         stiffness, mass = jnp.zeros((0, 0)), jnp.zeros(0)
         if obstacles is not None:
-            stiffness, damping = _network(obstacles)
+            stiffness, damping = network(obstacles)
             mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
             system = _with_spheres(system, obstacles, mass, objective.system.contact_stiffness)
         pipeline = importlib.import_module(f"brax.{objective.pipeline}.pipeline")
@@ -199,7 +197,7 @@ class _World(NamedTuple):
 
     def link_force(self, state: Any, force: jax.Array) -> jax.Array:
         """Force (L, B) on each of the arm's `contact_links` from the forces (B, K, 3) on the spheres."""
-        lanes, links = len(force), len(self.arm.table.contact_links)
+        lanes, links = len(force), len(self.arm.contact_links)
         if self.obstacles is None:
             return jnp.zeros((links, lanes), force.dtype)
         q, _ = self.joints(state)
@@ -244,28 +242,19 @@ def _gaps(arm: ArmModel, frames: Frames, obstacles: Obstacles) -> jax.Array:
     return jnp.sqrt(dot(gap, gap) + 1e-12) - arm.capsule_radius[:, None, None] - obstacles.radius
 
 
-def _network(obstacles: Obstacles) -> tuple[jax.Array, jax.Array]:
-    """Stiffness and damping matrices (K, K) of the spheres: L = W⁻ᵀ diag(rates) W⁻¹ and D = W⁻ᵀ W⁻¹."""
-    amplitudes = obstacles.amplitudes
-    return amplitudes.T @ (obstacles.rates[:, None] * amplitudes), amplitudes.T @ amplitudes
-
-
 @functools.cache
 def _load(pipeline: str, count: int, arm: Arm) -> tuple[brax.System, ArmModel]:
     """The system of a pipeline with `count` spheres, and the arm that the laws use."""
-    bodies = [_sphere(index) for index in range(count)]
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
-        with jax.ensure_compile_time_eval():
-            system = mjcf.loads(build_mjcf(arm, obstacles=bodies))
-            every = np.arange(system.qd_size())
-            unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
-            ones, zeros = np.ones(len(every)), np.zeros(len(every))
-            actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
-            system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
-            if pipeline == "generalized":
-                return system, arm_model(arm)
-            return _in_maximal_coordinates(system, arm_model(arm))
+    bodies = [sphere_body(index) for index in range(count)]
+    system = load_system(build_mjcf(arm, obstacles=bodies))
+    with jax.ensure_compile_time_eval():
+        model = read_arm(system)
+        every = np.arange(system.qd_size())
+        unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
+        ones, zeros = np.ones(len(every)), np.zeros(len(every))
+        actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
+        system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
+        return (system, model) if pipeline == "generalized" else _in_maximal_coordinates(system, model)
 
 
 def _in_maximal_coordinates(system: brax.System, arm: ArmModel) -> tuple[brax.System, ArmModel]:
@@ -312,20 +301,3 @@ def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, co
             "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
         }
     )
-
-
-def _sphere(index: int) -> Element:
-    """A sphere on three sliders; `_with_spheres` sets its position, size and mass."""
-    body = Element("body", name=f"sphere_{index}")
-    for axis in ("1 0 0", "0 1 0", "0 0 1"):
-        SubElement(body, "joint", type="slide", axis=axis)
-    SubElement(
-        body,
-        "geom",
-        type="sphere",
-        size="0.1",
-        mass="0.1",
-        contype=str(OBSTACLE_CONTACT_TYPE),
-        conaffinity=str(ROBOT_CONTACT_TYPE),
-    )
-    return body

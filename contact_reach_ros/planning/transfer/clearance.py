@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.arm.capsules import self_pairs
 from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments
 from contact_reach_ros.planning.transfer.lanes import Keep, dot, single, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
@@ -137,22 +136,21 @@ def _beyond(half: jax.Array, start: jax.Array, axis: jax.Array, share: jax.Array
 
 def _between_capsules(arm: ArmModel, start: jax.Array, axis: jax.Array) -> list[jax.Array]:
     """Distances (..., P, B) of the capsules of the arm's own pairs, m, in one array; none for an arm without any."""
-    pairs = self_pairs(arm.table)
+    pairs = arm.self_pairs
     if not pairs:
         return []
-    base = arm.table.base_capsule
     shape = (3, *start.shape[1:-2], 1, start.shape[-1])
 
     def fixed(values: np.ndarray) -> jax.Array:
         return jnp.broadcast_to(values.astype(start.dtype).reshape(3, *[1] * (start.ndim - 1)), shape)
 
     # The base, which does not move, has index 0 among the pairs.
-    starts = [fixed(np.array(base.start)), *jnp.split(start, start.shape[-2], axis=-2)]
-    axes = [fixed(np.subtract(base.end, base.start)), *jnp.split(axis, axis.shape[-2], axis=-2)]
+    starts = [fixed(arm.base_start), *jnp.split(start, start.shape[-2], axis=-2)]
+    axes = [fixed(arm.base_axis), *jnp.split(axis, axis.shape[-2], axis=-2)]
     sides = [
         jnp.concatenate([parts[pair[side]] for pair in pairs], axis=-2) for side in range(2) for parts in (starts, axes)
     ]
-    radii = np.array([base.radius, *arm.capsule_radius])
+    radii = np.array([arm.base_radius, *arm.capsule_radius])
     reach = np.array([radii[first] + radii[second] for first, second in pairs])
     return [_between(*sides) - reach[:, None]]
 

@@ -117,7 +117,7 @@ def contact_step(
     moment = cross(start, total) + cross(segment, weighted)
     return Contact(
         joint_torque=_joint_torque(arm, frames, total, moment, keep),
-        link_force=collect(sum_over(force, 1)[None], arm.capsule_place, len(arm.table.contact_links))[0],
+        link_force=collect(sum_over(force, 1)[None], arm.capsule_place, len(arm.contact_links))[0],
         center=obstacles.rest
         + _joined(whole.relaxation, displacement)
         - _joined(whole.compliance, sum_over(on_capsule, 1)),

@@ -61,7 +61,7 @@ class State(NamedTuple):
 
 def init(sys: System, q: jax.Array, qd: jax.Array, obstacles: Obstacles | None = None) -> State:
     """State of the arm at joint angles `q` (n, B), rad, and speeds `qd` (n, B), rad/s."""
-    return State(q, qd, obstacles, jnp.zeros((len(sys.arm.table.contact_links), q.shape[1]), q.dtype))
+    return State(q, qd, obstacles, jnp.zeros((len(sys.arm.contact_links), q.shape[1]), q.dtype))
 
 
 class Pose(NamedTuple):

@@ -7,9 +7,8 @@ import pytest
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.drawing.camera import frame
-from contact_reach_ros.drawing.offscreen import BACKENDS
+from contact_reach_ros.drawing.offscreen import BACKENDS, find_backend, render
 from contact_reach_ros.drawing.parts import arm_shapes, floor
-from contact_reach_ros.drawing.renderer import find_renderer, render
 from contact_reach_ros.drawing.shapes import corners
 from contact_reach_ros.drawing.view import Ghost, View
 from contact_reach_ros.errors import RenderingError
@@ -30,11 +29,10 @@ def test_the_arm_is_seen_and_moves_with_its_joints(renderer):
     views = [View(each, CAMERA, floor()) for each in shapes]
     views.append(View(arm_shapes(ARM, HOME), CAMERA, floor(), [Ghost(arm_shapes(ARM, TURNED), 0.5)]))
     try:
-        assert find_renderer(renderer) == renderer
+        empty, home, turned, ghost = render(views, renderer)
     except RenderingError as error:
         assert f"'{renderer}'" in str(error)
         pytest.skip(str(error))
-    empty, home, turned, ghost = render(views, renderer)
     assert empty.shape == (120, 160, 3)
     assert changed(empty, home).mean() > 0.05
     assert changed(home, turned).mean() > 0.03
@@ -44,16 +42,14 @@ def test_the_arm_is_seen_and_moves_with_its_joints(renderer):
     assert np.median(np.abs(ghost[alone] - expected)) < 3
 
 
-def test_the_first_renderer_that_works_is_taken(monkeypatch):
+def test_the_first_backend_that_works_is_taken(monkeypatch):
     def only_osmesa(views, backend):
         if backend != "osmesa":
             raise RenderingError(f"no {backend}")
         return []
 
-    monkeypatch.setattr("contact_reach_ros.drawing.renderer.render_offscreen", only_osmesa)
-    assert find_renderer() == "osmesa"
-    with pytest.raises(RenderingError, match="no egl"):
-        find_renderer("egl")
+    monkeypatch.setattr("contact_reach_ros.drawing.offscreen.render", only_osmesa)
+    assert find_backend() == "osmesa"
 
 
 def test_without_opengl_one_learns_what_to_install(monkeypatch, tmp_path):
@@ -62,12 +58,7 @@ def test_without_opengl_one_learns_what_to_install(monkeypatch, tmp_path):
     python.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(python))
     with pytest.raises(RenderingError, match=r"'egl'.*no such library.*libegl1; .*'osmesa'.*libosmesa6"):
-        find_renderer()
-
-
-def test_an_unknown_renderer_is_refused_with_those_there_are():
-    with pytest.raises(RenderingError, match=r"'opengl' is unknown.*egl.*osmesa"):
-        find_renderer("opengl")
+        find_backend()
 
 
 @pytest.mark.parametrize("direction", [(0.75, -1.0, 0.5), (-1.0, 0.2, 0.1)])

@@ -1,0 +1,215 @@
+"""Compiled programs that are kept whole between processes: where one is known, it is neither traced nor compiled.
+
+JAX's own cache spares a process the compilation, but not the tracing and lowering before it, which take most of a
+start. Here a program is found by what it is made of: the sources of the package that it can come from, the values that
+its function holds, its arguments' shapes, JAX and the machine. A function that holds anything of unknown kind, such as
+a cost term or a solver from elsewhere, is compiled by JAX as ever. So is one that calls LAPACK, which JAX starts while
+it lowers a program.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import os
+import platform
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import jax
+import jaxlib
+import numpy as np
+from jax.experimental import serialize_executable
+from jax.experimental.compilation_cache import compilation_cache
+
+from contact_reach_ros.planning.terms import TERMS
+from contact_reach_ros.resources import PACKAGE, KeptFile
+
+_ROOMS = ("arm", "control", "planning")
+"""Folders of the package that programs come from, and whose sources are part of what a program is."""
+
+
+_FOLDER = "programs"
+_CACHE = "jax_enable_compilation_cache"
+
+
+class UnknownValueError(Exception):
+    """A function holds a value of which it is not known how to tell it from others."""
+
+
+_preparing = ContextVar("preparing", default=False)
+
+
+@contextlib.contextmanager
+def preparing() -> Iterator[None]:
+    """Within it, programs that are called for the first time are loaded, or compiled and stored."""
+    token = _preparing.set(True)
+    try:
+        yield
+    finally:
+        _preparing.reset(token)
+
+
+class Program:
+    """A function of arrays as a compiled program; calls are those of `jax.jit`."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._compile = jax.jit(function)
+        self._ready: dict[tuple[Any, ...], Callable[..., Any] | None] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the program; for shapes that it was not prepared for, it is compiled as by `jax.jit`."""
+        shapes = tuple(getattr(argument, "shape", None) for argument in arguments)
+        if shapes not in self._ready and _preparing.get():
+            self._ready[shapes] = self._prepare(*arguments)
+        ready = self._ready.get(shapes)
+        if ready is not None:
+            with contextlib.suppress(TypeError):  # the arrays within the arguments have other shapes
+                return ready(*arguments)
+        return self._compile(*arguments)
+
+    def _prepare(self, *arguments: Any) -> Callable[..., Any] | None:
+        """Load the program for arguments of these shapes, or compile and store it; None if it is none to be kept."""
+        try:
+            known = KeptFile(_FOLDER, *_parts(self._function, arguments))
+        except UnknownValueError:
+            return None
+        text = known.load()
+        ready = None if text is None else _load(text)
+        if ready is not None:
+            return ready
+        lowered = self._compile.lower(*arguments)
+        if "custom_call" in lowered.as_text():
+            return None
+        # Other sources often make the same program.
+        text = hashlib.sha256(lowered.as_text().encode()).hexdigest()
+        ready = _load(text)
+        if ready is None:
+            # XLA cannot serialise a program that came from JAX's cache.
+            with _without_cache():
+                ready = lowered.compile()
+            _compiled(text).store(serialize_executable.serialize(ready))
+        known.store(text)
+        return ready
+
+
+def _compiled(text: str) -> KeptFile:
+    """The file of the program with this digest of its text."""
+    return KeptFile(_FOLDER, *_surroundings(), text)
+
+
+def _load(text: str) -> Callable[..., Any] | None:
+    """The program with this digest of its text; None if it is not there, or cannot be loaded."""
+    content = _compiled(text).load()
+    if content is None:
+        return None
+    try:
+        program: Callable[..., Any] = serialize_executable.deserialize_and_load(*content)
+    except Exception:  # XLA raises whatever another machine's program leads to
+        return None
+    return program
+
+
+@contextlib.contextmanager
+def _without_cache() -> Iterator[None]:
+    """Keep JAX's own cache out of a compilation."""
+    before = jax.config.values[_CACHE]
+    jax.config.update(_CACHE, False)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update(_CACHE, before)
+        compilation_cache.reset_cache()
+
+
+def _parts(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any, ...]:
+    """All that a program is made of, the same on any day.
+
+    Raises
+    ------
+    UnknownValueError
+        If the function holds a value of unknown kind.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    shapes = [str(jax.typeof(leaf)) for leaf in leaves]
+    return *_surroundings(), _sources(), describe(function), describe(dict(TERMS)), str(structure), shapes
+
+
+def _surroundings() -> tuple[Any, ...]:
+    """What programs depend on besides their functions."""
+    config = sorted((name, repr(value)) for name, value in jax.config.values.items() if "cache" not in name)
+    return _machine(), jax.__version__, jaxlib.__version__, config, os.environ.get("XLA_FLAGS", "")
+
+
+@functools.cache
+def _sources() -> str:
+    """Digest of the sources that programs come from."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for room in _ROOMS:
+        for file in sorted((package / room).rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+@functools.cache
+def _machine() -> tuple[str, ...]:
+    """The machine that programs are compiled for: its processor's features too, which caches on shared disks mix up."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    features = next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+    return platform.machine(), features, jax.devices()[0].device_kind, str(len(jax.devices()))
+
+
+def describe(value: Any) -> Any:
+    """A value as nested tuples of texts, equal for equal values only.
+
+    Raises
+    ------
+    UnknownValueError
+        If the value is of unknown kind.
+    """
+    match value:
+        case None | bool() | int() | float() | str() | bytes():
+            return repr(value)
+        case np.ndarray() | np.generic() | jax.Array():
+            array = np.asarray(value)
+            return (str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest())
+        case Enum():
+            return (describe(type(value)), value.name)
+        case Mapping():
+            return tuple((describe(key), describe(entry)) for key, entry in value.items())
+        case tuple() | list():
+            return (_name(type(value)), *(describe(entry) for entry in value))
+        case types.MethodType():
+            return (describe(value.__func__), describe(value.__self__))
+        case types.FunctionType():
+            held = [cell.cell_contents for cell in value.__closure__ or ()]
+            # Functions without a name are told apart by their place.
+            place = (_name(value), value.__code__.co_firstlineno)
+            return (*place, describe(held), describe(value.__defaults__), describe(value.__kwdefaults__))
+        case functools.partial():
+            return (describe(value.func), describe(value.args), describe(value.keywords))
+        case type():
+            return _name(value)
+    if dataclasses.is_dataclass(value):
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    else:
+        fields = {name: held for name, held in vars(value).items() if not isinstance(held, Program)}
+    return (_name(type(value)), describe(fields))
+
+
+def _name(kind: type | types.FunctionType) -> str:
+    """Name of a type or function whose source is known."""
+    room = kind.__module__.removeprefix(f"{PACKAGE}.").partition(".")[0]
+    if kind.__module__ != "builtins" and (not kind.__module__.startswith(PACKAGE) or room not in _ROOMS):
+        raise UnknownValueError(f"{kind.__module__}.{kind.__qualname__}")
+    return f"{kind.__module__}.{kind.__qualname__}"

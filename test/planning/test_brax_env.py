@@ -1,0 +1,129 @@
+"""The closed loop in Brax's own terms: what Brax rolls out is what the planner rolls out."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arm_simulation import ARM
+from brax import envs
+from brax.envs.wrappers import training
+
+from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.brax_env import NAME, ContactReach
+from contact_reach_ros.planning.brax_pipeline import ClosedLoop
+from contact_reach_ros.planning.obstacles import ObstacleReader
+from contact_reach_ros.planning.prediction import hold_at
+from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.transfer.brax_spheres import bodies_and_fields, network, read_spheres, sphere_body
+from contact_reach_ros.planning.transfer.closed_loop import Reference
+from contact_reach_ros.planning.transfer.model import load_system
+from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+KNOTS = 4
+
+
+@pytest.fixture(scope="module")
+def env(quick_compilation) -> ContactReach:
+    """The ball, beside the hand from the start."""
+    scene = load_scene("ball", arm=ARM, seed=0)
+    (ball,) = scene.obstacles
+    tip = hold_at(ARM, scene.start).position
+    near = dataclasses.replace(ball, rest=(tip - np.array([0.0, 0.13, 0.02]))[None])
+    return ContactReach(dataclasses.replace(scene, obstacles=(near,)))
+
+
+def problem_of(env: ContactReach) -> Problem:
+    """The planner's problem with the start of an episode."""
+    hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
+    before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
+    return env._problem._replace(obstacles=env._kernel.obstacles, before=before)
+
+
+def test_episode_is_the_rollout_of_the_planner(env):
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (KNOTS, env.action_size)).astype(np.float32)
+    actions[:, 1] = -1.0
+    step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
+    states = [state := step(state, action) for action in actions]
+    objective, problem = dataclasses.replace(env._kernel.objective, horizon=KNOTS), problem_of(env)
+    scaled = (actions * np.asarray(env._bounds))[..., None]
+
+    def run(actions: jax.Array) -> tuple:
+        rollout = objective.roll_out(problem, actions)
+        return rollout, objective.terms(problem, actions, rollout)
+
+    rollout, terms = jax.jit(run)(scaled)
+    assert float(rollout.link_force.max()) > 1.0
+    for knot, state in enumerate(states):
+        pipeline_state = state.pipeline_state
+        np.testing.assert_allclose(pipeline_state.q[3:], rollout.q[knot + 1, :, 0], rtol=0, atol=2e-6)
+        np.testing.assert_allclose(pipeline_state.link_force, rollout.link_force[knot, :, 0], rtol=1e-4, atol=1e-3)
+        # Brax's own kinematics.
+        flange = hold_at(ARM, np.asarray(pipeline_state.q[3:], float))
+        last = pipeline_state.x.pos[-1] + flange.rotation @ np.array(ARM.tip_offset)
+        np.testing.assert_allclose(last, flange.position, rtol=0, atol=1e-5)
+    for name, value in terms.items():
+        total = sum(float(state.metrics[name]) for state in states)
+        np.testing.assert_allclose(total, float(value[0]), rtol=2e-5, atol=2e-6, err_msg=name)
+    returned = sum(float(state.reward) for state in states)
+    assert returned == pytest.approx(-sum(float(value[0]) for value in terms.values()), rel=1e-5)
+
+
+def test_brax_wraps_it_into_many_episodes(env):
+    wrapped = training.wrap(env, episode_length=2)
+    state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 3))
+    actions = jnp.zeros((3, env.action_size)).at[1, 1].set(1.0).at[2, 1].set(-1.0)
+    step = jax.jit(wrapped.step)
+    moved = step(state, actions)
+    np.testing.assert_allclose(moved.reward[0], jax.jit(env.step)(env.reset(jax.random.key(0)), actions[0]).reward)
+    tip = np.asarray(moved.obs)[:, 2 * ARM.n + 1]
+    assert tip[2] < tip[0] < tip[1]
+    assert step(moved, actions).done.tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.slow
+def test_return_has_a_gradient(env):
+    """Through law (3) and the contact, as Brax's analytic policy gradients need it."""
+    state = env.reset(jax.random.key(0))
+    action = jnp.full(env.action_size, 0.2).at[1].set(-0.9)
+    reward = jax.jit(lambda action: env.step(state, action).reward)
+    along = np.random.default_rng(1).uniform(-1.0, 1.0, env.action_size).astype(np.float32)
+    slope = float(jax.jit(jax.grad(reward))(action) @ along)
+    difference = float(reward(action + 0.02 * along) - reward(action - 0.02 * along))
+    assert slope == pytest.approx(difference / 0.04, rel=0.02)
+    assert abs(slope) > 0.01
+
+
+def test_environment_is_known_to_brax():
+    made = envs.get_environment(NAME, scene=load_scene("free", arm=ARM))
+    assert isinstance(made, ContactReach) and made.action_size == 6 + ARM.n
+    assert made.backend == NAME
+
+
+def test_spheres_that_are_joined_keep_their_network(env):
+    scene = load_scene("wall", arm=ARM)
+    obstacles, _ = ObstacleReader(ARM, 4).read(scene.start, obstacle_spheres(scene, rest_positions(scene)))
+    bodies, fields = bodies_and_fields(obstacles)
+    found = read_spheres(load_system(build_mjcf(ARM, obstacles=bodies, fields=fields)))
+    np.testing.assert_allclose(found.rest, obstacles.rest, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(found.radius, obstacles.radius)
+    for ours, theirs in zip(network(found), network(obstacles), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-4 * np.abs(theirs).max())
+
+
+def test_system_that_the_kernel_cannot_handle_is_refused(env):
+    pipeline = ClosedLoop(env._kernel.objective)
+    loose = load_system(build_mjcf(ARM, obstacles=[sphere_body(0)]))
+    with pytest.raises(SettingsError, match="a spring and a damper for each sphere"):
+        pipeline.init(loose, jnp.zeros(10), jnp.zeros(10))
+
+    def varied(mass: jax.Array) -> jax.Array:
+        return pipeline.init(env.sys.tree_replace({"link.inertia.mass": mass}), jnp.zeros(10), jnp.zeros(10)).q
+
+    with pytest.raises(SettingsError, match="expected constants"):
+        jax.jit(varied)(env.sys.link.inertia.mass)
