@@ -9,7 +9,6 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm, Vector3
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, tip_positions
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
 REACH_SHARE = 0.9
