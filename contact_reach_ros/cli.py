@@ -53,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
         return command
 
     demo = add("demo", _demo, "bring the stack up, send a goal, record a bag and judge the result")
+    _add_arm(demo)
     demo.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
     demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
     demo.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 2)")
@@ -64,6 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--view", action="store_true", help="serve a page for browsers, and stay up until Ctrl-C")
 
     up = add("up", _up, "start the stack and supervise it until Ctrl-C: what the executable bringup does")
+    _add_arm(up, "robot")
     up.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
     up.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 0)")
     up.add_argument("--target", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position for the scene, m")
@@ -121,6 +123,7 @@ def _parser() -> argparse.ArgumentParser:
     view = add("view", _view, "serve a page for browsers that shows the running stack, or a bag")
     # Without a default of its own, argparse passes on the name of the suppressed one.
     view.add_argument("bag", nargs="?", default="", metavar="BAG", help="bag to show (default: the running stack)")
+    _add_arm(view, "robot")
     view.add_argument("--port", type=int, help="port of the page, on this machine only (default: 8080)")
     view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
     view.add_argument("--dark", action="store_true", help="a dark page")
@@ -131,6 +134,12 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--parameters", help="parameter file for the nodes (default: the package's)")
     _add_discovery(doctor, "how far to look for nodes")
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+
+    arm = commands.add_parser("arm", help="look at an arm's description").add_subparsers(required=True, metavar="WHAT")
+    check = arm.add_parser("check", help="what a URDF says, lacks and leaves to rules, and whether the arm moves")
+    check.add_argument("arm", metavar="ARM", help="a name, or the path of a URDF or YAML file")
+    check.add_argument("--table", type=Path, metavar="FILE", help="write all numbers as a table, a YAML file")
+    check.set_defaults(run=_arm_check)
 
     report = add("report", _report, "a page about one bag or several: one HTML file for any browser")
     report.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags: directories or mcap files")
@@ -174,6 +183,11 @@ def _add_stack(command: argparse.ArgumentParser) -> None:
 
 def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument("--discovery", choices=("host", "subnet"), help=f"{what} (default: host)")
+
+
+def _add_arm(command: argparse.ArgumentParser, name: str = "arm") -> None:
+    text = "name of the arm, or path of its URDF or YAML file (default: the parameter file's, iiwa14)"
+    command.add_argument("--arm", dest=name, metavar="ARM", help=text)
 
 
 def _add_namespace(command: argparse.ArgumentParser) -> None:
@@ -225,6 +239,12 @@ def _doctor(**options: Any) -> int:
     from contact_reach_ros.doctor.run import DoctorOptions, run_doctor
 
     return run_doctor(DoctorOptions(**options))
+
+
+def _arm_check(arm: str, table: Path | None) -> int:
+    from contact_reach_ros.doctor.arm_check import check_arm
+
+    return check_arm(arm, table)
 
 
 def _report(bags: Sequence[Path], **options: Any) -> int:

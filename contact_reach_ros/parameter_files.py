@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.table import arm_of_table
 from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.arms import ARMS, DEFAULT_ARM, load_arm
+from contact_reach_ros.arms import DEFAULT_ARM, ROBOT_TABLE, load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Setting, read_yaml, unknown_key
 from contact_reach_ros.timing import PERIOD
@@ -30,8 +31,8 @@ NODES = {
 }
 """The nodes that have parameters, and what each does."""
 
-ROBOT = Setting("robot", DEFAULT_ARM, "name of the arm", "", None, None, ARMS, None, False)
-"""The parameter of every node that names its arm; the lengths of other parameters follow from it."""
+ROBOT = Setting("robot", DEFAULT_ARM, "arm: a name, or the path of its file", "", None, None, (), None, False)
+"""The parameter of every node that says which arm it has; the lengths of other parameters follow from it."""
 RATE = Setting("state_rate", 1.0 / PERIOD, "nominal rate of joint states", "Hz", 50.0, 1000.0, (), None, False)
 """The parameter of every node from which gaps, debounces and watchdogs follow."""
 AUTOSTART = Setting("autostart", True, "configure and activate itself at its start", "", None, None, (), None, False)
@@ -75,7 +76,11 @@ def arm_in(values: Mapping[str, Any], source: str) -> Arm:
     SettingsError
         Naming `source`, if there is no such arm or tool.
     """
-    arm = load_arm(str(ROBOT.check(values.get(ROBOT.name, ROBOT.default), f"{source}: {ROBOT.name}")))
+    if ROBOT_TABLE in values:
+        # As nodes report an arm that the package does not have.
+        arm = arm_of_table(values[ROBOT_TABLE], f"{source}: {ROBOT_TABLE}")
+    else:
+        arm = load_arm(str(ROBOT.check(values.get(ROBOT.name, ROBOT.default), f"{source}: {ROBOT.name}")))
     return arm.with_tool(make_settings(values, EVERY_SECTION, arm, source)[TOOL])
 
 
@@ -165,6 +170,11 @@ def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
                 raise SettingsError(f"{file}: {pattern}.ros__parameters is not a mapping of keys to values")
             found.update(_flatten(parameters))
     return found
+
+
+def robot_in(file: Path) -> str:
+    """The arm of the nodes with this parameter file, as `load_arm` takes it; raises `SettingsError` as above."""
+    return str(parameters_in(file, "planner").get(ROBOT.name, ROBOT.default))
 
 
 def as_arguments(parameters: Mapping[str, Any]) -> list[str]:

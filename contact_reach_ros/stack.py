@@ -31,7 +31,6 @@ from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stop_reasons import Verdict, requested
 from contact_reach_ros.timing import PERIOD
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, sphere_capacity
@@ -454,9 +453,7 @@ class Stack:
     def _resolve(self, goal: Task) -> Target:
         if not isinstance(goal, Task):
             raise InputError(f"goal is of type {type(goal).__name__}; expected Goal([0.5, 0.2, 0.3]), say")
-        target = goal.resolve(self.arm, link_frames(self.arm, self.state.q)[0][-1])
-        check_goal(self.arm, target, self.planner.obstacles.spheres.environment, self.state.q)
-        return target
+        return self.planner.resolve(goal, self.state)
 
 
 def make_planner(

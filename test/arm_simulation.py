@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
@@ -41,13 +42,11 @@ IDEAL_SENSORS = SensorSettings(position_noise=0.0, position_resolution=0.0, velo
 NO_FRICTION = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
 
 
-def random_states(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def random_states(count: int, seed: int = 0, arm: Arm = ARM) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities, (count, n) each, within the limits."""
     random = np.random.default_rng(seed)
-    shape = (count, ARM.n)
-    return random.uniform(-POSITION_LIMITS, POSITION_LIMITS, shape), random.uniform(
-        -VELOCITY_LIMITS, VELOCITY_LIMITS, shape
-    )
+    positions = random.uniform(arm.lower, arm.upper, (count, arm.n))
+    return positions, random.uniform(-arm.velocity_limits, arm.velocity_limits, (count, arm.n))
 
 
 def mobility(model: RobotModel) -> np.ndarray:

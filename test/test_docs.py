@@ -16,6 +16,8 @@ import yaml
 from docs_commands import NODE, PROGRAM, ROOT, Command, commands
 from ros_domains import fresh_domain
 
+from contact_reach_ros.arm.urdf import build_urdf
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.bringup import CHANGEABLE
 from contact_reach_ros.bringup.bringup import SECTIONS as BRINGUP
 from contact_reach_ros.bringup.processes import BringupOptions
@@ -190,6 +192,7 @@ def folder(tmp_path_factory) -> Path:
     for bag in ("sample", "first"):
         shutil.copytree(ROOT / "bags" / "sample", folder / "bags" / bag)
     (folder / "my_scene.yaml").write_text("base: free\n")
+    (folder / "my_arm.urdf").write_text(build_urdf(load_arm("iiwa7")))
     for name, nodes in {"small": {**SMALL, **ANY_PORT}, "any_port": ANY_PORT}.items():
         sections = {node: {"ros__parameters": values} for node, values in nodes.items()}
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(sections))

@@ -59,6 +59,8 @@ _RECORDED = (
 class DemoOptions:
     """Options of the command line."""
 
+    arm: str = ""
+    """Name of the arm, or the path of its file; empty leaves it to the parameter file."""
     scene: str = "ball"
     seed: int = 2
     """With which the arm touches the ball."""
@@ -115,6 +117,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         bag=str(bag),
         parameters=options.parameters,
         view=options.view,
+        robot=options.arm,
         overrides=(f"driver:waits_for={DEMO}",) if options.lockstep else (),
     )
     table = processes(bringup)
@@ -222,7 +225,7 @@ def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOption
         verdict += ", stopped"
     title = f"scene {options.scene}, seed {options.seed}: {verdict}"
     plot = bag.with_suffix(".png")
-    episode.plot(plot, title, load_budget())
+    episode.plot(plot, title, load_budget().resolve(model.arm))
     report = {**summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
     if options.json is not None:
         options.json.write_text(json.dumps(report, indent=2) + "\n")

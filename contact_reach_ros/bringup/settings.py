@@ -7,7 +7,7 @@ from pathlib import Path
 
 from contact_reach_ros.control.adapter_settings import FRANKA, KINDS, LBR
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, robot_in
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import Sections, Settings, setting
 
@@ -23,7 +23,7 @@ class BringupOptions(Settings):
     state_rate: float = setting(
         0.0, "nominal rate of joint states; 0 leaves it to the parameter file", unit="Hz", minimum=0.0, maximum=1000.0
     )
-    robot: str = setting("", "name of the arm; empty leaves it to the parameter file")
+    robot: str = setting("", "arm: a name, or the path of its file; empty leaves it to the parameter file")
     bag: str = setting("", "directory to record a bag to; none when empty")
     parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
     driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")
@@ -56,6 +56,11 @@ class BringupOptions(Settings):
         if self.parameters:
             return Path(self.parameters)
         return config_file(f"{self.adapter}.yaml" if self.adapter in (LBR, FRANKA) else DEFAULT_PARAMETERS)
+
+    @property
+    def arm(self) -> str:
+        """What `load_arm` takes: the option's, or what the parameter file has for the planner."""
+        return self.robot or robot_in(self.parameter_file)
 
 
 BRINGUP_SECTIONS: Sections = {"": BringupOptions}

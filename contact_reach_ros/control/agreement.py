@@ -11,18 +11,22 @@ from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.tool import Tool
+from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST
 from contact_reach_ros.control.settings import ImpedanceSettings
 
-SHARED = ("robot", *(f"tool.{entry.name}" for entry in Tool.declared()), "robot digest", "state_rate")
+SHARED = (ROBOT, *(f"tool.{entry.name}" for entry in Tool.declared()), ROBOT_DIGEST, "state_rate")
 """Settings of every node that a plan depends on."""
 
 SHARED_SECTION = "impedance."
 """Prefix of the gains, which the planner has to know to predict what the controller will do."""
 
+TASK = SHARED_SECTION + "task"
+"""What law (1) controls, among them."""
+
 
 def plan_basis(arm: Arm, gains: ImpedanceSettings) -> dict[str, Any]:
     """What plans are made for, by the full names of the settings: the arm, and the gains that follow them."""
-    basis = {"robot": arm.name, "robot digest": arm.digest}
+    basis = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest}
     return basis | {SHARED_SECTION + name: value for name, value in asdict(gains).items()}
 
 

@@ -46,6 +46,7 @@ def make_constants(
         Constant.TORQUE_RATE: torque_rates(arm, limits),
         Constant.GRAVITY_SHARE: float(supervision.gravity_compensation),
         Constant.STOP_DAMPING: stop_damping(arm, supervision),
+        Constant.TASK_ROWS: impedance.rows,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
 

@@ -443,7 +443,7 @@ class Controller:
         if reference is not self._target:
             distance = math.dist(reference.position.tolist(), model.position.tolist())
             cosine = 0.5 * (float(np.vdot(reference.rotation, model.rotation)) - 1.0)
-            angle = math.acos(min(max(cosine, -1.0), 1.0))
+            angle = math.acos(min(max(cosine, -1.0), 1.0)) if self.settings.impedance.rows > 3 else 0.0
         else:
             # Of the last tick: it has been computed anyway.
             x, y, z, *turn = self.error.tolist()

@@ -47,6 +47,7 @@ class Constant(IntEnum):
     TORQUE_RATE = 14
     GRAVITY_SHARE = 15
     STOP_DAMPING = 16
+    TASK_ROWS = 17
 
 
 _JERK_SHARE = 0.3
@@ -277,7 +278,7 @@ def law_torque(
     jacobian, twist, drift
         J (m, n), ẋ (m,) and J̇ q̇ (m,).
     error
-        Δx, (6,).
+        Δx, (m,).
     joint_torque
         τ₀, (n,), N m.
     """
@@ -517,12 +518,12 @@ def tracking_torque(
     previous, period
         The last torque sent (n,), N m, and the time since then, s.
     error
-        (6,), overwritten with Δx.
+        (6,), overwritten with Δx; zero in the rows that law (1) leaves alone.
     """
-    n = len(v)
+    n, rows = len(v), int(constants[Constant.TASK_ROWS, 0])
     deviation = pose_error(position, rotation, reference_position, reference_rotation)
     for i in range(len(deviation)):
-        error[i] = deviation[i]
+        error[i] = deviation[i] if i < rows else 0.0
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
         return np.full(n, np.nan)
@@ -533,7 +534,7 @@ def tracking_torque(
     brake = null_brake(constants, v, mass_matrix)
     for i in range(n):
         joint_torque[i] += brake[i]
-    torque = law_torque(constants, factor, jacobian, twist, drift, deviation, joint_torque)
+    torque = law_torque(constants, factor, jacobian[:rows], twist[:rows], drift[:rows], deviation[:rows], joint_torque)
     repulsion = repulsion_torque(constants, q, v)
     for i in range(n):
         torque[i] += repulsion[i]

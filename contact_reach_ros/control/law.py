@@ -71,6 +71,13 @@ class ImpedanceLaw:
         if not regular:
             raise FloatingPointError("the mass matrix is not positive definite: the state is not finite")
         posture_torque = kernels.posture_torque(self._constants, posture_error, v)
+        rows = self.settings.rows
         return kernels.law_torque(
-            self._constants, factor, model.jacobian, model.twist, model.drift, error, posture_torque
+            self._constants,
+            factor,
+            model.jacobian[:rows],
+            model.twist[:rows],
+            model.drift[:rows],
+            error[:rows],
+            posture_torque,
         )

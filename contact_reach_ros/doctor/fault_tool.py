@@ -24,7 +24,7 @@ from trajectory_msgs.msg import (
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_duration, to_point, to_time
@@ -73,9 +73,9 @@ def make_parser() -> argparse.ArgumentParser:
     actions = parser.add_subparsers(required=True, metavar="ACTION")
     send = actions.add_parser("send", help="send a schedule to the simulated driver, in place of the current one")
     send.add_argument("schedule", help="faults; see docs/faults.md")
-    send.set_defaults(act=lambda options: send_schedule(options.schedule))
+    send.set_defaults(act=lambda options: send_schedule(options.schedule, load_arm(options.arm)))
     clear = actions.add_parser("clear", help="end all faults in the simulated driver")
-    clear.set_defaults(act=lambda options: send_schedule(""))
+    clear.set_defaults(act=lambda options: send_schedule("", load_arm()))
     for action, number in SIGNALS.items():
         does = actions.add_parser(action, help=f"{number.name} to the process of a node on this machine")
         does.add_argument("node", choices=NODES)
@@ -85,13 +85,17 @@ def make_parser() -> argparse.ArgumentParser:
     publish.add_argument("what", choices=WHATS)
     publish.add_argument("--rate", type=float, default=100.0, help="messages per second (default: 100)")
     publish.add_argument("--for", dest="seconds", type=float, default=1.0, help="how long, s (default: 1)")
-    publish.set_defaults(act=lambda options: disturb(options.topic, options.what, options.rate, options.seconds))
+    publish.set_defaults(
+        act=lambda options: disturb(options.topic, options.what, options.rate, options.seconds, load_arm(options.arm))
+    )
     kinds = actions.add_parser("kinds", help="list the kinds of faults in a schedule and their keys")
-    kinds.set_defaults(act=lambda options: print(kinds_table(load_arm()), end=""))
+    kinds.set_defaults(act=lambda options: print(kinds_table(load_arm(options.arm)), end=""))
+    for parser_of_arm in (send, publish, kinds):
+        parser_of_arm.add_argument("--arm", default=DEFAULT_ARM, help="the stack's: a name, or a file (default: iiwa14)")
     return parser
 
 
-def send_schedule(text: str) -> None:
+def send_schedule(text: str, arm: Arm) -> None:
     """Send a schedule to the simulated driver; an empty one ends all faults.
 
     Raises
@@ -101,7 +105,7 @@ def send_schedule(text: str) -> None:
     InputError
         If no simulated driver listens.
     """
-    schedule = "; ".join(fault.text() for fault in driver_faults(text, load_arm()))
+    schedule = "; ".join(fault.text() for fault in driver_faults(text, arm))
 
     with bare_node(NAME) as node:
         publisher = node.create_publisher(
@@ -134,7 +138,7 @@ def signal_node(name: str, number: signal.Signals) -> None:
     print(f"{number.name} to {name}, process {found[0]}")
 
 
-def disturb(name: str, what: str, rate: float, seconds: float) -> int:
+def disturb(name: str, what: str, rate: float, seconds: float, arm: Arm) -> int:
     """Publish on a topic besides its own publisher; returns the number of messages.
 
     Parameters
@@ -148,6 +152,8 @@ def disturb(name: str, what: str, rate: float, seconds: float) -> int:
         Messages per second.
     seconds
         How long.
+    arm
+        The stack's.
 
     Raises
     ------
@@ -157,7 +163,6 @@ def disturb(name: str, what: str, rate: float, seconds: float) -> int:
     if not (0.1 <= rate <= 5000.0 and 0.0 < seconds <= 3600.0):
         raise InputError(f"rate {rate:g}, for {seconds:g}: expected 0.1 to 5000 messages per second, for up to 3600 s")
     topic = next(topic for topic in ATTACKED if topic.name == name)
-    arm = load_arm("iiwa14")
     value = float("nan") if what == "nan" else 0.0
     count = 0
     with bare_node(NAME) as node:

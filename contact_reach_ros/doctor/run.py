@@ -15,8 +15,9 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine, software
 from contact_reach_ros.doctor.findings import Finding, Report, check, exit_code, failed, print_table, write_json
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, arm_in, parameters_in
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, arm_in, parameters_in, robot_in
 from contact_reach_ros.resources import config_file
 
 _LISTEN_S = 1.0
@@ -32,12 +33,22 @@ class DoctorOptions:
     """How far to look for nodes."""
     json: Path | None = None
 
+    @property
+    def file(self) -> Path:
+        """The parameter file in use."""
+        return Path(self.parameters) if self.parameters else config_file(DEFAULT_PARAMETERS)
+
 
 def run_doctor(options: DoctorOptions) -> int:
     """Make all checks and print them; returns the exit code: 1 if something failed, else 0."""
     console = Console()
     with console.status("looking at this machine and its software ..."):
-        report = examine(options, load_arm("iiwa14"))
+        try:
+            arm = load_arm(robot_in(options.file))
+        except SettingsError:
+            # The check of the file says why.
+            arm = load_arm()
+        report = examine(options, arm)
     print_table(report, console)
     if options.json is not None:
         write_json(report, options.json)
@@ -58,7 +69,7 @@ def examine(options: DoctorOptions, arm: Arm) -> Report:
         report["software"].append(_without_ros(error))
         return report
     choose_discovery(options.discovery)
-    file = Path(options.parameters) if options.parameters else config_file(DEFAULT_PARAMETERS)
+    file = options.file
     report["software"] += [
         software.ros_version(),
         stack.discovery_in_use(),

@@ -25,7 +25,7 @@ from contact_reach_ros.experiments.model_cases import Case, Motion, draw_contact
 from contact_reach_ros.experiments.output import percentiles, say, write_report
 from contact_reach_ros.experiments.paper import METHOD
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.objectives import action_bounds, make_objective
+from contact_reach_ros.planning.objectives import knot_bounds, make_objective
 from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
 from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.runtime import configure_jax
@@ -223,7 +223,7 @@ def culling_errors(
     random = np.random.default_rng(seed)
     states = _states_in_contact(arm, scene_file, seed)
     settings = PlanningSettings()
-    bounds = action_bounds(arm, settings).reshape(settings.horizon, -1, 1)
+    bounds = np.tile(knot_bounds(arm, settings)[:, None], (settings.horizon, 1, 1))
     samples = random.uniform(-1.0, 1.0, (len(states), settings.horizon, bounds.shape[1], actions)) * bounds
     tips: dict[int, Array] = {}
     forces: dict[int, Array] = {}

@@ -90,7 +90,8 @@ def bench_observer(
     if rate:
         return _compare_rates(rate, minutes, file, mismatch, settings)
     began = time.process_time()
-    arm, budget = load_arm(), load_budget()
+    arm = load_arm()
+    budget = load_budget().resolve(arm)
     steps = [step_63_error(arm, joint) for joint in range(arm.n)]
     pushes = push_often(arm, PUSH, PUSHES, budget, TICK, mismatch, settings)
     light = push_often(arm, LIGHT_PUSH, PUSHES // 2, budget, TICK, mismatch, settings)
@@ -136,7 +137,8 @@ def _compare_rates(
     for rate in rates:
         if rate not in RATES:
             raise InputError(f"rate = {rate:g} Hz: expected one of {', '.join(f'{each:g}' for each in RATES)}")
-    arm, budget = load_arm(), load_budget()
+    arm = load_arm()
+    budget = load_budget().resolve(arm)
     found: dict[str, Any] = {}
     print(f"{PUSHES} pushes of {PUSH:g} N, {minutes:g} min of free motion; the arm is controlled at the rate that is")
     print(f"observed, at 1 kHz where that is below {_CONTROLLED_HZ:g} Hz")
@@ -159,7 +161,8 @@ def _compare_rates(
 
 def _push_slowly(file: Path | None, mismatch: MismatchSettings, settings: ObserverSettings) -> dict[str, Any]:
     """Pushes that grow slowly, at rest and in motion, on an arm that differs from its model."""
-    arm, budget = load_arm(), load_budget()
+    arm = load_arm()
+    budget = load_budget().resolve(arm)
     print(f"to be seen before {PERMITTED_SHARE:g} times {budget.permitted_force:g} N at the joint's longest lever")
     report: dict[str, Any] = {"machine": machine()}
     for name, moves in (("rest", False), ("motion", True)):

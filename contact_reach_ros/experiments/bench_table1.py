@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.baselines.methods import METHODS
@@ -74,6 +76,10 @@ class Table1:
         Processes on this machine; one per core if None.
     scheduler
         Address of a Dask scheduler whose workers run the episodes instead.
+    arm
+        Name of an arm, or path of its file.
+    task
+        What law (1) controls: 'pose' or 'position'.
     """
 
     scenes: tuple[str, ...] = SCENES
@@ -86,6 +92,8 @@ class Table1:
     latency: float | None = None
     workers: int | None = None
     scheduler: str | None = None
+    arm: str = DEFAULT_ARM
+    task: str = "pose"
 
 
 def bench_table1(
@@ -103,7 +111,9 @@ def bench_table1(
         If a scene cannot be made.
     """
     _check(bench, file, resume)
-    setup = dataclasses.replace(setup or Setup(budget=load_budget()), timeout=bench.timeout)
+    controller = ControllerSettings(impedance=ImpedanceSettings(task=bench.task))
+    setup = setup or Setup(bench.arm, controller=controller, budget=load_budget())
+    setup = dataclasses.replace(setup, timeout=bench.timeout)
     scenes = _read_scenes(bench)
     header = _header(bench, setup, scenes)
     latencies, done = read_earlier(file, header) if resume else ({}, {})

@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from contact_reach_ros.control.settings import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import BRAX_PIPELINES
 
@@ -122,6 +123,8 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--goals", nargs="+", metavar="GOAL", help="hold the orientation, or leave it free (default: both)"
     )
     table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: all)")
+    table1.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
+    table1.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: pose)")
     table1.add_argument("--targets", type=int, help="targets per scene (default: 10)")
     table1.add_argument("--repeats", type=int, help="episodes per target (default: 3)")
     table1.add_argument("--seed", type=int, help="of the first target (default: 0)")

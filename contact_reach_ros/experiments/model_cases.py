@@ -16,7 +16,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.references import blend
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.objectives import action_bounds
+from contact_reach_ros.planning.objectives import knot_bounds
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
@@ -141,7 +141,7 @@ def draw_free(arm: Arm, random: np.random.Generator, count: int) -> list[Case]:
 
 def _draw(arm: Arm, random: np.random.Generator) -> Case:
     settings = PlanningSettings()
-    bounds = action_bounds(arm, settings).reshape(settings.horizon, -1)
+    bounds = np.tile(knot_bounds(arm, settings), (settings.horizon, 1))
     model = _model(arm)
     while True:
         q = random.uniform(arm.lower + _LIMIT_MARGIN, arm.upper - _LIMIT_MARGIN)

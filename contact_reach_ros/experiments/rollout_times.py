@@ -34,7 +34,7 @@ def measure_rollouts(
     All are measured in turns, `rounds` times, on a problem of the runs.
     """
     arm, problem = runs.scenes[0].arm, _typical(runs).problem
-    bounds = action_bounds(arm, settings)
+    bounds = action_bounds(arm, settings, gains)
     obstacles = problem.obstacles
     spheres = 0 if obstacles is None else obstacles.radius.shape[0]
     shape = (len(bounds), settings.population)

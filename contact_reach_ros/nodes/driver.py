@@ -1,4 +1,4 @@
-"""The driver of the simulated iiwa: joint states out, torques in, at 1 kHz or in lockstep.
+"""The driver of the simulated arm: joint states out, torques in, at 1 kHz or in lockstep.
 
 A real robot's driver replaces this node; msg_docs/driver.md describes topics and watchdog.
 """

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective
-from contact_reach_ros.planning.objectives import action_bounds, make_objective
+from contact_reach_ros.planning.objectives import action_bounds, make_objective, planned
 from contact_reach_ros.planning.plan import Held, Plan
 from contact_reach_ros.planning.prediction import hold_at
 from contact_reach_ros.planning.problem import Problem
@@ -61,7 +61,7 @@ class ActionSpace(Protocol):
 
 
 class ReferenceSpace:
-    """References of laws (1)-(3): Δx and Δq for each knot, or Δx alone under law (6)."""
+    """References of laws (1)-(3): Δx and Δq for each knot, or the part of them that has an effect."""
 
     vectors_per_knot = 1
 
@@ -69,14 +69,18 @@ class ReferenceSpace:
         self._arm = arm
         self.objective = make_objective(arm, settings, gains)
         self.ramp_s = gains.reference_ramp
-        self.bounds = action_bounds(arm, settings)
+        self.bounds = action_bounds(arm, settings, gains)
+        self._planned = np.flatnonzero(planned(arm, settings, gains))
 
     def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
-        """Actions (H, 6 + n, B) of points (N, B), with zeros for Δq if the points have none."""
+        """Actions (H, 6 + n, B) of points (N, B), with zeros for what the points leave out."""
         actions = points * self.bounds[:, None] * problem.speed_scale
         actions = actions.reshape(self.objective.horizon, -1, points.shape[1])
         missing = self.objective.system.action_size - actions.shape[1]
-        return jnp.pad(actions, ((0, 0), (0, missing), (0, 0)))
+        if self._planned[-1] < len(self._planned):
+            return jnp.pad(actions, ((0, 0), (0, missing), (0, 0)))
+        whole = jnp.zeros((len(actions), self.objective.system.action_size, points.shape[1]), actions.dtype)
+        return whole.at[:, self._planned].set(actions)
 
     def step(self, system: System, state: State, held: Any) -> State:
         """Advance under a reference."""

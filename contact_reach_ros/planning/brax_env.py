@@ -66,7 +66,7 @@ class ContactReach(PipelineEnv):
         rotation: np.ndarray | None = None,
     ) -> None:
         scene = load_scene(scene) if isinstance(scene, str) else scene
-        settings, arm = settings or PlanningSettings(), scene.arm
+        settings, gains, arm = settings or PlanningSettings(), gains or ImpedanceSettings(), scene.arm
         spheres = obstacle_spheres(scene, rest_positions(scene))
         obstacles, _ = ObstacleReader(arm, sphere_capacity(scene)).read(scene.start, spheres)
         bodies, fields = bodies_and_fields(obstacles)
@@ -74,9 +74,9 @@ class ContactReach(PipelineEnv):
         sys = sys.tree_replace({"opt.timestep": settings.knot_duration / settings.substeps})
         super().__init__(sys, "generalized", settings.substeps)
         settings = dataclasses.replace(settings, pipeline="closed_loop", null_space="planned", horizon=1)
-        self._backend, self._pipeline = NAME, ClosedLoop(make_objective(arm, settings, gains or ImpedanceSettings()))
+        self._backend, self._pipeline = NAME, ClosedLoop(make_objective(arm, settings, gains))
         self._kernel = self._pipeline.kernel(sys)
-        self._bounds = jnp.asarray(action_bounds(arm, settings), jnp.float32)
+        self._bounds = jnp.asarray(action_bounds(arm, settings, gains), jnp.float32)
         self._start = jnp.zeros(sys.q_size()).at[self._kernel.hinges].set(scene.start)
         self._spread, self._knot_duration = start_spread, settings.knot_duration
         weights = term_weights(settings)

@@ -11,6 +11,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.agreement import TASK
 from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
@@ -144,7 +145,7 @@ class Planner:
             previous one stays.
         """
         if self.state is not None:
-            target = self._resolve(goal, self.state)
+            target = self.resolve(goal, self.state)
             problem = self.obstacles.problem(self.state.stamp_ns)
             if problem:
                 raise InputError(problem)
@@ -221,7 +222,7 @@ class Planner:
         if self._pending is not None:
             pending, self._pending = self._pending, None
             try:
-                self._pursue(self._resolve(pending, state))
+                self._pursue(self.resolve(pending, state))
             except InputError as error:
                 self.withdraw(str(error), GoalPhase.REFUSED)
                 self._refuse("goals", error)
@@ -269,8 +270,17 @@ class Planner:
             self.withdraw()
             self._note("goals", InputError(f"{self._progress.state.reason}: the goal is withdrawn"))
 
-    def _resolve(self, goal: Task, state: JointState) -> Target:
+    def resolve(self, goal: Task, state: JointState) -> Target:
+        """The pose to plan for, without the orientation where law (1) leaves it to the null space.
+
+        Raises
+        ------
+        InputError
+            If the goal cannot be reached, see `Task.resolve` and `check_goal`.
+        """
         target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1])
+        if getattr(self.core, "basis", {}).get(TASK) == "position":
+            target = Target(target.position)
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, array_numbers, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.recorded_arm import SETTINGS, recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
@@ -24,7 +24,6 @@ from contact_reach_ros.messages.values import checked_stamp
 from contact_reach_ros.reexecution.settings import SECTIONS, recorded_sections
 from contact_reach_ros.units import NANOSECONDS
 
-SETTINGS = "settings"
 JOINT_STATES = TOPICS[Taken.JOINT_STATES]
 COMMANDS = TOPICS[Taken.COMMANDS]
 ADAPTER_COMMANDS = "adapter/commands"

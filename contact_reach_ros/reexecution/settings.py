@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
@@ -71,8 +72,8 @@ MODEL = "model"
 
 _INERTIA_SET = "inertia_set"
 _CONTACT_BUDGET = "contact_budget"
-_EVERY_NODE = ("use_sim_time", "robot", "robot digest", "state_rate", *TOOL_PARAMETERS)
-_OF_PROCESSES = ("use_sim_time", "robot", "autostart", "cpus", "state_rate", *TOOL_PARAMETERS)
+_EVERY_NODE = ("use_sim_time", ROBOT, ROBOT_DIGEST, ROBOT_TABLE, "state_rate", *TOOL_PARAMETERS)
+_OF_PROCESSES = ("use_sim_time", ROBOT, "autostart", "cpus", "state_rate", *TOOL_PARAMETERS)
 """Parameters of every node that do not change what it computes."""
 
 

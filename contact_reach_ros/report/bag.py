@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -106,8 +107,8 @@ class ReportBag:
         return self.signals.answers_ns / 1000.0
 
 
-def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) -> ReportBag:
-    """Read a bag, complete or not, of the arm that it records, or of `arm` if it records none.
+def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportBag:
+    """Read a bag, complete or not.
 
     Raises
     ------
@@ -115,8 +116,13 @@ def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) 
         If the file is no bag.
     """
     reader = BagReader(path, of_stack=True)
-    signals = read_signals(reader, arm.joint_names)
     notes = list(reader.notes)
+    try:
+        arm = arm_of_bag(reader)
+    except BagError as error:
+        arm = load_arm()
+        notes.append(str(error))
+    signals = read_signals(reader, arm.joint_names)
     if not reader.summary.message_count:
         notes.append("the bag has no messages")
     lost = reader.summary.custom_data.get("messages_lost", "0")
@@ -128,11 +134,6 @@ def read_report_bag(path: Path, label: str, arm: Arm, changes: ChangedSettings) 
         if f"/{topic}" not in reader.topics()
     ]
     notes += [*lacking, *signals.notes]
-    if signals.settings:
-        try:
-            arm = recorded_arm(signals.settings)
-        except BagError as error:
-            notes.append(str(error))
     budget = recorded_section(signals, "observer", "budget", load_budget(), notes).resolve(arm)
     limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]

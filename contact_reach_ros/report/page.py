@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report import charts
@@ -60,10 +59,10 @@ def run_report(options: ReportOptions) -> int:
         If the other settings are not accepted.
     """
     bags, failures = [], []
-    arm, changes = load_arm(), ChangedSettings(options.other)
+    changes = ChangedSettings(options.other)
     for path in options.bags:
         try:
-            bags.append(read_report_bag(path, _label(path, options.bags), arm, changes))
+            bags.append(read_report_bag(path, _label(path, options.bags), changes))
         except BagError as error:
             failures.append(error)
     if not bags:

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import ROBOT_DIGEST, arm_settings, load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
@@ -69,11 +69,11 @@ class ManagedNode(LifecycleNode):
         self.autostart = bool(self.declare_parameter(AUTOSTART.name, AUTOSTART.default).value)
         self.cpus = str(self.declare_parameter(CPUS.name, CPUS.default).value)
         self.lockstep = bool(self.get_parameter("use_sim_time").value)
-        bare = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
+        self._bare_arm = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
         rate: Any = RATE.check(self.declare_parameter(RATE.name, RATE.default).value, f"{RATE.name} of {self.NAME}")
         self.period = 1.0 / rate
-        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, bare, self.CHANGEABLE)
-        self.arm = bare.with_tool(self.settings[TOOL])
+        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm, self.CHANGEABLE)
+        self.arm = self._bare_arm.with_tool(self.settings[TOOL])
         self.boundary = Boundary(lambda text: self.say(LoggingSeverity.ERROR, text), self.on_fault)
         self.inbox = Inbox(self, self.refuse)
         self.running = False
@@ -282,7 +282,7 @@ class ManagedNode(LifecycleNode):
         }
         try:
             if self.settings[TOOL] != before[TOOL]:
-                arm = load_arm(self.arm.name).with_tool(self.settings[TOOL])
+                arm = self._bare_arm.with_tool(self.settings[TOOL])
                 self.change_arm(arm)
                 self.arm = arm
             self.on_change()
@@ -315,7 +315,7 @@ class ManagedNode(LifecycleNode):
             for entry in values.declared()
         }
         values["use_sim_time"] = self.get_parameter("use_sim_time").value
-        values |= {"robot": self.arm.name, "robot digest": self.arm.digest, RATE.name: 1.0 / self.period}
+        values |= {**arm_settings(self._bare_arm), ROBOT_DIGEST: self.arm.digest, RATE.name: 1.0 / self.period}
         return values
 
     def _publish_settings(self) -> None:

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.bags.arm import recorded_arm
 from contact_reach_ros.bags.columns import JointStates, Stamps, read_raw
 from contact_reach_ros.bags.goals import pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
-from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.history import SPAN, joint_labels, quantities, thinned
@@ -81,7 +80,9 @@ class Recording:
         self.path = path
         self._read_obstacles = ObstacleMarkerReader(arm.base_frame, ANY_MATERIAL).read
         self._reader = BagReader(path, of_stack=True)
-        self.arm = self._recorded_arm() or arm
+        self.arm = arm_of_bag(self._reader)
+        if self.arm.name != arm.name:
+            raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
         self._read()
         self.events = self._find_events()
         self._table = self._make_table()
@@ -128,12 +129,6 @@ class Recording:
     def next_contact(self, time: float) -> float | None:
         """Start of the first contact after a time, s; None without any."""
         return next((event.time for event in self.events if event.kind == "contact" and event.time > time + 1e-6), None)
-
-    def _recorded_arm(self) -> Arm | None:
-        if "/settings" not in self._reader.topics():
-            return None
-        statuses = (item.message for item in self._reader.messages(["/settings"]))
-        return recorded_arm({status.name: read_settings(status) for status in statuses})
 
     def _read(self) -> None:
         columns = {
@@ -249,7 +244,7 @@ class Recording:
         return found
 
     def _read_status(self, message: Any) -> SafetyStatus:
-        return safety_status(message, self._arm)
+        return safety_status(message, self.arm)
 
     def _find_events(self) -> tuple[Event, ...]:
         reported_at = self._time_of(self._messages[_SAFETY])

@@ -15,6 +15,7 @@ from contact_reach_ros.errors import ContactReachError, InputError, SceneError
 from contact_reach_ros.world.checks import check_placement, check_reach, conflict
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.fitting import fitted
 from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.obstacle import Obstacle, numbered
@@ -76,6 +77,7 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: Array | None = None
     SettingsError
         If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
     """
+    file = fitted(file, arm)
     try:
         check_placement(file, arm)
     except ContactReachError as error:

@@ -6,7 +6,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,10 @@ class ObstacleSettings(Settings, ABC):
     @abstractmethod
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The obstacles around `center` (3,), m, base frame."""
+
+    def suited_to(self, arm: Arm) -> Self:
+        """These settings for an arm that they were scaled for, with what does not depend on its reach alone."""
+        return self
 
     def place(self, arm: Arm, path: Array, random: np.random.Generator) -> Array | None:
         """A random centre (3,), m, of obstacles on the arm's free path (N, n), rad; None if none fits.

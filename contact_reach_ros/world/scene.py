@@ -27,6 +27,22 @@ class TargetSettings(Settings):
         unit="rad",
         per_joint=True,
     )
+    reach: float = setting(
+        0.0,
+        "reach of the arm that `start` and all lengths but `position` and `center` are for; other arms have them in "
+        "proportion; 0 for as they are",
+        unit="m",
+        minimum=0.0,
+        maximum=5.0,
+    )
+    start_position: tuple[float, ...] | None = setting(
+        None,
+        "where the tip of other arms starts, the axis of the last joint along x",
+        unit="m",
+        minimum=-1.5,
+        maximum=1.5,
+        optional_length=3,
+    )
     position: tuple[float, ...] | None = setting(
         None, "the target, instead of one drawn in the box", unit="m", minimum=-1.5, maximum=1.5, optional_length=3
     )

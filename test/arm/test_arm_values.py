@@ -13,8 +13,15 @@ from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import DEFAULT_ARM, load_arm
+from contact_reach_ros.arm.capsules import pair_distances, self_pairs
+from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.arm.table import table_text
+from contact_reach_ros.arm.workspace import unreachable
+from contact_reach_ros.arms import ARMS, DEFAULT_ARM, is_shipped, load_arm
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.timing import PERIOD
 
 
 def pickled(arm: Arm) -> Arm:
@@ -94,12 +101,31 @@ class TestLoadArm:
         assert load_arm() is load_arm(DEFAULT_ARM)
         assert load_arm(ARM.name) is ARM
 
-    @pytest.mark.parametrize("name", ["iiwa7", "", "IIWA14", "__init__", "../arms/iiwa14"])
+    @pytest.mark.parametrize("name", ["iiwa15", "", "IIWA14", "__init__", "../arms/iiwa14"])
     def test_an_unknown_name_is_refused_and_the_known_ones_are_listed(self, name):
         with pytest.raises(SettingsError) as raised:
             load_arm(name)
         assert str(raised.value).startswith(f"arm '{name}' is unknown; expected one of ")
-        assert DEFAULT_ARM in str(raised.value)
+        assert ", ".join(ARMS) in str(raised.value)
+
+    @pytest.mark.parametrize("name", ARMS)
+    def test_shipped_arms_are_named_as_their_files_and_have_a_posture_to_start_from(self, name):
+        arm = load_arm(name)
+        assert arm.name == name and is_shipped(arm) and not is_shipped(dataclasses.replace(arm, tip_frame="probe"))
+        pairs = np.array(self_pairs(arm)).reshape(-1, 2)
+        assert pair_distances(arm, np.array([arm.home]), pairs).min() > 0.0
+        assert unreachable(arm, tip_positions(arm, np.array([arm.home]))[0]) == ""
+        check_gains(arm, ImpedanceSettings(), PERIOD)
+
+    def test_an_arm_comes_from_a_file_too(self, tmp_path):
+        file = tmp_path / "mine.yaml"
+        file.write_text(table_text(SIX_AXIS, digits=17))
+        arm = load_arm(str(file))
+        assert arm is load_arm(str(file)) and arm.joint_names == SIX_AXIS.joint_names
+        home = np.array([arm.home])
+        np.testing.assert_allclose(tip_positions(arm, home), tip_positions(SIX_AXIS, home), rtol=0, atol=1e-9)
+        with pytest.raises(SettingsError, match=r"none.urdf: cannot be read"):
+            load_arm(str(tmp_path / "none.urdf"))
 
 
 def test_the_arrays_agree_with_the_joints():

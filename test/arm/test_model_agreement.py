@@ -12,7 +12,9 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import ARMS, load_arm
 
+SHIPPED = [load_arm(name) for name in ARMS]
 STATES = 1000
 TOLERANCE = 1e-9
 
@@ -29,19 +31,21 @@ class MujocoModel:
         data = self.data
         data.qpos[:], data.qvel[:] = q, v
         mujoco.mj_forward(self.model, data)
-        self.mass_matrix = np.zeros((7, 7))
+        self.mass_matrix = np.zeros((self.model.nv, self.model.nv))
         mujoco.mj_fullM(self.model, data, self.mass_matrix)
-        self.jacobian = np.zeros((6, 7))
+        self.jacobian = np.zeros((6, self.model.nv))
         mujoco.mj_jacSite(self.model, data, self.jacobian[:3], self.jacobian[3:], self.flange)
         self.bias = data.qfrc_bias
         self.position = data.site_xpos[self.flange]
         self.rotation = data.site_xmat[self.flange].reshape(3, 3)
 
 
-@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (WITH_TOOL, "nominal")])
+@pytest.mark.parametrize(
+    ("arm", "inertia_set"), [*((arm, "nominal") for arm in SHIPPED), (ARM, "alternative"), (WITH_TOOL, "nominal")]
+)
 def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
     pinocchio, other = RobotModel(arm, inertia_set), MujocoModel(arm, inertia_set)
-    for q, v in zip(*random_states(STATES), strict=True):
+    for q, v in zip(*random_states(STATES, arm=arm), strict=True):
         pinocchio.update(q, v)
         other.update(q, v)
         for name in ("mass_matrix", "bias", "jacobian", "position", "rotation"):
@@ -50,7 +54,8 @@ def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
             )
 
 
-def test_pinocchio_agrees_with_brax():
+@pytest.mark.parametrize("arm", SHIPPED, ids=lambda arm: arm.name)
+def test_pinocchio_agrees_with_brax(arm):
     from brax import kinematics, math
     from brax.generalized import dynamics, mass
     from brax.generalized.base import State
@@ -60,18 +65,18 @@ def test_pinocchio_agrees_with_brax():
         links, velocities = kinematics.forward(system, q, v)
         state = dynamics.transform_com(system, State.init(q, v, links, velocities))
         last = links.take(-1)
-        flange = last.pos + math.rotate(np.array(ARM.tip_offset), last.rot)
+        flange = last.pos + math.rotate(np.array(arm.tip_offset), last.rot)
         rotation = math.quat_to_3x3(last.rot)
         return mass.matrix(system, state), dynamics.inverse(system, state), flange, rotation
 
-    positions, velocities = random_states(STATES)
+    positions, velocities = random_states(STATES, arm=arm)
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Brax says on loading that it is no longer developed.
-        system = mjcf.loads(build_mjcf(ARM))
+        system = mjcf.loads(build_mjcf(arm))
         # It runs once: compiling takes longer than running.
         compiled = jax.jit(jax.vmap(evaluate), compiler_options={"xla_backend_optimization_level": 0})
         results = [np.asarray(result) for result in compiled(positions, velocities)]
-    model = RobotModel(ARM)
+    model = RobotModel(arm)
     for index, (q, v) in enumerate(zip(positions, velocities, strict=True)):
         model.update(q, v)
         expected = (model.mass_matrix, model.bias, model.position, model.rotation)

@@ -7,6 +7,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST, mobility, null_space_projection, random_states
 from hypothesis import given
 from hypothesis import strategies as st
+from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
@@ -61,6 +62,28 @@ def test_task_acceleration_is_what_law_one_asks_for():
         acceleration = model.jacobian @ joint_acceleration + model.drift
         wanted = -SETTINGS.task_stiffness * error - SETTINGS.task_damping * model.twist
         np.testing.assert_allclose(acceleration, wanted, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
+def test_task_of_positions_controls_three_rows_and_leaves_the_rest_to_law_two(arm):
+    model, random = RobotModel(arm), np.random.default_rng(3)
+    settings = ImpedanceSettings(task="position")
+    law = ImpedanceLaw(arm, settings)
+    for _ in range(50):
+        q, v = random.uniform(arm.lower, arm.upper), random.normal(0.0, 0.5, arm.n)
+        model.update(q, v)
+        rows = model.jacobian[:3]
+        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < settings.singularity_floor:
+            continue
+        error, postures = random.uniform(-0.1, 0.1, 6), random.uniform(-1.0, 1.0, (2, arm.n))
+        torques = [law.torque(model, v, posture, error) for posture in postures]
+        accelerations = [np.linalg.solve(model.mass_matrix, torque) for torque in torques]
+        wanted = -settings.task_stiffness * error[:3] - settings.task_damping * model.twist[:3]
+        for acceleration in accelerations:
+            np.testing.assert_allclose(rows @ acceleration + model.drift[:3], wanted, rtol=0, atol=1e-8)
+        # Law (2) turns the tip.
+        assert np.linalg.norm(model.jacobian[3:] @ (accelerations[1] - accelerations[0])) > 0.1
+        np.testing.assert_array_equal(torques[0], law.torque(model, v, postures[0], error * [1, 1, 1, 9, 9, 9]))
 
 
 def test_law_is_the_sum_of_the_papers_terms():

@@ -62,7 +62,7 @@ def test_scenes_that_cannot_be_loaded(arguments, message):
 
 
 def test_unknown_arm_lists_those_there_are():
-    with pytest.raises(cr.ContactReachError, match="arm 'ur5' is unknown; expected one of iiwa14"):
+    with pytest.raises(cr.ContactReachError, match="arm 'ur5' is unknown; expected one of fr3, iiwa14"):
         cr.load_arm("ur5")
 
 

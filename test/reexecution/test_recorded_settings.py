@@ -5,8 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 from arm_simulation import ARM
+from six_axis import SIX_AXIS
 
-from contact_reach_ros.bags.arm import recorded_arm
+from contact_reach_ros.arm.table import table_of
+from contact_reach_ros.arms import arm_settings
+from contact_reach_ros.bags.recorded_arm import recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.reexecution.settings import recorded_sections
@@ -27,6 +30,14 @@ class TestArm:
     def test_one_that_this_version_does_not_have_is_named(self):
         with pytest.raises(BagError, match="settings of the observer: robot = 'iiwa15': expected one of iiwa14"):
             recorded_arm({"controller": {}, "observer": {"robot": "iiwa15"}})
+
+    def test_an_arm_that_the_package_lacks_is_in_the_settings_themselves(self):
+        settings = json.loads(json.dumps(arm_settings(SIX_AXIS)))
+        arm = recorded_arm({"controller": settings})
+        assert arm.joint_names == SIX_AXIS.joint_names and arm.home == SIX_AXIS.home and arm.n == 6
+        assert set(arm_settings(ARM)) == {"robot", "robot digest"}
+        with pytest.raises(BagError, match="settings of the controller: robot table: home has 1 values; expected 6"):
+            recorded_arm({"controller": {"robot table": {**table_of(SIX_AXIS), "home": [0.0]}}})
 
 
 def test_bags_from_before_obstacles_went_stale_are_executed_as_they_were():

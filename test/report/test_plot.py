@@ -65,7 +65,7 @@ def labels(figure: Figure) -> list[Annotation]:
 def test_png_is_written(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sample_episode().plot(tmp_path / "episode.png", TITLE, load_budget())
+        sample_episode().plot(tmp_path / "episode.png", TITLE, load_budget().resolve(load_arm()))
     image = imread(tmp_path / "episode.png")
     assert image.shape[0] > 500
     assert image.shape[1] > 800
@@ -174,4 +174,4 @@ def test_nothing_to_plot() -> None:
 
 def test_unwritable_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"gone/plot\.png' cannot be written: No such file"):
-        sample_episode().plot(tmp_path / "gone" / "plot.png", TITLE, load_budget())
+        sample_episode().plot(tmp_path / "gone" / "plot.png", TITLE, load_budget().resolve(load_arm()))

@@ -68,7 +68,7 @@ def charts(text: str) -> list[dict]:
 
 
 def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> None:
-    bag = read_report_bag(SAMPLE, "sample", load_arm(), ChangedSettings())
+    bag = read_report_bag(SAMPLE, "sample", ChangedSettings())
     shown = external_torque_chart(bag)["data"][:7]
     assert [(curve["name"], curve["line"]["color"]) for curve in shown] == [
         (curve.label, curve.colour) for curve in page_plots(7)[2].curves
@@ -76,7 +76,7 @@ def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> 
 
 
 def test_charts_begin_shortly_before_the_goal() -> None:
-    bag = read_report_bag(SAMPLE, "sample", load_arm(), ChangedSettings())
+    bag = read_report_bag(SAMPLE, "sample", ChangedSettings())
     waited = dataclasses.replace(bag.signals.goals, time=bag.signals.goals.time + 3.0)
     episode = Episode(dataclasses.replace(bag.signals, goals=waited), bag.arm)
     bag = dataclasses.replace(bag, episode=episode, zero=episode.start)
@@ -105,7 +105,7 @@ def test_an_episode_ends_where_it_is_decided_however_long_the_recording() -> Non
 
 
 def test_two_bags_side_by_side_and_their_difference() -> None:
-    bags = [read_report_bag(SAMPLE, label, load_arm(), ChangedSettings()) for label in ("first", "second")]
+    bags = [read_report_bag(SAMPLE, label, ChangedSettings()) for label in ("first", "second")]
     text = page(bags)
     found = titles(text)
     assert found.count("joint angle [rad]") == 2 and found.count("difference: joint angle [rad]") == 1

@@ -29,7 +29,7 @@ def test_scenes_of_the_package_can_be_read():
         assert read_scene(name).name == name
     assert read_scene("free").obstacles == ()
     assert read_scene("ball").obstacles == (BallSettings(),)
-    assert read_scene("ball").target == TargetSettings()
+    assert read_scene("ball").target == TargetSettings(reach=ARM.reach)
 
 
 @pytest.mark.parametrize("name", ["bal", "", "ball/", "missing/scene"])
@@ -61,7 +61,7 @@ def test_own_file_replaces_what_it_names(file):
         ("1: {}", "unknown key '1'; known keys: ball, base, box, environment, mismatch, target, wall"),
         ("target:", "target = None; expected a mapping"),
         ("ball: [1]", "ball = [1]; expected a mapping"),
-        ("target: {start_position: 1}", "target: unknown key 'start_position'"),
+        ("target: {start_posture: 1}", "target: unknown key 'start_posture'"),
         ("ball: {raduis: 0.1}", "ball: unknown key 'raduis'; did you mean 'radius'?"),
         ("ball: {radius: 0.9}", "ball: radius = 0.9: expected a number in [0.01, 0.5] m"),
         ("ball: {stiffness: soft}", "ball: stiffness = 'soft': expected a number"),

@@ -28,7 +28,7 @@ from contact_reach_ros.control.law import ImpedanceLaw
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective
-from contact_reach_ros.planning.objectives import action_bounds, make_objective
+from contact_reach_ros.planning.objectives import knot_bounds, make_objective
 from contact_reach_ros.planning.plan import Held, Plan
 from contact_reach_ros.planning.prediction import reference_at
 from contact_reach_ros.planning.problem import Problem, Rollout
@@ -67,7 +67,7 @@ def torque_bounds(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings
     model.update(q, rest)
     law = ImpedanceLaw(arm, gains)
     total = np.zeros(arm.n)
-    bounds = action_bounds(arm, dataclasses.replace(settings, null_space="planned", horizon=1))
+    bounds = knot_bounds(arm, settings)
     for variable, bound in enumerate(bounds):
         action = np.zeros_like(bounds)
         action[variable] = bound

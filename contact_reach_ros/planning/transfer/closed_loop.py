@@ -28,6 +28,7 @@ from contact_reach_ros.planning.transfer.kinematics import Frames
 from contact_reach_ros.planning.transfer.lanes import cross, dot, ratio, root
 
 N_TASK = 6
+"""Size of Δx in actions, whatever part of it law (1) controls."""
 
 
 class Reference(NamedTuple):
@@ -67,7 +68,8 @@ def joint_acceleration(
     contact
         Forces on the arm, or None in free space.
     """
-    jacobian = dynamics.jacobian
+    rows = gains.rows
+    jacobian = dynamics.jacobian[:rows]
     # The implicit midpoint rule for the gains: (1 + dt Kd / 2 + dt² Kp / 4) a = −Kp Δx − Kd ẋ + (contact) in task
     # space, and the same with Kqd and Kqp in joint space. It lets 25 ms steps cope with Kd = 100 and the wrist's small
     # inertia. The contact has its share in `a`: otherwise contact would be twice too soft.
@@ -78,8 +80,8 @@ def joint_acceleration(
     twist = jacobian[:, 0] * v[0]
     for joint in range(1, n):
         twist = twist + jacobian[:, joint] * v[joint]
-    error = pose_error(frames, reference)
-    desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift) / implicit
+    error = pose_error(frames, reference)[:rows]
+    desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift[:rows]) / implicit
     null_torque = -gains.null_stiffness * (q - reference.posture) - gains.null_damping * v
     torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
 
@@ -89,10 +91,10 @@ def joint_acceleration(
     acceleration: list[jax.Array] = [wrench[0]] * n
     for joint in reversed(range(n)):
         row = solved[joint]
-        total = row[N_TASK]
-        for extra in range(N_TASK + 1, N_TASK + len(torques)):
+        total = row[rows]
+        for extra in range(rows + 1, rows + len(torques)):
             total = total + row[extra]
-        for axis in range(N_TASK):
+        for axis in range(rows):
             total = total + row[axis] * wrench[axis]
         for later in range(joint + 1, n):
             total = total - factor[joint][later - joint] * acceleration[later]
@@ -152,20 +154,20 @@ def _factorise_mass(
 def _task_wrench(
     solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array, floor: float
 ) -> list[jax.Array]:
-    """The wrench f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as six rows (B,), by the same recursion.
+    """The wrench f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as m rows (B,), by the same recursion.
 
     `solved` holds for each joint the entries of L⁻¹ [Jᵀ τ₀ τ_contact], the last only if there is contact.
     """
-    n_rows = solved[0].shape[0]
+    n_rows, n_task = solved[0].shape[0], len(desired)
     columns: list[jax.Array] = []
     pivots = []
-    for axis in range(N_TASK):
+    for axis in range(n_task):
         column = solved[0][axis:] * solved[0][axis][None]
         for joint in range(1, len(solved)):
             column = column + solved[joint][axis:] * solved[joint][axis][None]
-        matrix_part, torque_part = column[: N_TASK - axis], column[N_TASK - axis :]
+        matrix_part, torque_part = column[: n_task - axis], column[n_task - axis :]
         right = desired[axis] - torque_part[0]
-        if n_rows > N_TASK + 1:
+        if n_rows > n_task + 1:
             right = right + (1.0 / implicit - 1.0) * torque_part[1]
         column = jnp.concatenate([matrix_part, right[None]])
         for earlier in range(axis):
@@ -174,10 +176,10 @@ def _task_wrench(
         pivot = root(_lifted(column[0], floor))
         pivots.append(pivot)
         columns.append(ratio(column, pivot[None]))
-    wrench: list[jax.Array] = [desired[0]] * N_TASK
-    for axis in reversed(range(N_TASK)):
-        total = columns[axis][N_TASK - axis]
-        for later in range(axis + 1, N_TASK):
+    wrench: list[jax.Array] = [desired[0]] * n_task
+    for axis in reversed(range(n_task)):
+        total = columns[axis][n_task - axis]
+        for later in range(axis + 1, n_task):
             total = total - columns[axis][later - axis] * wrench[later]
         wrench[axis] = ratio(total, pivots[axis])
     return wrench

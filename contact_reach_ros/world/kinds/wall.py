@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from contact_reach_ros.world.overlap import (
 _TRIES = 40
 _SPREAD = 0.01
 """How far the gap's centre may be above or below that of the passing hand, m."""
+_GAP_SHARE = 0.94
+"""Of the hand's greatest diameter: the gap for other arms than the one that a scene is for."""
 _PATH_STEP = 5
 _SWIVELS = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
 
@@ -133,6 +136,10 @@ class WallSettings(ObstacleSettings):
         """Refuse overlaps in the wrong order, and meshes that cannot be simulated."""
         check_overlaps(self.KIND, self.min_overlap, self.max_overlap)
         self._lattice.check(self.KIND, "the two walls", self.material, copies=2)
+
+    def suited_to(self, arm: Arm) -> Self:
+        """With a gap that is as narrow for the arm's hand as 0.15 m is for the hand of the iiwa 14."""
+        return dataclasses.replace(self, gap=_GAP_SHARE * 2.0 * float(radii(arm)[on_hand(arm)].max()))
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The lower and the upper wall around a gap whose centre is at `center` (3,), m.

@@ -1,0 +1,92 @@
+"""What an arm's description leaves open, by rules: shoulder, reach, home posture, and thresholds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from contact_reach_ros.arm.arm import Arm, Vector3
+from contact_reach_ros.arm.capsules import pair_distances, self_pairs
+from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, tip_positions
+from contact_reach_ros.errors import SettingsError
+
+REACH_SHARE = 0.9
+"""Of the greatest distance of the tip from the shoulder, up to which goals are accepted."""
+_POSTURES = 20000
+_HOME_MARGIN = 0.35
+"""Least distance of the home posture from joint limits, rad, unless their range is too small for it."""
+
+
+def defaults(arm: Arm) -> dict[str, tuple[float, ...]]:
+    """Settings with a value for each joint: thresholds in proportion to the torque limits, and q_d of law (6).
+
+    A joint stops the arm at 14 % of its torque limit, but at 8 to 30 N m, or at half the limit where that is less; the
+    others are shares of this one. Those of the iiwa 14, which were chosen by measurement, are met within 1.5 N m.
+    """
+    limits = arm.torque_limits
+    stop = np.minimum(np.clip(0.14 * limits, 8.0, 30.0), 0.5 * limits)
+    shares = {
+        "torque_thresholds": stop,
+        "torque_per_speed": np.clip(stop / 15.0, 1.0, 2.0),
+        "sudden_thresholds": 0.4 * stop,
+        "contact_thresholds": np.clip(stop / 12.0, 1.4, 2.5),
+        "contact_per_speed": np.clip(stop / 30.0, 0.5, 1.0),
+        "model_error": np.clip(0.25 * stop, 2.0, 8.0),
+        "handover_thresholds": np.clip(0.25 * stop, 3.0, 10.0),
+        # Zeros, as far as they are well within the limits.
+        "reference_posture": np.clip(0.0, arm.lower + _HOME_MARGIN, arm.upper - _HOME_MARGIN),
+    }
+    return {name: tuple(round(float(value), 3) for value in values) for name, values in shares.items()}
+
+
+def shoulder(arm: Arm) -> Vector3:
+    """The point of the first joint's axis that is nearest to the second joint's frame, m, base frame."""
+    rotations, origins = link_frames(arm, np.zeros(arm.n))
+    axis = rotations[0][:, 2]
+    x, y, z = (origins[0] + axis * (axis @ (origins[min(1, arm.n - 1)] - origins[0]))).tolist()
+    return round(x, 4), round(y, 4), round(z, 4)
+
+
+def reach(arm: Arm) -> float:
+    """A share of the greatest distance of the tip from the shoulder among random postures, m."""
+    random = np.random.default_rng(0)
+    best = random.uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
+    width = arm.upper - arm.lower
+    for share in (0.1, 0.03):
+        far = np.linalg.norm(tip_positions(arm, best) - np.array(arm.shoulder), axis=1).argsort()[-50:]
+        moved = best[far][:, None] + share * width * random.uniform(-1.0, 1.0, (50, 200, arm.n))
+        best = np.concatenate([best[far], np.clip(moved, arm.lower, arm.upper).reshape(-1, arm.n)])
+    distances = np.linalg.norm(tip_positions(arm, best) - np.array(arm.shoulder), axis=1)
+    return round(REACH_SHARE * float(distances.max()), 3)
+
+
+def home(arm: Arm) -> tuple[float, ...]:
+    """A posture far from singularities, tip in front, last joint's axis down, all links above the base, elbow up.
+
+    Each of these counts, none is required, except that the arm does not touch itself.
+    """
+    margin = np.minimum(_HOME_MARGIN, 0.2 * (arm.upper - arm.lower))
+    lower, upper = np.maximum(arm.lower + margin, -np.pi), np.minimum(arm.upper - margin, np.pi)
+    q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, arm.n))
+    axes, origins = link_frames_of_many(arm, q)
+    tip, out = origins[-1].T, (origins[-1].T - np.array(arm.shoulder)) / arm.reach
+    ahead = np.hypot(tip[:, 0], tip[:, 1]) / arm.reach
+    wrong = 2.0 * np.abs(np.arctan2(tip[:, 1], tip[:, 0])) + 2.0 * np.abs(ahead - 0.65) + 2.0 * np.abs(out[:, 2])
+    down = -axes[-2, 2, 2] if arm.tip_offset[2] >= 0.0 else axes[-2, 2, 2]
+    wrong += np.arccos(np.clip(down, -1.0, 1.0)) + 0.5 * np.abs(q).mean(axis=1)
+    wrong -= 2.0 * np.minimum(origins[1:-1, 2].mean(axis=0) / arm.reach, 0.5)
+    wrong += 10.0 * np.maximum(0.15 - origins[1:, 2].min(axis=0) / arm.reach, 0.0)
+    few = wrong.argsort()[: _POSTURES // 200]
+    joint_axes = axes[:-1, 2][:, :, few]
+    linear = np.cross(joint_axes, origins[-1][:, few] - origins[:-1][:, :, few], axis=1) / arm.reach
+    jacobians = np.concatenate([linear, joint_axes], axis=1).transpose(2, 1, 0)
+    quality = np.linalg.svd(jacobians, compute_uv=False)[:, -1] - 0.3 * wrong[few]
+    for best in quality.argsort()[::-1]:
+        posture = tuple(round(float(angle), 3) for angle in q[few[best]])
+        pairs = np.array(self_pairs(dataclasses.replace(arm, home=posture))).reshape(-1, 2)
+        if not len(pairs) or pair_distances(arm, np.array([posture]), pairs).min() > 0.0:
+            return posture
+    raise SettingsError(
+        f"arm '{arm.name}': no posture was found in which it does not touch itself; give one under home"
+    )

@@ -1,0 +1,113 @@
+"""The table of an arm: all of its numbers, as YAML files and bags have them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import msgspec
+import yaml
+
+from contact_reach_ros.arm import assumptions
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.settings import unknown_key
+
+_WIDTH = 100
+"""Of lines in tables."""
+
+T = TypeVar("T")
+
+
+def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
+    """The arm of a table, whose keys are the attributes of `Arm`; thresholds that it lacks are by the rule.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown or missing, or a value of the wrong type, or there is not one of something for each joint;
+        the message begins with `source`.
+    """
+    arm = converted({"defaults": {}, **content}, Arm, source)
+    lists: dict[str, Any] = {"link_names": arm.link_names, "home": arm.home}
+    lists |= {f"inertia_sets: {name}": values for name, values in arm.inertia_sets.items()}
+    lists |= {f"defaults: {name}": values for name, values in arm.defaults.items()}
+    for key, values in lists.items():
+        if len(values) != arm.n:
+            raise SettingsError(f"{source}: {key} has {len(values)} values; expected {arm.n}, one for each joint")
+    for capsule in arm.capsules:
+        if not 1 <= capsule.link <= arm.n:
+            raise SettingsError(f"{source}: capsules: link = {capsule.link}; expected a number from 1 to {arm.n}")
+    return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
+
+
+def table_of(arm: Arm) -> dict[str, Any]:
+    """The table of an arm, which `arm_of_table` takes: numbers, strings, lists and mappings, as JSON has them."""
+    table: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(arm))
+    return table
+
+
+def table_text(arm: Arm, digits: int = 6) -> str:
+    """The table of an arm as YAML, with numbers of so many significant digits."""
+    lines = []
+    for key, value in _rounded(table_of(arm), digits).items():
+        if key == "defaults" and not value:
+            continue
+        if isinstance(value, list) and isinstance(value[0], dict):
+            lines += [f"{key}:", *(f"  - {_flow(each, 4)}" for each in value)]
+        elif isinstance(value, dict) and key == "inertia_sets":
+            for name, inertias in value.items():
+                lines += [f"{key}:", f"  {name}:", *(f"    - {_flow(each, 6)}" for each in inertias)]
+        elif isinstance(value, dict) and key == "defaults":
+            lines += [f"{key}:", *(f"  {name}: {_flow(values, 4)}" for name, values in value.items())]
+        else:
+            lines.append(f"{key}: {_flow(value, 2)}")
+    return "\n".join(lines) + "\n"
+
+
+def _flow(value: Any, indent: int) -> str:
+    """A value between brackets; further lines are indented."""
+    text: str = yaml.dump(value, sort_keys=False, default_flow_style=True, width=_WIDTH)
+    return text.removesuffix("\n").removesuffix("\n...").replace("\n", "\n" + indent * " ")
+
+
+def _rounded(value: Any, digits: int) -> Any:
+    """Numbers of so many significant digits, and 0 for what is only rounding."""
+    if isinstance(value, dict):
+        return {key: _rounded(each, digits) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_rounded(each, digits) for each in value]
+    return float(f"{value:.{digits}g}") * (abs(value) > 1e-10) if isinstance(value, float) else value
+
+
+def converted(content: Mapping[str, Any], kind: type[T], source: str) -> T:
+    """The content of a file as a dataclass.
+
+    Raises
+    ------
+    SettingsError
+        If a key is unknown or missing, or a value of the wrong type; the message begins with `source`.
+    """
+    known = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    for key in content:
+        if key not in known:
+            raise SettingsError(unknown_key(str(key), known, source))
+    try:
+        made = msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"{source}: {error}".replace("`$.", "`")) from error
+    _check_keys(content, msgspec.to_builtins(made), source)
+    return made
+
+
+def _check_keys(given: Any, taken: Any, source: str) -> None:
+    """Refuse keys, at any depth, that the conversion ignored."""
+    if isinstance(given, Mapping):
+        for key, value in given.items():
+            if key not in taken:
+                raise SettingsError(unknown_key(str(key), list(taken), source))
+            _check_keys(value, taken[key], f"{source}: {key}")
+    elif isinstance(given, list):
+        for one, other in zip(given, taken, strict=True):
+            _check_keys(one, other, source)

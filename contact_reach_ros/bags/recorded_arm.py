@@ -1,0 +1,47 @@
+"""The arm of a bag, out of the settings that its nodes reported."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, load_arm
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.errors import BagError, SettingsError
+from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.parameter_files import arm_in
+
+SETTINGS = "settings"
+
+
+def arm_of_bag(bag: BagReader) -> Arm:
+    """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
+    topics = [name for name in (f"/{SETTINGS}",) if name in bag.topics()]
+    statuses = [item.message for item in bag.messages(topics)] if topics else []
+    return recorded_arm({status.name: read_settings(status) for status in statuses if status is not None})
+
+
+def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
+    """The arm that nodes had, with its tool; `settings` are the recorded ones by node.
+
+    Raises
+    ------
+    BagError
+        If this version does not have it, or has another one of that name.
+    """
+    found: Arm | None = None
+    for node, values in settings.items():
+        try:
+            arm = arm_in(values, f"settings of the {node}")
+        except SettingsError as error:
+            raise BagError(str(error)) from error
+        digest = values.get(ROBOT_DIGEST, arm.digest)
+        # A table is the arm itself.
+        if digest != arm.digest and ROBOT_TABLE not in values:
+            raise BagError(
+                f"settings of the {node}: the arm '{arm.name}' had digest {digest}, this version's has {arm.digest}; "
+                "use the version that recorded the bag"
+            )
+        found = found or arm
+    return found or load_arm()

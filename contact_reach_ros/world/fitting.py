@@ -1,0 +1,120 @@
+"""Scenes for other arms than the one that their lengths were chosen for."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_radii, shape_segments
+from contact_reach_ros.arm.inverse_kinematics import solve_ik
+from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import SceneError
+from contact_reach_ros.settings import Settings
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.overlap import on_hand
+from contact_reach_ros.world.scene import SceneFile, TargetSettings
+
+_PLACES = ("center", "position")
+"""Lengths that say where something is: they stay as they are."""
+_RAISES = (0.0, 0.15, 0.3)
+"""How far start and targets are raised until an arm gets from one to the other, as shares of its reach."""
+_PROBES = 6
+"""Targets that are tried from a start."""
+_REACHED = 5
+"""Of these, those that must be reached."""
+_ROLLS = 8
+_SEEDS = 60
+_STARTS = 60
+"""Postures that are tried as starts."""
+_LIMIT_MARGIN = 0.25
+"""Least distance of joints from their limits at the start, rad."""
+
+S = TypeVar("S", bound=Settings)
+
+
+def fitted(file: SceneFile, arm: Arm) -> SceneFile:
+    """The scene for an arm: all of its lengths in proportion to the reach, except the places that it names.
+
+    A scene without `target.reach`, or for this very reach, stays as it is.
+
+    Raises
+    ------
+    SceneError
+        If no start was found for the arm from which it gets to the targets.
+    """
+    target = file.target
+    if target.reach in (0.0, arm.reach):
+        return file
+    factor = arm.reach / target.reach
+    scaled = dataclasses.replace(_scaled(target, factor), reach=arm.reach, start=None)
+    if scaled.start_position is not None:
+        found = _start(arm, scaled)
+        if found is None:
+            raise SceneError(
+                f"scene '{file.name}': no posture of arm '{arm.name}' was found from which its hand, pointing along x, "
+                "gets from target.start_position into the targets' box; give target.start, minimum and maximum for it"
+            )
+        scaled = found
+    obstacles = tuple(_scaled(each, factor).suited_to(arm) for each in file.obstacles)
+    return dataclasses.replace(file, target=scaled, obstacles=obstacles)
+
+
+def _scaled(settings: S, factor: float) -> S:
+    """Settings with all lengths multiplied by a factor, as far as their ranges permit."""
+    values = {}
+    for entry in settings.declared():
+        value = getattr(settings, entry.name)
+        if entry.unit == "m" and entry.name not in _PLACES and value is not None:
+            numbers = np.clip(factor * np.array(value), entry.minimum, entry.maximum)
+            values[entry.name] = tuple(numbers.tolist()) if isinstance(value, tuple) else float(numbers)
+    return dataclasses.replace(settings, **values)
+
+
+@functools.cache
+def _start(arm: Arm, target: TargetSettings) -> TargetSettings | None:
+    """Targets with a start of the arm at or above `start_position`, and raised as much; None if there is none."""
+    random = np.random.default_rng(0)
+    probes = random.uniform(target.minimum, target.maximum, (_PROBES, 3))
+    seeds = random.uniform(np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (_SEEDS, arm.n))
+    model = RobotModel(arm)
+    for share in _RAISES:
+        up = np.array([0.0, 0.0, share * arm.reach])
+        for start in _postures(arm, np.array(target.start_position) + up, seeds):
+            missed = 0
+            for probe in probes + up:
+                missed += free_path(model, start, probe) is None
+                if missed > _PROBES - _REACHED:
+                    break
+            else:
+                box = {key: tuple((np.array(getattr(target, key)) + up).tolist()) for key in ("minimum", "maximum")}
+                return dataclasses.replace(target, start=tuple(start.tolist()), **box)  # type: ignore[arg-type]
+    return None
+
+
+def _postures(arm: Arm, position: Array, seeds: Array) -> Array:
+    """Postures (N, n) with the tip at a position (3,), m, and the last joint's axis along x.
+
+    Those with a flat hand come first, and of these those with a high elbow. In none does the arm touch itself.
+    """
+    rotations, _ = link_frames(arm, arm.home)
+    out = rotations[-2][:, 2] if arm.tip_offset[2] >= 0.0 else -rotations[-2][:, 2]
+    forward = Rotation.align_vectors([[1.0, 0.0, 0.0]], [out])[0].as_matrix() @ rotations[-1]
+    rolls = [Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() for angle in 2.0 * np.pi / _ROLLS * np.arange(_ROLLS)]
+    found = np.concatenate([solve_ik(arm, position, roll @ forward, seeds, _LIMIT_MARGIN) for roll in rolls])
+    pairs = np.array(self_pairs(arm)).reshape(-1, 2)
+    if not len(found) or not len(pairs):
+        return found
+    found = found[pair_distances(arm, found, pairs).min(axis=1) > 0.0]
+    hand = np.flatnonzero(on_hand(arm)) + 1
+    heights, radius = np.stack(shape_segments(arm, found))[:, :, hand, 2], shape_radii(arm)[hand]
+    thickness = (heights + radius).max(axis=(0, 2)) - (heights - radius).min(axis=(0, 2))
+    elbow = link_frames_of_many(arm, found)[1][:, 2].max(axis=0)
+    is_wound = np.abs(found).max(axis=1) > np.pi
+    return found[np.lexsort([-elbow, np.round(thickness, 2), is_wound])][:_STARTS]

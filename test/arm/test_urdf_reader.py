@@ -1,0 +1,308 @@
+"""Arms out of URDFs: the same motion and dynamics as other readers find, and errors that name what to mend."""
+
+import dataclasses
+import json
+import math
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_simulation import ARM
+from urdf_texts import AXES, LIMIT, ball, joint, link, odd_arm, written
+
+from contact_reach_ros.arm.arm import Arm, Inertia
+from contact_reach_ros.arm.arm_file import read_arm_file
+from contact_reach_ros.arm.arm_options import ArmOptions
+from contact_reach_ros.arm.assumptions import defaults
+from contact_reach_ros.arm.kinematics import link_frames_of_many
+from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.table import arm_of_table, table_of, table_text
+from contact_reach_ros.arm.urdf import build_urdf
+from contact_reach_ros.arm.urdf_reader import read_arm
+from contact_reach_ros.errors import SettingsError
+
+ODD = ArmOptions(base="stand", tip="tool", fixed={"finger_joint": 0.4})
+FINGER = {"finger_joint": 0.4}
+STATES = 1000
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory) -> tuple[Arm, pin.Model]:
+    """The arm, and what Pinocchio reads, with the finger held and the same armature."""
+    file = written(tmp_path_factory.mktemp("odd"), odd_arm())
+    model = pin.buildModelFromUrdf(str(file))
+    held = pin.neutral(model)
+    held[model.idx_qs[model.getJointId("finger_joint")]] = 0.4
+    model = pin.buildReducedModel(model, [model.getJointId("finger_joint")], held)
+    model.armature = np.full(model.nv, 0.01)
+    return read_arm(file, ODD).arm, model
+
+
+def states(arm: Arm) -> list[tuple[np.ndarray, np.ndarray]]:
+    random = np.random.default_rng(0)
+    return [(random.uniform(arm.lower, arm.upper), random.normal(size=arm.n)) for _ in range(STATES)]
+
+
+def test_controllers_model_is_the_one_that_pinocchio_reads(odd):
+    arm, theirs = odd
+    ours, data = RobotModel(arm), theirs.createData()
+    base, tip = theirs.getFrameId("stand"), theirs.getFrameId("tool")
+    # Gravity acts along the base's axes here, and along the world's there.
+    pin.framesForwardKinematics(theirs, data, pin.neutral(theirs))
+    stand = data.oMf[base].copy()
+    theirs.gravity.linear = stand.rotation @ ours.pinocchio.gravity.linear
+    for q, v in states(arm):
+        ours.update(q, v)
+        pin.computeAllTerms(theirs, data, q, v)
+        pose = stand.actInv(pin.updateFramePlacement(theirs, data, tip))
+        jacobian = pin.computeFrameJacobian(theirs, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
+        turned = np.vstack([stand.rotation.T @ jacobian[:3], stand.rotation.T @ jacobian[3:]])
+        for mine, other in (
+            (ours.position, pose.translation),
+            (ours.rotation, pose.rotation),
+            (ours.mass_matrix, data.M),
+            (ours.bias, data.nle),
+            (ours.jacobian, turned),
+        ):
+            np.testing.assert_allclose(mine, other, rtol=0, atol=1e-9)
+
+
+def test_simulation_has_the_controllers_model(odd):
+    arm, _ = odd
+    ours, model = RobotModel(arm), mujoco.MjModel.from_xml_string(build_mjcf(arm))
+    data, mass = mujoco.MjData(model), np.empty((arm.n, arm.n))
+    linear, angular = np.empty((3, arm.n)), np.empty((3, arm.n))
+    for q, v in states(arm):
+        ours.update(q, v)
+        data.qpos, data.qvel = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        mujoco.mj_jacSite(model, data, linear, angular, 0)
+        for mine, other in (
+            (ours.position, data.site(TIP_SITE).xpos),
+            (ours.rotation.ravel(), data.site(TIP_SITE).xmat),
+            (ours.mass_matrix, mass),
+            (ours.bias, data.qfrc_bias),
+            (ours.jacobian, np.vstack([linear, angular])),
+        ):
+            np.testing.assert_allclose(mine, other, rtol=0, atol=1e-9)
+
+
+def test_each_joint_turns_about_the_z_axis_of_its_link_and_keeps_its_limits(odd):
+    arm, theirs = odd
+    assert arm.joint_names == tuple(f"joint_{number}" for number in range(1, len(AXES) + 1))
+    np.testing.assert_array_equal(arm.lower, theirs.lowerPositionLimit)
+    np.testing.assert_array_equal(arm.upper, theirs.upperPositionLimit)
+    np.testing.assert_array_equal(arm.torque_limits, theirs.effortLimit)
+
+
+def test_assumed_home_is_within_the_limits_and_the_reach(odd):
+    arm, _ = odd
+    assert ((arm.lower < arm.home) & (arm.home < arm.upper)).all()
+    _, origins = link_frames_of_many(arm, np.random.default_rng(1).uniform(arm.lower, arm.upper, (20000, arm.n)))
+    farthest = np.linalg.norm(origins[-1].T - arm.shoulder, axis=1).max()
+    assert 0.9 * farthest <= arm.reach < 1.02 * farthest
+
+
+def test_a_table_holds_all_of_an_arm(odd, tmp_path):
+    arm, _ = odd
+    again = arm_of_table(json.loads(json.dumps(table_of(arm))), "table")
+    assert again == arm and again.digest == arm.digest and again.defaults == arm.defaults
+    file = written(tmp_path, table_text(arm, digits=17), "table.yaml")
+    assert read_arm_file(file).arm.digest == arm.digest
+
+
+def test_the_urdf_that_the_package_writes_is_the_same_arm(tmp_path):
+    file = written(tmp_path, build_urdf(ARM))
+    arm = read_arm(file, ArmOptions(home=ARM.home)).arm
+    assert (arm.base_frame, arm.tip_frame, arm.joint_names) == (ARM.base_frame, ARM.tip_frame, ARM.joint_names)
+    assert arm.shoulder == ARM.shoulder and arm.reach == pytest.approx(ARM.reach, abs=0.002)
+    ours, theirs = RobotModel(arm), RobotModel(ARM)
+    for q, v in states(ARM)[:20]:
+        ours.update(q, v)
+        theirs.update(q, v)
+        np.testing.assert_allclose(ours.mass_matrix, theirs.mass_matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ours.bias, theirs.bias, rtol=0, atol=1e-9)
+    # Spheres and cylinders are capsules again.
+    assert [capsule.link for capsule in arm.capsules] == [capsule.link for capsule in ARM.capsules]
+    for ours_, theirs_ in zip(arm.capsules, ARM.capsules, strict=True):
+        assert ours_.radius == pytest.approx(theirs_.radius, abs=2e-4)
+        lengths = [np.linalg.norm(np.subtract(each.end, each.start)) for each in (ours_, theirs_)]
+        assert lengths[0] == pytest.approx(lengths[1], abs=2e-4)
+
+
+def test_rule_for_thresholds_is_near_those_that_were_measured():
+    for name, values in defaults(ARM).items():
+        np.testing.assert_allclose(values, ARM.default(name), rtol=0, atol=6.0 if name == "model_error" else 3.0)
+
+
+def test_options_lie_beside_the_urdf_and_either_path_leads_to_the_arm(tmp_path):
+    urdf = written(tmp_path, odd_arm())
+    options = "base: stand\ntip: tool\nname: ours\narmature: [1, 2, 3, 4, 5, 6, 7]\nfixed: {finger_joint: 0.4}\n"
+    options += "thresholds: {torque_thresholds: [9, 8, 7, 6, 5, 4, 3]}\nhome: [0, 0.1, 0, 0, 0, 0, 0]\nreach: 0.5\n"
+    beside = written(tmp_path, options, "arm.yaml")
+    elsewhere = written(tmp_path, options + "urdf: arm.urdf\n", "other.yaml")
+    arms = [read_arm_file(file).arm for file in (urdf, beside, elsewhere)]
+    assert len({arm.digest for arm in arms}) == 1 and arms[0].name == "ours"
+    assert [joint.armature for joint in arms[0].joints] == [1, 2, 3, 4, 5, 6, 7]
+    assert arms[0].default("torque_thresholds") == (9, 8, 7, 6, 5, 4, 3)
+    assert arms[0].home[1] == 0.1 and arms[0].reach == 0.5
+
+
+def test_what_was_assumed_is_listed(tmp_path):
+    reading = read_arm(written(tmp_path, odd_arm()), ArmOptions(base="stand", tip="tool"))
+    text = "\n".join(reading.assumed)
+    for expected in ("finger_joint at 0", "home:", "reach:", "thresholds:"):
+        assert expected in text
+    assert "finger_joint" not in "\n".join(read_arm(written(tmp_path, odd_arm()), ODD).assumed)
+
+
+def test_limits_and_inertias_can_be_given(tmp_path):
+    text = odd_arm(
+        joint_2=joint("joint_2", "part_1", "part_2", "0 1 0", "continuous", extra=""),
+        part_5=link("part_5", 0.0, ball()),
+    )
+    given = Inertia(2.0, (0.0, 0.0, 0.1), (0.01, 0.01, 0.01, 0.0, 0.0, 0.0))
+    limits = {"joint_2": {"lower": -3.0, "upper": 2.0, "velocity": 1.0, "effort": 10.0}, "joint_1": {"upper": 1.0}}
+    options = dataclasses.replace(ODD, limits=limits, inertias={"part_5": given})
+    arm = read_arm(written(tmp_path, text), options).arm
+    assert (arm.joints[1].lower, arm.joints[1].upper, arm.joints[1].torque_limit) == (-3.0, 2.0, 10.0)
+    assert (arm.joints[0].lower, arm.joints[0].upper) == (-2.5, 1.0)
+    assert arm.inertias()[4].mass == 2.0
+    assert math.dist(arm.inertias()[4].center, (0, 0, 0)) == pytest.approx(0.1)
+
+
+def test_joints_of_the_chain_can_be_held(tmp_path):
+    text = odd_arm(joint_2=joint("joint_2", "part_1", "part_2", "0 0 1", "prismatic"))
+    arm = read_arm(written(tmp_path, text), dataclasses.replace(ODD, fixed={"joint_2": 0.3, **FINGER})).arm
+    assert arm.n == 6 and "joint_2" not in arm.joint_names
+    assert arm.inertias()[0].mass == pytest.approx(2.7 + 2.4)
+
+
+BROKEN = {
+    "prismatic": (
+        {"joint_3": joint("joint_3", "part_2", "part_3", "0 0 1", "prismatic")},
+        ODD,
+        r"joint 'joint_3', between base 'stand' and tip 'tool', is of type prismatic; expected .*under fixed",
+    ),
+    "mimic": (
+        {"joint_3": joint("joint_3", "part_2", "part_3", extra=LIMIT + '<mimic joint="joint_1"/>')},
+        ODD,
+        r"joint 'joint_3'.* mimics joint 'joint_1'.*under fixed",
+    ),
+    "loop": (
+        {"loop": joint("loop", "part_7", "part_2")},
+        ODD,
+        r"closed loop: joints 'joint_2' and 'loop' both move link 'part_2'",
+    ),
+    "no root": ({"loop": joint("loop", "tool", "world")}, ODD, r"links that no joint moves: none: .*closed loop"),
+    "two roots": ({"lost": '<link name="lost"/>'}, ODD, r"links that no joint moves: 'world', 'lost'; expected one"),
+    "massless": ({"part_4": link("part_4", 0.0, ball())}, ODD, r"link 'part_4' has no mass; .*under inertias"),
+    "no body": (
+        {"part_4": '<link name="part_4"><inertial><mass value="1"/><inertia ixx="1" izz="3"/></inertial></link>'},
+        ODD,
+        r"link 'part_4' has principal moments .* under inertias",
+    ),
+    "no limits": (
+        {"joint_5": joint("joint_5", "part_4", "part_5", extra="")},
+        ODD,
+        r"joint 'joint_5' has no lower limit.*under limits \(\{joint_5: \{lower",
+    ),
+    "continuous": (
+        {"joint_5": joint("joint_5", "part_4", "part_5", kind="continuous")},
+        ODD,
+        r"joint 'joint_5' has no lower limit \(its type is continuous\)",
+    ),
+    "no effort": (
+        {"joint_5": joint("joint_5", "part_4", "part_5", extra=LIMIT.replace('"60"', '"0"'))},
+        ODD,
+        r"joint 'joint_5' has no effort limit",
+    ),
+    "no mesh": (
+        {
+            "part_2": link(
+                "part_2", extra='<collision><geometry><mesh filename="package://x/y.stl"/></geometry></collision>'
+            )
+        },
+        ODD,
+        r"link 'part_2': mesh 'package://x/y.stl' is not found; .*packages.*capsules",
+    ),
+    "tip above": (
+        {},
+        ArmOptions(base="part_3", tip="part_2"),
+        r"tip 'part_2' is not below base 'part_3'; expected one of",
+    ),
+    "no such tip": ({}, ArmOptions(tip="hand"), r"tip = 'hand' is no link; expected one of"),
+    "two tips": ({}, ArmOptions(), r"2 links end a chain of joints: finger, tool; expected .*tip"),
+    "eight joints": (
+        {"tool_mount": joint("tool_mount", "part_7", "tool"), "tool": link("tool")},
+        ODD,
+        r"8 joints move between base 'stand' and tip 'tool' .*; expected 2 to 7: hold others .*under fixed",
+    ),
+    "bad number": (
+        {"stand": link("stand").replace('ixx="0.02', 'ixx="O.02')},
+        ODD,
+        r"link 'stand': ixx = 'O.02'; expected 1",
+    ),
+    "no axis": ({"joint_1": joint("joint_1", "stand", "part_1", "0 0 0")}, ODD, r"joint 'joint_1': axis = "),
+    "wrong name": (
+        {},
+        dataclasses.replace(ODD, fixed={"joint_9": 0.0}),
+        r"fixed: joint 'joint_9' does not exist; known: ",
+    ),
+    "short home": ({}, dataclasses.replace(ODD, home=(0.0,)), r"home has 1 values; expected 7"),
+    "home outside": (
+        {},
+        dataclasses.replace(ODD, home=(2.0, *(0.0,) * 6)),
+        r"home has 2 rad for joint 'joint_1'; expected",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_what_is_no_arm_is_refused_with_name_and_key(case, tmp_path):
+    changed, options, expected = BROKEN[case]
+    file = written(tmp_path, odd_arm(**changed))
+    with pytest.raises(SettingsError, match=expected) as raised:
+        read_arm(file, options)
+    assert str(raised.value).startswith(str(file))
+
+
+def test_a_mesh_that_is_none_is_refused(tmp_path):
+    written(tmp_path, "no mesh", "y.stl")
+    mesh = '<collision><geometry><mesh filename="y.stl"/></geometry></collision>'
+    with pytest.raises(SettingsError, match=r"link 'part_2': mesh .*y.stl' .*; give"):
+        read_arm(written(tmp_path, odd_arm(part_2=link("part_2", extra=mesh))), ODD)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("tipp: tool\n", "unknown key 'tipp'; did you mean 'tip'"),
+        ("home: zero\n", "Expected `array"),
+        ("inertias: {part_1: {mass: 1, centre: [0, 0, 0], tensor: [1, 1, 1, 0, 0, 0]}}\n", "center"),
+        ("limits: {joint_1: {lower: low}}\n", "Expected `float`, got `str`"),
+    ],
+)
+def test_options_that_are_wrong_are_refused(text, expected, tmp_path):
+    file = written(tmp_path, odd_arm())
+    beside = written(tmp_path, text, "arm.yaml")
+    with pytest.raises(SettingsError, match=expected) as raised:
+        read_arm_file(file)
+    assert str(raised.value).startswith(str(beside))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"joint": []}, "unknown key 'joint'; did you mean 'joints'"),
+        ({"home": [0.0]}, "home has 1 values; expected 7"),
+        ({"defaults": {"torque_thresholds": [1.0]}}, "defaults: torque_thresholds has 1 values; expected 7"),
+        ({"capsules": [{"link": 8, "start": [0, 0, 0], "end": [0, 0, 1], "radius": 1}]}, "link = 8; expected a number"),
+    ],
+)
+def test_tables_that_are_wrong_are_refused(odd, change, expected):
+    with pytest.raises(SettingsError, match=f"^here: .*{expected}"):
+        arm_of_table({**table_of(odd[0]), **change}, "here")

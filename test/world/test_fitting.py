@@ -1,0 +1,67 @@
+"""Scenes for other arms: everything in proportion, and a start from which the arm gets to the targets."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import ARMS, load_arm
+from contact_reach_ros.errors import SceneError
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.fitting import fitted
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.generate import load_scene, make_scene
+
+OTHERS = [name for name in ARMS if name != ARM.name]
+
+
+@pytest.mark.parametrize("name", ["free", "ball", "wall"])
+def test_the_arm_that_a_scene_is_for_has_it_as_it_is(name):
+    file = read_scene(name)
+    assert fitted(file, ARM) is file
+
+
+def test_lengths_are_in_proportion_and_places_stay(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("base: ball\ntarget: {position: [0.5, 0.1, 0.3]}\nball: {center: [0.4, 0.4, 0.4], radius: 0.2}\n")
+    file, arm = read_scene(str(path)), load_arm("ur10")
+    factor, scene = arm.reach / ARM.reach, fitted(file, arm)
+    (ball,), (before,) = scene.obstacles, file.obstacles
+    assert ball.radius == pytest.approx(factor * 0.2) and ball.mass == before.mass
+    assert ball.center == before.center and scene.target.position == file.target.position
+    np.testing.assert_allclose(scene.target.maximum, factor * np.array(file.target.maximum))
+    path.write_text("base: ball\ntarget: {reach: 0}\n")
+    assert fitted(read_scene(str(path)), arm) == read_scene(str(path))
+
+
+@pytest.mark.parametrize("arm", OTHERS)
+@pytest.mark.parametrize("name", ["free", "ball"])
+def test_targets_are_where_the_arm_gets_with_the_orientation_held(name, arm):
+    for seed in range(2):
+        scene = load_scene(name, arm=load_arm(arm), seed=seed)
+        path = free_path(RobotModel(scene.arm), scene.start, scene.target)
+        assert path is not None
+        assert np.linalg.norm(scene.target - link_frames(scene.arm, scene.start)[1][-1]) > 0.19 * scene.arm.reach
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", OTHERS)
+def test_walls_stand_in_the_way_of_every_arm(arm):
+    scene = load_scene("wall", arm=load_arm(arm), seed=0)
+    rotations, _ = link_frames(scene.arm, scene.start)
+    out = rotations[-2][:, 2] * (1.0 if scene.arm.tip_offset[2] >= 0.0 else -1.0)
+    np.testing.assert_allclose(out, [1.0, 0.0, 0.0], rtol=0, atol=2e-3)
+    np.testing.assert_array_equal(load_scene("wall", arm=load_arm(arm), seed=0).target, scene.target)
+
+
+def test_an_arm_without_a_start_is_told_so():
+    arm = load_arm("panda")
+    stiff = [
+        dataclasses.replace(joint, lower=home - 0.6, upper=home + 0.6)
+        for joint, home in zip(arm.joints, arm.home, strict=True)
+    ]
+    with pytest.raises(SceneError, match=r"no posture of arm 'panda' was found .*; give target.start"):
+        make_scene(read_scene("wall"), dataclasses.replace(arm, joints=tuple(stiff)), 0)
