@@ -90,8 +90,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     kinds = actions.add_parser("kinds", help="list the kinds of faults in a schedule and their keys")
     kinds.set_defaults(act=lambda options: print(kinds_table(load_arm(options.arm)), end=""))
-    for parser_of_arm in (send, publish, kinds):
-        parser_of_arm.add_argument("--arm", default=DEFAULT_ARM, help="the stack's: a name, or a file (default: iiwa14)")
+    for of_arm in (send, publish, kinds):
+        of_arm.add_argument("--arm", default=DEFAULT_ARM, help="the stack's: a name, or a file (default: iiwa14)")
     return parser
 
 
