@@ -258,7 +258,7 @@ class Recording:
         return found
 
     def _read_status(self, message: Any) -> SafetyStatus:
-        return safety_status(message, self._arm)
+        return safety_status(message, self.arm)
 
     def _find_events(self) -> tuple[Event, ...]:
         events = [
