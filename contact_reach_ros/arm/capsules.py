@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import Arm, Capsule
+from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.arrays import Array
 
@@ -73,11 +74,18 @@ def segment_distances(first: tuple[Array, Array], second: tuple[Array, Array]) -
 
 @functools.cache
 def self_pairs(arm: Arm) -> tuple[tuple[int, int], ...]:
-    """Indices into `shapes` of the pairs that can touch, found once for each arm.
+    """Indices into `shapes` of the pairs that can touch, found once for each arm: no tool without a shape changes them.
 
     Left out are pairs that overlap at home, those that no posture within the limits brings near each other, and those
     whose distance a single joint changes: that joint's limits keep them apart, whatever the capsules' coarse ends do.
     """
+    return _touching(
+        dataclasses.replace(arm, inertia_sets={}, tip_offset=(0.0, 0.0, 0.0), tip_rotation=PARALLEL, reach=0.0)
+    )
+
+
+@functools.cache
+def _touching(arm: Arm) -> tuple[tuple[int, int], ...]:
     random = np.random.default_rng(0)
     postures = random.uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
     near = pair_distances(arm, postures).min(axis=0) < _NEAR
