@@ -24,8 +24,9 @@ from contact_reach_ros.experiments.latency import LatencyTask, measure_latencies
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.output import Report, percentiles, say, write_report
 from contact_reach_ros.experiments.recorded_runs import RecordedRuns, RecordingPlanner, record_runs
-from contact_reach_ros.experiments.rollout_times import measure_rollouts
+from contact_reach_ros.experiments.rollout_times import measure_rollouts, typical
 from contact_reach_ros.experiments.scaling import measure_scaling, plot_scaling
+from contact_reach_ros.experiments.solver_limit import limit_table, measure_limit
 from contact_reach_ros.experiments.workers import local_workers
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
@@ -76,6 +77,8 @@ class PlannerBench:
     repetitions: int = 3
     cold_plans: int = 20
     settings: PlanningSettings = dataclasses.field(default_factory=lambda: PlanningSettings(deadline=0.0))
+    limit: bool = False
+    """Whether to measure how near a solver step comes to what the core can do, and nothing else."""
 
     @classmethod
     def quick(cls, scenes: tuple[str, ...], seed: int) -> PlannerBench:
@@ -101,7 +104,8 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
         report["scaling"] = measure_scaling(load_arm(), settings, ImpedanceSettings(), load_budget().permitted_force)
         plot_scaling(report["scaling"], plot)
     report["machine"] = {**machine(), "seed": bench.seed}
-    print(_table(report, [read_scene(name).name for name in bench.scenes]))
+    names = [read_scene(name).name for name in bench.scenes]
+    print(limit_table(report, names) if bench.limit else _table(report, names))
     write_report(report, file)
     return report
 
@@ -111,6 +115,11 @@ def _bench_scene(bench: PlannerBench, name: str) -> Report:
     gains, permitted_force = ImpedanceSettings(), options.budget.permitted_force
     planner = RecordingPlanner(load_arm(), settings, gains, permitted_force, sphere_capacity(scene_file))
     planner.warm_up(say)
+    if bench.limit:
+        runs = record_runs(planner, scene_file, 1, bench.seed, options)
+        solve = typical(runs)
+        say(f"{scene_file.name}: a solver step and its limit")
+        return {"limit": measure_limit(planner.solver, solve.problem, solve.state)}
     say(f"{scene_file.name}: closed-loop runs")
     runs = record_runs(planner, scene_file, bench.plans, bench.seed, options, bench.episodes)
     report = _plan_times(runs)

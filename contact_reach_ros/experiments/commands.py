@@ -6,6 +6,7 @@ Only options that are given are passed on, by their names: the defaults are thos
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -77,6 +78,9 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         help="Brax's pipelines to compare with; each takes a minute to compile (default: all)",
     )
     planner.add_argument("--quick", action="store_true", help="show that it runs, with a tiny budget")
+    planner.add_argument(
+        "--limit", action="store_true", help="instead, a solver step against what the core can do, part by part"
+    )
     planner.add_argument(
         "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
     )
@@ -186,6 +190,7 @@ def _planner(
     scenes: list[str] | None = None,
     seed: int = 0,
     quick: bool = False,
+    limit: bool = False,
     file: Path | None = None,
     plot: Path | None = None,
     **options: Any,
@@ -195,6 +200,7 @@ def _planner(
 
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
+    bench = dataclasses.replace(bench, limit=limit)
     bench_planner(bench, file, plot)
 
 

@@ -131,6 +131,7 @@ class RecordingPlanner(RecedingHorizonPlanner):
 
         super().__init__(arm, settings, gains, permitted_force, capacity, solver=make)
         self.arm = arm
+        self.solver: HybridSolver[Problem] = self._recording
         self.recorded: list[RecordedPlan] = []
 
     def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:

@@ -33,7 +33,7 @@ def measure_rollouts(
 
     All are measured in turns, `rounds` times, on a problem of the runs.
     """
-    arm, problem = runs.scenes[0].arm, _typical(runs).problem
+    arm, problem = runs.scenes[0].arm, typical(runs).problem
     bounds = action_bounds(arm, settings, gains)
     obstacles = problem.obstacles
     spheres = 0 if obstacles is None else obstacles.radius.shape[0]
@@ -104,7 +104,7 @@ def _mujoco_batch(scene: Scene, candidates: int, duration: float, threads: int) 
     return lambda: mujoco.rollout.rollout(model, workers, states, control)
 
 
-def _typical(runs: RecordedRuns) -> Solve:
+def typical(runs: RecordedRuns) -> Solve:
     """A recorded solve with contact if there is one, from the middle of the runs."""
     warm = runs.warm
     touching = [recorded for recorded in warm if recorded.touches]

@@ -1,4 +1,4 @@
-"""Brax's own pipelines as the transfer function. Compiling one takes long, so only the spring pipeline is run."""
+"""Brax's own pipelines as the transfer function. They are slow to compile and to run: most of these tests are slow."""
 
 import dataclasses
 
@@ -14,14 +14,20 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.law import Reference as LawReference
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.cost import Objective
+from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.problem import Problem, Rollout
+from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
 from contact_reach_ros.planning.transfer.brax_spheres import network
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import arm_model
+from contact_reach_ros.stack import Stack, make_planner
+from contact_reach_ros.world.generate import load_scene
 from contact_reach_ros.world.spheres import Spheres
+from contact_reach_ros.world.task import Goal
 
 LANES = 8
 BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
@@ -96,3 +102,22 @@ def test_network_of_the_spheres_is_recovered():
     expected = [[160.0, -60.0, 0.0], [-60.0, 150.0, -40.0], [0.0, -40.0, 120.0]]
     np.testing.assert_allclose(stiffness, expected, rtol=1e-4, atol=0.02)
     np.testing.assert_allclose(damping, np.diag([5.0, 6.0, 7.0]), rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_generalized_pipeline_makes_whole_plans_that_lead_around_the_ball():
+    """In lockstep, with a small budget: ten plans a second of three solver steps with 16 candidates each."""
+    planning = dataclasses.replace(
+        PlanningSettings(deadline=0.0),
+        pipeline="generalized",
+        population=16,
+        elite=4,
+        line_search_points=16,
+        max_steps=3,
+    )
+    scene = load_scene("ball", arm=ARM, seed=0)
+    planner = make_planner(ARM, 1, planning=planning, replanning=ReplanningSettings(period=0.1))
+    result = Stack(scene, planner=planner).run(Goal(scene.target), timeout=8.0)
+    assert result.reached, result
+    assert result.max_contact_force < load_budget().permitted_force
+    assert result.plans > 30

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any, Generic, NamedTuple
 
 import jax
@@ -156,6 +157,23 @@ class HybridSolver(Generic[ProblemT]):
             jax.block_until_ready(self._advance(problem, search, (self._seed, 0, repetition)))
             times.append(time.perf_counter() - begin)
         return min(times[1:])
+
+    def parts(self, problem: ProblemT, state: Distribution) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
+        """Functions of one step with a line search, in their order, and arguments that they get; for measuring them."""
+        draw, search = (self._seed, 0, 0), _search_from(state, 0.0)
+        sample = self._sample(search.distribution, draw)
+        costs = self._costs(problem, sample.repaired)
+        elite = self._select(search.distribution, sample, costs, None)
+        points = self._line(problem, elite.mean, (*draw, 0))
+        conclusion = (search, sample, elite, points, self._costs(problem, points))
+        return {
+            "sample": (self._draw_sample, (search.distribution, draw)),
+            "candidates": (self._cost, (problem, sample.repaired)),
+            "select": (self._select_elite, (search.distribution, sample, costs, None)),
+            "gradient": (self._points_on_line, (problem, elite.mean, (*draw, 0))),
+            "line search": (self._cost, (problem, points)),
+            "update": (self._update_search, conclusion),
+        }
 
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18."""

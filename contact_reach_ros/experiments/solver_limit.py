@@ -1,0 +1,160 @@
+"""How near a solver step comes to what one core can do: its arithmetic, counted, at speeds that are measured beside it.
+
+The arithmetic is counted in the traced programs, operation by operation and as often as loops run, by kinds that
+processors treat alike. The speed of each kind is that of an XLA program that does nothing else, on arrays that stay in
+the first cache. The limit is the time that the counted operations would take at these speeds: no memory is read,
+nothing is computed twice, and nothing waits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contact_reach_ros.experiments.output import Report, table
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
+
+_KINDS = {
+    "add": ("add", "sub", "neg", "add_any", "reduce_sum", "cumsum"),
+    "multiply": ("mul", "square", "integer_pow"),
+    "compare": ("max", "min", "abs", "select_n", "clamp", "lt", "le", "gt", "ge", "eq", "ne", "reduce_max", "sign"),
+    "divide": ("div", "rem"),
+    "root": ("sqrt", "rsqrt"),
+    "sine": ("sin", "cos"),
+    "exponential": ("exp", "expm1", "log", "log1p", "erf_inv", "pow", "logistic"),
+}
+"""Operations of JAX by kind; others move data, or are too few to matter."""
+
+_SIZE, _CHAIN, _LOOPS = 1024, 64, 200
+"""Numbers in an array of the measured programs, operations on each in a round, and rounds."""
+
+
+def count_operations(function: Callable[..., Any], *arguments: Any) -> Counter[str]:
+    """Operations on single numbers by kind, multiply-adds of matrix products as one multiply and one add each."""
+    return _count(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def _count(jaxpr: Any) -> Counter[str]:
+    total: Counter[str] = Counter()
+    single: set[Any] = set()
+    for equation in jaxpr.eqns:
+        name, parameters = equation.primitive.name, equation.params
+        times = parameters["length"] if name == "scan" else 1
+        if name == "dot_general":
+            axes, shape = parameters["dimension_numbers"][0][0], equation.invars[0].aval.shape
+            size = int(np.prod([shape[axis] for axis in axes]) * equation.outvars[0].aval.size)
+            total.update({"multiply": size, "add": size})
+        if name == "broadcast_in_dim" and equation.invars[0].aval.size == 1:
+            single.update(equation.outvars)
+        kind = next((kind for kind, names in _KINDS.items() if name in names), None)
+        if kind == "divide" and (equation.invars[1].aval.size == 1 or equation.invars[1] in single):
+            kind = "scale"
+        if kind is not None:
+            # Sums count their terms.
+            source = equation.invars[0] if name.startswith(("reduce", "cumsum")) else equation.outvars[0]
+            size = source.aval.size * (abs(parameters["y"]) - 1 if name == "integer_pow" else 1)
+            total[kind] += int(size)
+        for value in parameters.values():
+            for inner in value if isinstance(value, list | tuple) else [value]:
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    total.update({kind: times * count for kind, count in _count(inner).items()})
+    return total
+
+
+_CHAINS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
+    "add": lambda x, one: x + one,
+    "multiply": lambda x, one: x * one,
+    "compare": lambda x, one: jnp.maximum(x, one),
+    # By one number, as in `lanes.make_keep`: compilers multiply by its inverse.
+    "scale": lambda x, one: x / one,
+    "divide": lambda x, one: one / x,
+    "root": lambda x, one: jnp.sqrt(x),
+    "sine": lambda x, one: jnp.sin(x),
+    "exponential": lambda x, one: jnp.exp(x),
+}
+
+
+def operation_times(repetitions: int = 5) -> dict[str, float]:
+    """Least time of one operation of each kind, s, on this core now."""
+    return {kind: _time_of(operation, repetitions) for kind, operation in _CHAINS.items()}
+
+
+def _time_of(operation: Callable[[jax.Array, jax.Array], jax.Array], repetitions: int) -> float:
+    def run(x: jax.Array, one: jax.Array) -> jax.Array:
+        def round_(_: int, x: jax.Array) -> jax.Array:
+            for index in range(_CHAIN):
+                # Different numbers, or XLA would join the operations.
+                x = operation(x, one[index % len(one)])
+            return x
+
+        return jax.lax.fori_loop(0, _LOOPS, round_, x)
+
+    program = jax.jit(run)
+    x, one = np.full(_SIZE, 0.7, np.float32), np.linspace(1.0, 1.0 + 1e-6, 8, dtype=np.float32)
+    jax.block_until_ready(program(x, one))
+    return min(_seconds(program, x, one) for _ in range(repetitions)) / (_SIZE * _CHAIN * _LOOPS)
+
+
+def _seconds(program: Callable[..., Any], *arguments: Any) -> float:
+    begin = time.perf_counter()
+    jax.block_until_ready(program(*arguments))
+    return time.perf_counter() - begin
+
+
+def measure_limit(solver: HybridSolver[Any], problem: Any, state: Any, rounds: int = 40) -> Report:
+    """A step of Algorithm 1 against its limit, and where the rest goes, by parts; times are the least of all rounds.
+
+    The speeds of the core, the parts and whole steps are measured in turns, and the least times are those of a core
+    that nobody else used.
+    """
+    calls = solver.parts(problem, state)
+    programs = {name: jax.jit(function) for name, (function, _) in calls.items()}
+    empty = jax.jit(lambda *arguments: jnp.zeros(()))
+    speeds = [operation_times()]
+    times: dict[str, list[float]] = {name: [] for name in (*calls, "dispatch", "step")}
+    for number in range(rounds):
+        if number % 10 == 9:
+            speeds.append(operation_times(2))
+        for name, (_, arguments) in calls.items():
+            times[name] += [_seconds(programs[name], *arguments) for _ in range(3)]
+        _, arguments = calls["select"]
+        times["dispatch"] += [len(calls) * _seconds(empty, *arguments) for _ in range(3)]
+        times["step"].append(solver.warm_up(problem, state))
+    speed = {kind: min(each[kind] for each in speeds) for kind in _CHAINS}
+    counts = {name: count_operations(function, *arguments) for name, (function, arguments) in calls.items()}
+    limits = {name: sum(count * speed[kind] for kind, count in counts[name].items()) for name in calls}
+    least = {name: min(values) for name, values in times.items()}
+    return {
+        "ns_per_operation": {kind: 1e9 * value for kind, value in speed.items()},
+        "parts": {
+            name: {"operations": dict(counts[name]), "limit_ms": 1e3 * limits[name], "ms": 1e3 * least[name]}
+            for name in calls
+        },
+        "limit_ms": 1e3 * sum(limits.values()),
+        "step_ms": 1e3 * least["step"],
+        "ratio": least["step"] / sum(limits.values()),
+        "dispatch_ms": 1e3 * least["dispatch"],
+        "between_ms": 1e3 * (least["step"] - sum(least[name] for name in calls)),
+    }
+
+
+def limit_table(report: Report, scenes: Sequence[str]) -> str:
+    """A table in Markdown: one row for each part of a step."""
+    rows = []
+    for name in scenes:
+        found = report[name]["limit"]
+        for part, row in found["parts"].items():
+            operations = sum(row["operations"].values()) / 1e6
+            ratio = row["ms"] / row["limit_ms"]
+            rows.append([name, part, f"{operations:.2f}", f"{row['limit_ms']:.2f}", f"{row['ms']:.2f}", f"{ratio:.1f}"])
+        rows.append([name, "Python and copies between the parts", "", "", f"{found['between_ms']:.2f}", ""])
+        total = f"{found['limit_ms']:.2f}", f"{found['step_ms']:.2f}", f"{found['ratio']:.1f}"
+        rows.append([name, f"whole step; six empty programs: {found['dispatch_ms']:.2f} ms", "", *total])
+    return table(["scene", "part", "million operations", "limit, ms", "least, ms", "ratio"], rows)

@@ -1,0 +1,43 @@
+"""What is counted as the arithmetic of a solver step."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from contact_reach_ros.cli import main
+from contact_reach_ros.experiments.solver_limit import count_operations, operation_times
+
+X = np.ones((3, 50), np.float32)
+
+
+def test_operations_are_counted_by_kind_and_as_often_as_loops_run():
+    def function(x: jax.Array) -> jax.Array:
+        x, _ = jax.lax.scan(lambda x, _: (jnp.sin(x) * x + 1.0, None), x, length=4)
+        return jnp.sqrt(x @ x.T / 2.0)
+
+    found = count_operations(function, X)
+    assert found == {"sine": 600, "multiply": 600 + 450, "add": 600 + 450, "scale": 9, "root": 9}
+
+
+def test_count_is_that_of_xla_where_there_is_no_loop():
+    def function(x: jax.Array) -> jax.Array:
+        return jnp.maximum(x * x - 2.0, x) / (x + 3.0)
+
+    counted = sum(count_operations(jax.jit(function), X).values())
+    assert counted == jax.jit(function).lower(X).cost_analysis()["flops"]
+
+
+def test_roots_take_longer_than_sums_and_sines_longer_than_roots():
+    times = operation_times(2)
+    assert 0.0 < times["add"] < times["root"] < times["sine"] < 1e-7
+
+
+@pytest.mark.slow
+def test_a_step_takes_longer_than_its_limit(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["bench", "planner", "--limit", "--quick", "--scene", "free", "--json", str(tmp_path / "report.json")])
+    assert end.value.code == 0
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if line.startswith("| free |")]
+    whole = rows[-1]
+    assert "whole step" in whole[2] and float(whole[6]) > 1.0 and len(rows) == 8
