@@ -98,7 +98,7 @@ class AdapterNode(ManagedNode):
     def change_arm(self, arm: Arm) -> None:
         """Stop an arm with another tool from now on."""
         other = self._make_guard(arm)
-        self.inbox.call(lambda: self._guard.change_tool(other))
+        self.call_soon(lambda: self._guard.change_tool(other))
 
     def activate(self) -> None:
         """Wait for the first command."""

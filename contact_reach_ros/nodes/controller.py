@@ -112,7 +112,7 @@ class ControllerNode(ManagedNode):
 
     def change_arm(self, arm: Arm) -> None:
         """Control an arm with another tool, once it is held at rest."""
-        self.inbox.call(self._controller.check_tool)
+        self.call_soon(self._controller.check_tool)
         # Beside the loop, which has no time for it.
         other, watched = self._make_controller(arm), RobotModel(arm) if self._watch else None
 
@@ -121,7 +121,7 @@ class ControllerNode(ManagedNode):
             self.note_call(Taken.TOOL)
             self._controller.change_tool(other, watched)
 
-        self.inbox.call(change)
+        self.call_soon(change)
 
     def on_change(self) -> None:
         """Compare the new tool with those of the others."""

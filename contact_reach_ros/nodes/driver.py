@@ -142,7 +142,7 @@ class DriverNode(ManagedNode):
 
     def change_arm(self, arm: Arm) -> None:
         """Let the robot carry another tool: what nodes believe is their own affair."""
-        self.inbox.call(lambda: self.robot.plant.change_tool(arm))
+        self.call_soon(lambda: self.robot.plant.change_tool(arm))
         self._description.publish(String(data=build_urdf(arm)))
 
     def turn(self) -> None:

@@ -78,7 +78,7 @@ class ObserverNode(ManagedNode):
             self.note_call(Taken.TOOL)
             self._observer.change_model(model)
 
-        self.inbox.call(change)
+        self.call_soon(change)
 
     def files(self) -> Mapping[str, Settings]:
         """The contact budget."""

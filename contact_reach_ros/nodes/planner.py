@@ -144,7 +144,7 @@ class PlannerNode(ManagedNode):
 
     def change_arm(self, arm: Arm) -> None:
         """Plan for an arm with another tool; goals are refused until the solver is compiled for it."""
-        self.inbox.call(lambda: self._part_with_tool(arm))
+        self.call_soon(lambda: self._part_with_tool(arm))
         if self._core is not None:
             threading.Thread(target=self._compile_for, args=[arm], name="compiler", daemon=True).start()
 

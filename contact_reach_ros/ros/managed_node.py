@@ -183,6 +183,15 @@ class ManagedNode(LifecycleNode):
         Raises `InputError` unless the arm is at rest, without a goal.
         """
 
+    def call_soon(self, task: Callable[[], None]) -> None:
+        """Let the loop run a task now or never: `TimeoutError` where it is too busy, and then the task is not run."""
+        given_up = threading.Event()
+        try:
+            self.inbox.call(lambda: None if given_up.is_set() else task())
+        except TimeoutError:
+            given_up.set()
+            raise
+
     def configure(self) -> None:
         """Prepare what must be ready before the first message; may raise."""
 
@@ -266,7 +275,7 @@ class ManagedNode(LifecycleNode):
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
             self._change(parameters)
-        except ContactReachError as error:
+        except (ContactReachError, TimeoutError) as error:
             self.refuse("parameters", error)
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -286,7 +295,7 @@ class ManagedNode(LifecycleNode):
                 self.change_arm(arm)
                 self.arm = arm
             self.on_change()
-        except ContactReachError:
+        except (ContactReachError, TimeoutError):
             self.settings = before
             raise
         if self.running:
