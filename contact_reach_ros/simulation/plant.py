@@ -257,6 +257,10 @@ class Plant:
             model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
             model.geom_sameframe[model.geom_bodyid == body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
             model.site_sameframe[model.site_bodyid == body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        model.site_pos[self._flange], model.site_quat[self._flange] = (
+            other.site(TIP_SITE).pos,
+            other.site(TIP_SITE).quat,
+        )
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def scale_foam(self, factor: float) -> None:

@@ -1,6 +1,7 @@
 """A tool at the flange: what it makes of the arm, and which values are none."""
 
 import re
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -10,7 +11,7 @@ from arm_simulation import ARM, HOME, TOOL, WITH_TOOL, random_states
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaternion, tensor_matrix
-from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.mjcf import build_mjcf, numbers
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
@@ -43,13 +44,10 @@ def test_the_tip_is_where_the_tool_has_it(bare):
 
 def test_weight_and_inertia_are_those_of_a_body_fixed_to_the_flange(bare):
     """MuJoCo attaches it by itself; nothing is composed there."""
-    flange = f'<body name="{bare.tip_frame}"'
-    xml = build_mjcf(bare)
-    place = xml.index("/>", xml.index('site name="flange"')) + 2
-    numbers = [" ".join(map(repr, values)) for values in (CENTER, TENSOR)]
-    body = f'<inertial mass="{MASS}" pos="{numbers[0]}" fullinertia="{numbers[1]}"/>'
-    assert flange in xml
-    model = mujoco.MjModel.from_xml_string(xml[:place] + body + xml[place:])
+    root = ElementTree.fromstring(build_mjcf(bare))
+    flange = root.find(f".//body[@name='{bare.tip_frame}']")
+    ElementTree.SubElement(flange, "inertial", mass=repr(MASS), pos=numbers(CENTER), fullinertia=numbers(TENSOR))
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
     data, composed = mujoco.MjData(model), RobotModel(bare.with_tool(TOOL))
     mass_matrix = np.zeros((ARM.n, ARM.n))
     for q, v in zip(*random_states(50), strict=True):

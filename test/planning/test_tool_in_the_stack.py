@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from arm_simulation import ARM, WITH_TOOL
 from planning_helpers import SMALL
 
@@ -24,6 +25,7 @@ def stack_for(arm: Arm) -> Stack:
     return Stack(scene, robot=robot, planning=SMALL)
 
 
+@pytest.mark.slow
 def test_with_the_tool_known_its_tip_reaches_the_goal_and_rests_without_residual():
     stack = stack_for(WITH_TOOL)
     result = stack.run(Goal(stack.scene.target), linger=0.001 * REST_MS)
