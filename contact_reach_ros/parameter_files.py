@@ -80,7 +80,7 @@ def arm_in(values: Mapping[str, Any], source: str) -> Arm:
         # As nodes report an arm that the package does not have.
         arm = arm_of_table(values[ROBOT_TABLE], f"{source}: {ROBOT_TABLE}")
     else:
-        arm = load_arm(str(ROBOT.check(values.get(ROBOT.name, ROBOT.default), f"{source}: {ROBOT.name}")))
+        arm = checked_arm(values.get(ROBOT.name, ROBOT.default), f"{source}: {ROBOT.name}")
     return arm.with_tool(make_settings(values, EVERY_SECTION, arm, source)[TOOL])
 
 
@@ -170,6 +170,21 @@ def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
                 raise SettingsError(f"{file}: {pattern}.ros__parameters is not a mapping of keys to values")
             found.update(_flatten(parameters))
     return found
+
+
+def checked_arm(value: Any, where: str) -> Arm:
+    """The arm that a value of the parameter `robot` stands for.
+
+    Raises
+    ------
+    SettingsError
+        Naming `where` it is, if there is no such arm, or its file is refused.
+    """
+    name = str(ROBOT.check(value, where))
+    try:
+        return load_arm(name)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from error
 
 
 def robot_in(file: Path) -> str:

@@ -497,7 +497,8 @@ def make_planner(
         core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, solver=solver)
     unexpected_contact = unexpected_contact or UnexpectedContactSettings()
     reaction = ContactReaction(arm, unexpected_contact, planning.contact_stiffness, sees_spheres)
-    return Planner(arm, core, reaction, replanning or ReplanningSettings())
+    task = (impedance or ImpedanceSettings()).task
+    return Planner(arm, core, reaction, replanning or ReplanningSettings(), task=task)
 
 
 def _check_type(name: str, value: object, *kinds: type) -> None:

@@ -20,9 +20,6 @@ SHARED = (ROBOT, *(f"tool.{entry.name}" for entry in Tool.declared()), ROBOT_DIG
 SHARED_SECTION = "impedance."
 """Prefix of the gains, which the planner has to know to predict what the controller will do."""
 
-TASK = SHARED_SECTION + "task"
-"""What law (1) controls, among them."""
-
 
 def plan_basis(arm: Arm, gains: ImpedanceSettings) -> dict[str, Any]:
     """What plans are made for, by the full names of the settings: the arm, and the gains that follow them."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from contact_reach_ros.settings import Sections, Settings, setting
 
-TASK_ROWS = {"pose": 6, "position": 3}
+POSE = "pose"
+TASK_ROWS = {POSE: 6, "position": 3}
 """Rows of Δx that law (1) controls, by the setting `task`: translation and rotation, or translation alone."""
 
 
@@ -15,7 +16,7 @@ class ImpedanceSettings(Settings):
     """Gains of the laws (1) and (2), which multiply the identity as in the paper's Section V, and their references."""
 
     task: str = setting(
-        "pose", "what law (1) controls of the tip; the rest is left to the null space", choices=tuple(TASK_ROWS)
+        POSE, "what law (1) controls of the tip; the rest is left to the null space", choices=tuple(TASK_ROWS)
     )
     task_stiffness: float = setting(880.0, "Kp of law (1)", unit="1/s²", minimum=0.0, maximum=2500.0)
     task_damping: float = setting(100.0, "Kd of law (1)", unit="1/s", minimum=0.0, maximum=300.0)

@@ -139,7 +139,7 @@ class PlannerNode(ManagedNode):
         settings: PlannerNodeSettings = self.settings[""]
         stiffness = self.settings["planning"].contact_stiffness
         reaction = ContactReaction(arm, self.settings["unexpected_contact"], stiffness, settings.max_spheres > 0)
-        self._planner = Planner(arm, None, reaction, settings, self._latency, self.refuse)
+        self._planner = Planner(arm, None, reaction, settings, self._latency, self.refuse, self._gains.task)
         self._markers = PlanMarkers(arm, self._budget.permitted_force)
 
     def change_arm(self, arm: Arm) -> None:

@@ -11,7 +11,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.agreement import TASK
+from contact_reach_ros.control.settings import POSE
 from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
@@ -102,6 +102,7 @@ class Planner:
         settings: ReplanningSettings,
         latency: Callable[[], int] | None = None,
         refuse: Callable[[str, InputError], None] | None = None,
+        task: str = POSE,
     ) -> None:
         """Plan with `core`.
 
@@ -117,8 +118,11 @@ class Planner:
             Called for a goal that waited for a joint state and proved unreachable, and for plans that are due while it
             is not known where the obstacles are, whose errors are raised by default; also for a goal that is withdrawn
             because the joint states paused.
+        task
+            What law (1) controls, see `ImpedanceSettings`; the orientation of goals counts with 'pose' only.
         """
         self.core = core
+        self._task = task
         self.reaction = reaction
         self.goal: Target | None = None
         self.plan: Plan | None = None
@@ -279,7 +283,7 @@ class Planner:
             If the goal cannot be reached, see `Task.resolve` and `check_goal`.
         """
         target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1])
-        if getattr(self.core, "basis", {}).get(TASK) == "position":
+        if self._task != POSE:
             target = Target(target.position)
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target

@@ -224,7 +224,7 @@ class RecordedPlans:
         obstacles = ObstacleMarkerReader(arm.base_frame, AssumedMaterial.of(settings[""]))
         stiffness, sees = settings["planning"].contact_stiffness, settings[""].max_spheres > 0
         reaction = ContactReaction(arm, settings["unexpected_contact"], stiffness, sees)
-        planner = Planner(arm, None, reaction, settings[""], refuse=lambda *_: None)
+        planner = Planner(arm, None, reaction, settings[""], refuse=lambda *_: None, task=settings["impedance"].task)
         requests: dict[int, Request] = {}
         for row in self._inputs.intakes["planner"]:
             if row.what is Taken.TOOL:

@@ -14,12 +14,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.parameter_files import (
     ROBOT,
     check_name,
     check_parameters_in,
+    checked_arm,
     full_name,
     known_parameters,
     make_settings,
@@ -103,7 +103,7 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     SettingsError
         Naming file and key, and what is accepted.
     """
-    arm = load_arm(str(early_value(arguments, node_name, ROBOT)))
+    arm = checked_arm(early_value(arguments, node_name, ROBOT), f"parameter {ROBOT.name} of {node_name}")
     known = known_parameters(sections, arm)
     for option, value in itertools.pairwise(arguments):
         if option == "--params-file":

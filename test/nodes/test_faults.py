@@ -139,7 +139,7 @@ def test_processes_of_one_namespace_can_be_chosen(tmp_path):
 
 def test_rate_and_time_are_checked():
     with pytest.raises(InputError, match="rate 0"):
-        tool.disturb(topics.COMMANDS.name, "nan", 0.0, 1.0)
+        tool.disturb(topics.COMMANDS.name, "nan", 0.0, 1.0, ARM)
 
 
 def call(env: dict[str, str], *arguments: str) -> subprocess.CompletedProcess:

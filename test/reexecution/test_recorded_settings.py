@@ -28,7 +28,7 @@ class TestArm:
             recorded_arm({"controller": {"robot": ARM.name, "robot digest": "0123"}})
 
     def test_one_that_this_version_does_not_have_is_named(self):
-        with pytest.raises(BagError, match="settings of the observer: robot = 'iiwa15': expected one of iiwa14"):
+        with pytest.raises(BagError, match="settings of the observer: robot: arm 'iiwa15' is unknown"):
             recorded_arm({"controller": {}, "observer": {"robot": "iiwa15"}})
 
     def test_an_arm_that_the_package_lacks_is_in_the_settings_themselves(self):
