@@ -19,7 +19,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.brax_pipeline import ClosedLoop
 from contact_reach_ros.planning.collisions import nearest_bodies
-from contact_reach_ros.planning.objectives import action_bounds, make_objective
+from contact_reach_ros.planning.objectives import knot_bounds, make_objective, planned
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -36,7 +36,7 @@ NAME = "contact_reach"
 
 
 class ContactReach(PipelineEnv):
-    """One step is one knot of a plan: an action in [-1, 1]^(6 + n), in units of γ, moves x_d and q_d for 0.1 s.
+    """One step is one knot of a plan: an action, Δx and Δq in units of γ, moves x_d and q_d for 0.1 s.
 
     Observed are joint angles, speeds, tip position, the way to the target, and the contact force on each link. The
     reward is the knot's share of −cost (5), so that the return of an episode is −cost of the whole motion as one plan.
@@ -76,7 +76,8 @@ class ContactReach(PipelineEnv):
         settings = dataclasses.replace(settings, pipeline="closed_loop", null_space="planned", horizon=1)
         self._backend, self._pipeline = NAME, ClosedLoop(make_objective(arm, settings, gains))
         self._kernel = self._pipeline.kernel(sys)
-        self._bounds = jnp.asarray(action_bounds(arm, settings, gains), jnp.float32)
+        self._planned = np.flatnonzero(planned(arm, settings, gains))
+        self._bounds = jnp.asarray(knot_bounds(arm, settings)[self._planned], jnp.float32)
         self._start = jnp.zeros(sys.q_size()).at[self._kernel.hinges].set(scene.start)
         self._spread, self._knot_duration = start_spread, settings.knot_duration
         weights = term_weights(settings)
@@ -98,7 +99,7 @@ class ContactReach(PipelineEnv):
 
     @property
     def action_size(self) -> int:
-        """Δx (6) and Δq (n) in units of their bounds γ."""
+        """The variables of a knot, in units of their bounds γ: Δx and Δq, without what has no effect."""
         return len(self._bounds)
 
     def reset(self, rng: jax.Array) -> State:
@@ -117,9 +118,10 @@ class ContactReach(PipelineEnv):
         return State(pipeline_state, observation, zero, zero, metrics, info)
 
     def step(self, state: State, action: jax.Array) -> State:
-        """One knot; `action` (6 + n,) is clipped to [-1, 1]."""
+        """One knot; `action` is clipped to [-1, 1]."""
         before, objective = state.pipeline_state, self._kernel.objective
-        action = jnp.clip(action, -1.0, 1.0) * self._bounds
+        scaled = jnp.clip(action, -1.0, 1.0) * self._bounds
+        action = jnp.zeros(objective.system.action_size).at[self._planned].set(scaled)
         after = self.pipeline_step(before, action)
         q = jnp.stack([before.q, after.q])[:, self._kernel.hinges, None]
         tip, capsules = objective.end_of_knot(self._problem, q[1])

@@ -124,9 +124,9 @@ class PlanningSettings(Settings):
         "hybrid", "Algorithm 1, or the same without or with many gradient steps", choices=tuple(SOLVERS)
     )
     gradient_steps: int = setting(10, "gradient steps per solver step of 'gradient'", minimum=2, maximum=100)
-    population: int = setting(200, "k: candidates per step", minimum=4, maximum=5000)
-    elite: int = setting(50, "k_top: candidates averaged into the next mean", minimum=2, maximum=2500)
-    line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=5000)
+    population: int = setting(200, "k: candidates per step", minimum=4, maximum=20000)
+    elite: int = setting(50, "k_top: candidates averaged into the next mean", minimum=2, maximum=10000)
+    line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=20000)
     sampling: str = setting(
         "bounds",
         "initial standard deviations: a share of γ, or 0.01 for every variable as in line 1 of Algorithm 1",

@@ -9,6 +9,7 @@ import pytest
 from arm_simulation import ARM
 from brax import envs
 from brax.envs.wrappers import training
+from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.errors import SettingsError
@@ -103,6 +104,14 @@ def test_environment_is_known_to_brax():
     made = envs.get_environment(NAME, scene=load_scene("free", arm=ARM))
     assert isinstance(made, ContactReach) and made.action_size == 6 + ARM.n
     assert made.backend == NAME
+
+
+def test_action_has_what_a_plan_of_the_arm_has():
+    """Six joints that follow a pose leave none to the null space."""
+    made = ContactReach(load_scene("free", arm=SIX_AXIS))
+    assert made.action_size == 6
+    state = jax.eval_shape(made.step, made.reset(jax.random.key(0)), jnp.zeros(made.action_size))
+    assert state.obs.shape == (2 * SIX_AXIS.n + 6 + len(SIX_AXIS.contact_links),)
 
 
 def test_spheres_that_are_joined_keep_their_network(env):
