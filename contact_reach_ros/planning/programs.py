@@ -1,10 +1,10 @@
 """Compiled programs that are kept whole between processes: where one is known, it is neither traced nor compiled.
 
 JAX's own cache spares a process the compilation, but not the tracing and lowering before it, which take most of a
-start. Here a program is found by what it is made of: the sources of the package that it can come from, the values that
-its function holds, its arguments' shapes, JAX and the machine. A function that holds anything of unknown kind, such as
-a cost term or a solver from elsewhere, is compiled by JAX as ever. So is one that calls LAPACK, which JAX starts while
-it lowers a program.
+start. Here a program is found by what it is made of: the sources of the package, the values that its function holds,
+its arguments' shapes, JAX and the machine. A function that holds anything of unknown kind, such as a cost term or a
+solver from elsewhere, is compiled by JAX as ever. So is one that calls LAPACK, which JAX starts while it lowers a
+program.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ from contact_reach_ros.planning.terms import TERMS
 from contact_reach_ros.resources import PACKAGE, KeptFile
 
 _ROOMS = ("arm", "control", "planning")
-"""Folders of the package that programs come from, and whose sources are part of what a program is."""
-
+"""Folders of the package that the functions and types of programs come from."""
 
 _FOLDER = "programs"
 _CACHE = "jax_enable_compilation_cache"
@@ -151,12 +150,10 @@ def _surroundings() -> tuple[Any, ...]:
 
 @functools.cache
 def _sources() -> str:
-    """Digest of the sources that programs come from."""
-    package = Path(__file__).parents[1]
+    """Digest of the package's sources, all of them: constants of any may have gone into a program."""
     digest = hashlib.sha256()
-    for room in _ROOMS:
-        for file in sorted((package / room).rglob("*.py")):
-            digest.update(file.read_bytes())
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
