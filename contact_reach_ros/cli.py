@@ -120,6 +120,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_stack(reset)
 
+    identify = add(
+        "identify", _identify, "fit tool, friction and torque offsets to a motion, and write parameter files"
+    )
+    where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
+    identify.add_argument("--bag", dest="bags", type=Path, nargs="+", metavar="BAG", help=where)
+    identify.add_argument("--without", type=Path, nargs="+", metavar="BAG", help="the same of the arm without its tool")
+    identify.add_argument("--links", action="store_true", help="fit the weights of the links; the tool is as it is")
+    identify.add_argument("--output", type=Path, metavar="FILE", help="parameter file (default: identified.yaml)")
+    identify.add_argument("--parameters", type=Path, metavar="FILE", help="file whose other values it keeps")
+    _add_stack(identify)
+
     view = add("view", _view, "serve a page for browsers that shows the running stack, or a bag")
     # Without a default of its own, argparse passes on the name of the suppressed one.
     view.add_argument("bag", nargs="?", default="", metavar="BAG", help="bag to show (default: the running stack)")
@@ -226,6 +237,12 @@ def _operate(command: str, **options: Any) -> int:
     from contact_reach_ros.bringup import commands
 
     return int(getattr(commands, command)(**options))
+
+
+def _identify(**options: Any) -> int:
+    from contact_reach_ros.bringup.identify import run_identification
+
+    return run_identification(**options)
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -175,6 +175,23 @@ class Arm:
         except KeyError:
             known = ", ".join(self.inertia_sets)
             raise SettingsError(f"inertia set '{inertia_set}' is unknown; expected one of {known}") from None
+
+    def with_center_shifts(self, x: Sequence[float], y: Sequence[float]) -> Arm:
+        """The same arm with the centres of mass of all links moved in the frame of their link, (n,) m each.
+
+        A link keeps its mass and its inertia about the centre, so that the mass matrix stays positive definite. Shifts
+        in x and y are enough for any error of the weights: what the joints feel of a mass on or along the axis of the
+        next joint, they feel of a shift of the link before it.
+        """
+        if not (any(x) or any(y)):
+            return self
+
+        def shifted(inertia: Inertia, dx: float, dy: float) -> Inertia:
+            cx, cy, cz = inertia.center
+            return dataclasses.replace(inertia, center=(cx + dx, cy + dy, cz))
+
+        sets = {name: tuple(map(shifted, inertias, x, y)) for name, inertias in self.inertia_sets.items()}
+        return dataclasses.replace(self, inertia_sets=sets)
 
     def joint_index(self, name: str) -> int:
         """Index of a joint, counted from zero.

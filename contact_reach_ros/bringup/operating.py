@@ -69,6 +69,8 @@ class Operator:
         Newest values by name, of each node.
     stops
         What stopped the arm, by node.
+    settings
+        Of each node that reported them, by full name.
     """
 
     def __init__(self, node: Node) -> None:
@@ -85,8 +87,7 @@ class Operator:
         self._goal_ns = 0
         self._goal_state: GoalState | None = None
         """Of the goal with this stamp."""
-        self._orientation: str | None = None
-        """The planner's setting; None before it was heard."""
+        self.settings: dict[str, dict[str, Any]] = {}
         # Whoever sends malformed messages reports them itself.
         self._inbox = Inbox(node, lambda what, error: None)
         self._inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
@@ -130,7 +131,7 @@ class Operator:
         wanted = (_PLANNER, _CONTROLLER)
 
         def is_there() -> bool:
-            has_spoken = all(name in self.diagnostics for name in wanted) and self._orientation is not None
+            has_spoken = all(name in self.diagnostics for name in wanted) and _PLANNER in self.settings
             return has_spoken and bool(self._goals.get_subscription_count())
 
         if not self._until(lambda: bool(self._heard or self.diagnostics), _FOUND_S):
@@ -160,11 +161,12 @@ class Operator:
 
     def check_orientation(self, has_one: bool) -> None:
         """Raise `ContactReachError` if a goal has an orientation that the planner would ignore, or lacks one."""
-        if has_one == (self._orientation == POSE):
+        orientation = self.settings[_PLANNER].get("goal_orientation")
+        if has_one == (orientation == POSE):
             return
         if has_one:
             raise ContactReachError(
-                f"the planner has goal_orientation = {self._orientation}: give no --rpy, or start it with "
+                f"the planner has goal_orientation = {orientation}: give no --rpy, or start it with "
                 "goal_orientation = pose"
             )
         raise ContactReachError("the planner has goal_orientation = pose: give the orientation with --rpy")
@@ -175,9 +177,7 @@ class Operator:
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self._why_stopped()}; first: contact-reach reset")
         before = self.diagnostics[_CONTROLLER]
-        stamp = self._node.get_clock().now().to_msg()
-        self._goal_ns, self._goal_state = nanoseconds(stamp), None
-        self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, stamp, rotation))
+        self.send_goal(position, rotation)
         judged: list[Outcome] = []
 
         def is_judged() -> bool:
@@ -189,6 +189,12 @@ class Operator:
         if self.stops:
             return Outcome(False, f"stopped: {self._why_stopped()}")
         return judged[-1] if judged else Outcome(False, "nothing followed the goal: contact-reach doctor")
+
+    def send_goal(self, position: Array, rotation: Array | None) -> None:
+        """Publish a goal (3,), m, (3, 3)."""
+        stamp = self._node.get_clock().now().to_msg()
+        self._goal_ns, self._goal_state = nanoseconds(stamp), None
+        self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, stamp, rotation))
 
     def watch(self, timeout: float) -> Outcome:
         """Wait until the flange has settled at the goal, for at most some time of the robot's clock, s."""
@@ -264,9 +270,9 @@ class Operator:
             self._goal_state = state
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
+        self.settings[message.name] = settings = read_settings(message)
         if message.name == _PLANNER:
-            settings = read_settings(message)
-            self.arm, self._orientation = arm_in(settings, _PLANNER), settings.get("goal_orientation")
+            self.arm = arm_in(settings, _PLANNER)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         self._heard.add(message.name)

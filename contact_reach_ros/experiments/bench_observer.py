@@ -16,6 +16,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.drawing.palette import BLUE, GREY, VERMILION
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.experiments.free_motion import LONGEST_CONTROLLED
+from contact_reach_ros.experiments.identified import compare
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.observer_trials import (
     PUSH_TICKS,
@@ -24,6 +25,7 @@ from contact_reach_ros.experiments.observer_trials import (
     FreeRun,
     Push,
     debounced,
+    least_push,
     move_freely,
     push_often,
     step_63_error,
@@ -60,6 +62,7 @@ def bench_observer(
     slow: bool = False,
     commanded: bool = False,
     friction: float = MismatchSettings().friction_scale,
+    identified: bool = False,
 ) -> dict[str, Any]:
     """Measure, print a table, write JSON to `file` and the ROC curve to `plot`.
 
@@ -75,6 +78,8 @@ def bench_observer(
         Observe from commands, not from measured torques.
     friction
         Factor on the joint friction of the arm that differs from its model.
+    identified
+        Identify that arm instead, and compare what is seen before and after.
 
     Raises
     ------
@@ -89,9 +94,14 @@ def bench_observer(
         return _push_slowly(file, mismatch, settings)
     if rate:
         return _compare_rates(rate, minutes, file, mismatch, settings)
-    began = time.process_time()
     arm = load_arm()
     budget = load_budget().resolve(arm)
+    if identified:
+        report: dict[str, Any] = {"machine": machine(), "minutes": minutes}
+        report |= compare(arm, mismatch, budget, settings, minutes, PUSHES)
+        write_report(report, file)
+        return report
+    began = time.process_time()
     steps = [step_63_error(arm, joint) for joint in range(arm.n)]
     pushes = push_often(arm, PUSH, PUSHES, budget, TICK, mismatch, settings)
     light = push_often(arm, LIGHT_PUSH, PUSHES // 2, budget, TICK, mismatch, settings)
@@ -120,7 +130,7 @@ def bench_observer(
         "false_stops_per_hour": len(differing.stops) * 60.0 / minutes,
         "false_contacts_per_hour": differing.contacts * 60.0 / minutes,
         "cpu_s": {"steps and pushes": pushed_s, "in all": time.process_time() - began},
-        "least_push_N": _least_push(pushes, PUSH),
+        "least_push_N": least_push(pushes, PUSH),
         "roc": _roc(pushes, differing, minutes),
     }
     print(_table(report))
@@ -185,13 +195,6 @@ def _pushed(pushes: Sequence[Push]) -> dict[str, Any]:
         "stopped_share": float(np.mean([push.stopped for push in pushes])),
         "link_right_share": float(np.mean(named)) if named else math.nan,
     }
-
-
-def _least_push(pushes: Sequence[Push], strength: float) -> dict[str, float]:
-    """The force, N, that would just have been seen: half of the pushes, and 95 % of them, need no more."""
-    forces = [strength / debounced(push.exceedance).max() for push in pushes]
-    p50, p95 = np.quantile(forces, [0.5, 0.95]).tolist()
-    return {"p50": p50, "p95": p95}
 
 
 def _roc(pushes: Sequence[Push], free: FreeRun, minutes: float) -> dict[str, list[float]]:

@@ -60,6 +60,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--rate", type=float, nargs="+", metavar="HZ", help="compare rates of joint states, as 100 200 500 1000"
     )
     instead.add_argument("--slow", action="store_true", help="pushes that grow slowly, joint by joint")
+    instead.add_argument("--identified", action="store_true", help="before and after an identification of the arm")
     observer.add_argument("--commanded", action="store_true", help="observe from commands, not from measured torques")
     observer.add_argument(
         "--friction", type=float, metavar="FACTOR", help="on the joint friction of the simulated arm (default: 3)"

@@ -255,6 +255,13 @@ def debounced(ratios: Sequence[float] | Array) -> Array:
     return np.lib.stride_tricks.sliding_window_view(padded, states).min(axis=1)
 
 
+def least_push(pushes: Sequence[Push], strength: float) -> dict[str, float]:
+    """The force, N, that would just have been seen: half of the pushes, and 95 % of them, need no more."""
+    forces = [strength / debounced(push.exceedance).max() for push in pushes]
+    p50, p95 = np.quantile(forces, [0.5, 0.95]).tolist()
+    return {"p50": p50, "p95": p95}
+
+
 def count_onsets(ratios: Sequence[float]) -> Array:
     """For each of `SCALES`, how often it was exceeded again after a pause as long as a contact takes to end."""
     if not ratios:

@@ -22,7 +22,7 @@ _IMPLAUSIBLE = 1e5
 class MomentumObserver:
     """Residual r with ṙ = K (τ_ext − r), discretised exactly for a torque that is constant over the step.
 
-    With p = M q̇ and u = τ + Cᵀq̇ − g − τ_f the update is r ← a r + (1 − a)(Δp/Δt − u), a = exp(−K Δt). It has no
+    With p = M q̇ and u = τ − τ_0 + Cᵀq̇ − g − τ_f the update is r ← a r + (1 − a)(Δp/Δt − u), a = exp(−K Δt). It has no
     integral that could drift, and it uses each step's own length. Where τ has passed a low-pass of the drive's, so does
     everything else: the residual is then that of the filtered external torque.
 
@@ -37,6 +37,8 @@ class MomentumObserver:
         States that were not finite, or so far from any real one that the residual would not be.
     known_for
         Seconds for which the acting torque has been known, zero while it is not: the time since the hand-over.
+    posture
+        Joint positions (n,) of the last state that was used, rad.
     updated_ns
         Stamp of the state that the residual is from, ns; None before the first.
     """
@@ -53,13 +55,14 @@ class MomentumObserver:
         self._model = model
         self._viscous = np.array(settings.viscous_friction)
         self._coulomb = np.array(settings.coulomb_friction) if any(settings.coulomb_friction) else None
+        self._offset = np.array(settings.torque_offset) if any(settings.torque_offset) else None
         self._rotors = None if settings.rotors_in_torque else model.pinocchio.armature.copy()
         self._max_gap_ns = GAP_PERIODS * round(period * NANOSECONDS)
         self._cutoff = 2.0 * math.pi * settings.torque_cutoff
         self._filtered: Array | None = None
         """Δp/Δt − u without the acting torque, behind the drive's low-pass; None before the first step, or without."""
         self._momentum: Array | None = None
-        self._q = np.zeros(model.arm.n)
+        self.posture = np.zeros(model.arm.n)
         self._stamp_ns = 0
 
     def reset(self) -> None:
@@ -119,6 +122,8 @@ class MomentumObserver:
             input_torque -= model.gravity
         if self._coulomb is not None:
             input_torque -= self._coulomb * np.tanh(v / self.settings.coulomb_speed)
+        if self._offset is not None:
+            input_torque -= self._offset
         external, filtered = (momentum - previous) / elapsed - input_torque, None
         if self._cutoff:
             without = external + torque
@@ -139,14 +144,14 @@ class MomentumObserver:
 
     def _anchor(self, q: Array, momentum: Array, stamp_ns: int) -> None:
         """Make this the state that the next one is compared with."""
-        self._q, self._momentum, self._stamp_ns = q, momentum, stamp_ns
+        self.posture, self._momentum, self._stamp_ns = q, momentum, stamp_ns
 
     def flange_wrench(self, damping: float = 0.05) -> Array:
         """External force (3,) N and moment (3,) Nm at the flange, base axes, that would explain the residual.
 
         A damped pseudo-inverse of Jᵀ for the last state; a contact elsewhere on the arm appears as its equivalent.
         """
-        jacobian = self._model.jacobian_at(self._q)
+        jacobian = self._model.jacobian_at(self.posture)
         damped = jacobian.dot(jacobian.T) + damping**2 * _IDENTITY
         _, wrench, _ = lapack.dposv(damped, jacobian.dot(self.residual))
         return wrench

@@ -124,7 +124,8 @@ class Observer:
         self._from_commands = settings.torque_source == COMMANDED
         if self._from_commands:
             budget = settings.commanded.widened(budget)
-        model = RobotModel(arm, inertias)
+        momentum = settings.momentum.resolve(arm)
+        model = RobotModel(arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y), inertias)
         self.arm = arm
         self.momentum = MomentumObserver(settings.momentum, model, period)
         self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
@@ -132,6 +133,9 @@ class Observer:
         self.updates = 0
         self.order = StampOrder()
         self.sight = Sight(arm, period)
+        self._model = model
+        self._without_shifts = None if model.arm is arm else RobotModel(arm, inertias)
+        """The model that everybody else has; None if this is the same."""
         self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
         self._torque_check = TorqueCheck(arm, settings.plausibility, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)
@@ -204,10 +208,19 @@ class Observer:
             age,
             momentum.known_for,
             self.contact,
-            monitor.model_error,
+            self._model_error(),
             state != self._reported,
             is_heartbeat,
         )
+
+    def _model_error(self) -> tuple[float, ...]:
+        """What the controller's model lacks: the slow mean, and the weight that this model has and that one has not."""
+        error, other = self.monitor.model_error, self._without_shifts
+        if other is None:
+            return error
+        other.update_dynamics(self.momentum.posture)
+        more = self._model.gravity - other.gravity
+        return tuple([lacking - weight for lacking, weight in zip(error, more.tolist(), strict=True)])
 
     def _conclude(self, stamp_ns: int, is_heartbeat: bool) -> SafetyReport:
         report = self.report(stamp_ns, is_heartbeat)

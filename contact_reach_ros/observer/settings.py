@@ -46,6 +46,25 @@ class MomentumSettings(Settings):
         minimum=1e-4,
         maximum=1.0,
     )
+    torque_offset: tuple[float, ...] = setting(
+        None,
+        "torque that the sensors report and no link feels",
+        unit="Nm",
+        minimum=-50.0,
+        maximum=50.0,
+        per_joint=True,
+    )
+    center_shift_x: tuple[float, ...] = setting(
+        None,
+        "where the centres of the links' mass are found to be, from where the model has them, along x of the link",
+        unit="m",
+        minimum=-0.5,
+        maximum=0.5,
+        per_joint=True,
+    )
+    center_shift_y: tuple[float, ...] = setting(
+        None, "the same along y", unit="m", minimum=-0.5, maximum=0.5, per_joint=True
+    )
     gravity_in_torque: bool = setting(
         True,
         "the acting torque carries the arm's weight; false for an arm that compensates gravity itself and reports, or "

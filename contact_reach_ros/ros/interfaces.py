@@ -39,7 +39,7 @@ VIEWER = "viewer"
 DOCTOR = "contact_reach_doctor"
 REPLAY = "replay"
 OPERATOR = "operator"
-"""The node of contact-reach goto, home, speed, tool, stop and reset."""
+"""The node of contact-reach goto, home, identify, speed, tool, stop and reset."""
 
 TUNABLE = ("planner", "controller", "observer", "driver")
 """Nodes whose parameters a restart of the stack may change."""
@@ -217,7 +217,14 @@ INTERFACES = {
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],
-        [topics.GOAL_STATE, topics.SAFETY_STATE, topics.DIAGNOSTICS, topics.SETTINGS],
+        [
+            topics.GOAL_STATE,
+            topics.SAFETY_STATE,
+            topics.DIAGNOSTICS,
+            topics.SETTINGS,
+            topics.JOINT_STATES,
+            topics.OBSTACLES,
+        ],
         calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
     ),
     # Where security is on, replay may publish nothing that an arm might follow.

@@ -12,7 +12,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
-from contact_reach_ros.observer.settings import COMMANDED, CommandedSettings, ObserverSettings
+from contact_reach_ros.observer.settings import COMMANDED, CommandedSettings, MomentumSettings, ObserverSettings
 from contact_reach_ros.observer.sight import TAKEN_OVER
 from contact_reach_ros.stop_reasons import StopCode
 from contact_reach_ros.timing import GAPS_IN_A_ROW
@@ -347,3 +347,24 @@ def test_a_first_state_that_is_repeated_until_everybody_has_it_is_no_blindness()
     state = watched.state()
     assert watched.observer.update(state) is not None
     assert all(watched.observer.update(state) is None for _ in range(100))
+
+
+SHIFTS = {
+    "center_shift_x": (0.0, 0.01, 0.0, 0.0, 0.02, 0.0, 0.0),
+    "center_shift_y": (0.0, -0.05, 0.0, -0.07, 0.0, 0.0, 0.0),
+}
+OFFSETS = (0.5, -0.4, 0.3, -0.2, 0.1, 0.2, -0.3)
+
+
+def test_weights_and_offsets_that_were_identified_are_no_external_torque():
+    shifted = RobotModel(ARM.with_center_shifts(**{name[-1]: values for name, values in SHIFTS.items()}))
+    lacking = GRAVITY - shifted.gravity_at(HOME)
+    assert np.abs(lacking).max() > 3.0
+    plain = Watched()
+    report = plain.run(HANDED_OVER, lacking - OFFSETS)[-1]
+    np.testing.assert_allclose(report.residual, lacking - OFFSETS, atol=0.05)
+    known = Watched(momentum=MomentumSettings(torque_offset=OFFSETS, **SHIFTS))
+    report = known.run(HANDED_OVER, lacking - OFFSETS)[-1]
+    np.testing.assert_allclose(report.residual, 0.0, atol=0.05)
+    # The controller's model does not have those weights, and has to carry them in a stop; no link feels the offsets.
+    np.testing.assert_allclose(report.verdict.model_error, lacking, atol=0.05)

@@ -1,0 +1,184 @@
+"""Least squares of the torques, with intervals that know that neighbouring samples err alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.identification.parameters import Parameters
+from contact_reach_ros.identification.recording import Samples
+
+CONFIDENCE = 0.95
+"""Of the intervals."""
+
+_ROUNDS = 6
+"""Of linearising and weighting; both have settled by then."""
+_LEAST_EFFECT = 0.01
+"""A combination of parameters, each by its scale, that changes the torques by less is not identifiable, Nm rms."""
+_SHARE = 0.2
+"""Of a parameter that lies in such combinations, from which on it is not identifiable itself."""
+_BLOCK_S = 50
+"""Samples whose errors may be alike: those of a second."""
+_LEAST_NOISE = 1e-4
+"""Of a joint's torque, Nm: its rows do not weigh more."""
+
+
+class Motion(NamedTuple):
+    """Samples of a recording, and whether the tool that is to be identified was on the arm."""
+
+    samples: Samples
+    has_tool: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Values of the parameters.
+
+    Attributes
+    ----------
+    parameters
+        What they are.
+    values
+        (p,), zero where they are not identifiable.
+    covariance
+        (p, p) of the values.
+    freedom
+        Number of independent samples beyond the number of parameters, for intervals.
+    known
+        (p,) whether they are identifiable from the motion.
+    unknown
+        Combinations of parameters that are not, in words.
+    condition
+        Ratio of the largest to the smallest effect of the identifiable combinations.
+    before, after
+        (n,) rms of the smooth torques that are not explained without any of the parameters, and with them, N m.
+    """
+
+    parameters: Parameters
+    values: Array
+    covariance: Array
+    freedom: float
+    known: np.ndarray
+    unknown: tuple[str, ...]
+    condition: float
+    before: Array
+    after: Array
+
+    @property
+    def half_widths(self) -> Array:
+        """Half of the confidence interval of each value, (p,); NaN where it is not identifiable."""
+        factor = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(self.freedom, 1.0))
+        return np.where(self.known, factor * np.sqrt(np.diag(self.covariance)), np.nan)
+
+    def of(self, kind: str) -> tuple[Array, Array, np.ndarray]:
+        """Values, half widths and whether they are known, of one kind of parameters."""
+        slots = self.parameters.parts[kind].slots
+        return self.values[slots], self.half_widths[slots], self.known[slots]
+
+
+def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
+    """Fit the parameters to motions; rows of joints that hardly move are left out: what friction does there is unknown.
+
+    Raises
+    ------
+    InputError
+        If no joint moves, or nothing is identifiable.
+    """
+    regressors = [parameters.regressor(motion.samples) for motion in motions]
+    moves = np.concatenate([motion.samples.moves for motion in motions])
+    blocks = _blocks(motions)
+    if not moves.any():
+        raise InputError("no joint moves fast enough for its friction: expected a motion of all joints")
+    count, n = moves.shape
+    values, noise = np.zeros(len(parameters.names)), np.ones(n)
+    before = np.zeros(n)
+    for number in range(_ROUNDS):
+        pairs = [
+            parameters.rows_of(motion.samples, *regressor, values, motion.has_tool)
+            for motion, regressor in zip(motions, regressors, strict=True)
+        ]
+        errors, columns = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        errors, columns = errors * moves, columns * moves[:, :, None]
+        if number == 0:
+            before = _rms(errors, moves)
+        scaled = columns * parameters.scales
+        basis, unknown, condition = _split(scaled.reshape(count * n, -1), count)
+        weighted = (scaled @ basis) / noise[:, None]
+        targets = errors / noise
+        # Steps along the combinations that are known; along the others the values stay zero.
+        flat = weighted.reshape(count * n, -1)
+        inverse = np.linalg.inv(flat.T @ flat)
+        step = basis @ (inverse @ (flat.T @ targets.ravel()))
+        values = values + parameters.scales * step
+        remaining = errors - columns @ (parameters.scales * step)
+        noise = np.maximum(_rms(remaining, moves), _LEAST_NOISE)
+    scores = np.einsum("cni,cn->ci", weighted, remaining / noise)
+    inner, freedom = _covariance(inverse, scores, blocks)
+    scaled_basis = parameters.scales[:, None] * basis
+    lies = np.linalg.norm(unknown, axis=1) if unknown.shape[1] else np.zeros(len(values))
+    known = lies < _SHARE
+    return Fit(
+        parameters,
+        np.where(known, values, 0.0),
+        scaled_basis @ inner @ scaled_basis.T,
+        freedom,
+        known,
+        tuple(_in_words(direction, parameters.names) for direction in unknown.T),
+        condition,
+        before,
+        _rms(remaining, moves),
+    )
+
+
+def _rms(errors: Array, moves: np.ndarray) -> Array:
+    return np.sqrt((errors**2).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
+
+
+def _blocks(motions: Sequence[Motion]) -> np.ndarray:
+    """Number (N,) of the block of each sample."""
+    found, start = [], 0
+    for motion in motions:
+        for piece in np.unique(motion.samples.piece):
+            length = int((motion.samples.piece == piece).sum())
+            found.append(start + np.arange(length) // _BLOCK_S)
+            start = int(found[-1][-1]) + 1
+    return np.concatenate(found)
+
+
+def _split(scaled: Array, count: int) -> tuple[Array, Array, float]:
+    """Combinations of the scaled parameters with an effect on the torques, and those without.
+
+    Both are orthonormal, (p, k) and (p, p - k); the number is the ratio of the largest to the smallest of the effects.
+    """
+    squares, directions = np.linalg.eigh(scaled.T @ scaled)
+    effects = np.sqrt(np.maximum(squares, 0.0) / count)
+    has_effect = effects >= _LEAST_EFFECT
+    condition = float(effects[has_effect][-1] / effects[has_effect][0])
+    return directions[:, has_effect], directions[:, ~has_effect], condition
+
+
+def _covariance(bread: Array, scores: Array, blocks: np.ndarray) -> tuple[Array, float]:
+    """Covariance of the least-squares values whose scores (N, k) are correlated within blocks, and its freedom.
+
+    The sandwich of block sums, which also knows noise that depends on the motion; with few blocks it is too small by
+    the share of the freedom that the fit has used up. `bread` is the inverse (k, k) of the squared columns.
+    """
+    count = int(blocks[-1]) + 1
+    sums = np.zeros((count, scores.shape[1]))
+    np.add.at(sums, blocks, scores)
+    freedom = count - scores.shape[1]
+    if freedom < 2:
+        raise InputError(f"the motion lasts {count} s, too short for {scores.shape[1]} parameters: record a longer one")
+    return bread @ (sums.T @ sums) @ bread * count / freedom, float(freedom)
+
+
+def _in_words(direction: Array, names: Sequence[str]) -> str:
+    """The parameters that a combination consists of, the largest share first."""
+    order = np.argsort(-np.abs(direction))
+    return ", ".join(names[index] for index in order if abs(direction[index]) > _SHARE)

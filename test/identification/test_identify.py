@@ -1,0 +1,124 @@
+"""Identification of the simulated robot, with noise, friction and its controller, and what is written of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+from motions import ARM, recording
+
+from contact_reach_ros.arm.tool import NO_TOOL, Tool
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.experiments.identified import record
+from contact_reach_ros.identification.identify import BOTH, LINKS, identify
+from contact_reach_ros.identification.output import describe, write
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
+from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.parameter_check import check_parameters
+from contact_reach_ros.parameter_files import parameters_in
+from contact_reach_ros.resources import config_file
+from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.world.scene import MismatchSettings
+
+SETTINGS, BUDGET = ObserverSettings(), load_budget()
+LOADED = MismatchSettings(inertia_set="nominal")
+"""The model's links, a payload of 0.5 kg, three times the friction and twice the noise."""
+
+
+@pytest.fixture(scope="module")
+def found():
+    return identify(ARM, NO_TOOL, SETTINGS, BUDGET, [record(ARM, LOADED, 0, 32.0)])
+
+
+def test_payload_and_friction_of_the_simulated_robot(found):
+    assert found.tool.mass == pytest.approx(LOADED.payload, rel=0.05)
+    np.testing.assert_allclose(found.tool.center, (0.0, 0.0, 0.05), atol=5e-3)
+    scale, joints = LOADED.friction_scale, JointSettings()
+    np.testing.assert_allclose(found.momentum.coulomb_friction, scale * joints.coulomb_friction, rtol=0.1)
+    np.testing.assert_allclose(found.momentum.viscous_friction, scale * joints.viscous_friction, rtol=0.25)
+    np.testing.assert_allclose(found.momentum.torque_offset, 0.0, atol=0.1)
+
+
+def test_the_external_torque_of_free_motion_falls_to_a_third(found):
+    assert found.rms_ratio < 1.0 / 3.0
+    assert (found.after.rms < 0.6 * found.before.rms).all()
+
+
+def test_thresholds_follow_and_none_is_raised(found):
+    before = BUDGET.resolve(ARM)
+    for entry in ContactBudget.declared():
+        assert np.all(np.array(getattr(found.budget, entry.name)) <= np.array(getattr(before, entry.name)))
+    assert (np.divide(found.budget.contact_thresholds, before.contact_thresholds)[2:] < 0.7).all()
+    assert found.budget.permitted_force == before.permitted_force
+    # At rest, dry friction may carry so much.
+    assert (
+        np.array(found.budget.model_error) >= np.minimum(found.momentum.coulomb_friction, before.model_error) - 0.01
+    ).all()
+
+
+def test_links_that_differ_make_no_tool_of_negative_mass():
+    with pytest.raises(InputError, match=r"a tool of -0\.[56].* would explain the torques: the links differ"):
+        identify(ARM, NO_TOOL, SETTINGS, BUDGET, [record(ARM, MismatchSettings(), 0, 30.0)])
+
+
+@pytest.mark.slow
+def test_links_that_differ_with_and_without_a_motion_without_payload():
+    loaded = record(ARM, MismatchSettings(), 0, 60.0)
+    links = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [loaded], LINKS)
+    assert links.tool is None
+    assert links.rms_ratio < 1.0 / 3.0
+    bare = record(ARM, MismatchSettings(payload=0.0), 1, 60.0)
+    both = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [loaded], BOTH, [bare])
+    assert both.tool.mass == pytest.approx(0.5, rel=0.05)
+    np.testing.assert_allclose(both.tool.center, (0.0, 0.0, 0.05), atol=0.01)
+    assert both.rms_ratio < 1.0 / 3.0
+
+
+def test_what_was_found_before_is_found_again():
+    """On an arm whose nodes have a tool, and friction, from an earlier identification."""
+    held = Tool(mass=0.8, center=(0.0, 0.02, 0.06), flange_to_tip=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0))
+    taken = recording(ARM.with_tool(held), 29.0)
+    first = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [taken])
+    settings = dataclasses.replace(SETTINGS, momentum=first.momentum)
+    again = identify(ARM, dataclasses.replace(held, mass=0.3), settings, BUDGET, [taken])
+    assert again.momentum == first.momentum
+    assert again.tool.mass == pytest.approx(held.mass, abs=2e-3)
+    assert again.tool.flange_to_tip == held.flange_to_tip
+    np.testing.assert_allclose(again.after.rms, first.after.rms, rtol=0.01)
+
+
+def test_the_files_are_those_that_nodes_read(found, tmp_path):
+    base = tmp_path / "base.yaml"
+    base.write_text("observer:\n  ros__parameters:\n    momentum: {gain: 40.0}\n    safety: {debounce: 4}\n")
+    file, budget_file = write(found, base, tmp_path / "mine.yaml", "a test")
+    check_parameters(file)
+    observer = parameters_in(file, "observer")
+    assert observer["momentum.gain"] == 40.0 and observer["safety.debounce"] == 4
+    assert tuple(observer["momentum.coulomb_friction"]) == found.momentum.coulomb_friction
+    assert load_budget(observer["contact_budget"]) == found.budget
+    assert parameters_in(file, "planner")["contact_budget"] == str(budget_file)
+    for node in ("planner", "controller", "driver"):
+        assert parameters_in(file, node)["tool.mass"] == found.tool.mass
+    check_parameters(write(found, config_file("default.yaml"), tmp_path / "second.yaml", "a test")[0])
+    assert yaml.safe_load(budget_file.read_text())["permitted_force"] == 10.0
+
+
+def test_the_text_has_values_intervals_and_what_they_are_worth(found):
+    text = describe(found, ARM, BUDGET)
+    assert f"tool: {found.tool.mass:.3f} ± 0.00" in text
+    assert "dry friction, Nm" in text and "contact_thresholds, Nm" in text
+    assert f"falls to {found.rms_ratio:.2f} of before" in text
+
+
+def test_what_does_not_fit_together_is_refused(tmp_path, found):
+    taken = recording(ARM, 12.0)
+    with pytest.raises(InputError, match="one without it: expected both"):
+        identify(ARM, NO_TOOL, SETTINGS, BUDGET, [taken], BOTH)
+    with pytest.raises(InputError, match="needs torque_source: measured"):
+        identify(ARM, NO_TOOL, ObserverSettings(torque_source=COMMANDED), BUDGET, [taken])
+    base = tmp_path / "base.yaml"
+    base.write_text("observer: 3\n")
+    with pytest.raises(SettingsError, match="'observer' has no ros__parameters"):
+        write(found, base, tmp_path / "mine.yaml", "a test")
+    with pytest.raises(InputError, match="cannot be written"):
+        write(found, config_file("default.yaml"), tmp_path / "none" / "mine.yaml", "a test")

@@ -1,0 +1,81 @@
+"""`contact-reach identify` with a running stack whose arm is not its model, and with the bag of that motion."""
+
+import re
+import signal
+import subprocess
+
+import pytest
+import yaml
+from stack_helpers import environment, module, parameter_file, running, wait_for
+
+from contact_reach_ros.bringup.identify import run_identification
+from contact_reach_ros.errors import BagError, InputError
+from contact_reach_ros.parameter_check import check_parameters
+from contact_reach_ros.parameter_files import parameters_in
+
+READY = "all nodes are active"
+PAYLOAD = 0.5
+SCENE = {"base": "free", "mismatch": {"inertia_set": "nominal", "payload": PAYLOAD, "friction_scale": 3.0}}
+
+
+def tried(env, *arguments, timeout=400):
+    return subprocess.run([*module("cli"), *arguments], env=env, capture_output=True, text=True, timeout=timeout)
+
+
+def test_without_a_stack_and_without_states_it_is_refused(tmp_path):
+    result = tried(environment(), "identify", "--output", str(tmp_path / "none.yaml"))
+    assert result.returncode == 2 and "no stack answers" in result.stderr
+    assert not (tmp_path / "none.yaml").exists()
+    with pytest.raises(InputError, match="expected at least 10 s"):
+        run_identification(["bags/sample"], output=tmp_path / "none.yaml")
+    with pytest.raises(BagError, match="does not exist"):
+        run_identification([tmp_path / "nowhere"])
+    with pytest.raises(InputError, match="expected no --without beside it"):
+        run_identification(["bags/sample"], ["bags/sample"], links=True)
+
+
+@pytest.mark.slow
+def test_payload_of_the_running_stack(tmp_path):
+    env = environment()
+    scene, output, bag = tmp_path / "loaded.yaml", tmp_path / "up.txt", tmp_path / "bag"
+    scene.write_text(yaml.safe_dump(SCENE))
+    file = parameter_file(
+        tmp_path / "own.yaml",
+        planner={"goal_orientation": "pose", "speed_scale": 0.5},
+        controller={"supervision": {"hold_limit": 1000.0}},
+    )
+    up = [*module("cli"), "up", "--lockstep", "--scene", str(scene), "--parameters", str(file), "--bag", str(bag)]
+    with running(up, env, output) as process:
+        wait_for(lambda: READY in output.read_text() or process.poll() is not None, 400, "all nodes are active")
+        interrupted = subprocess.Popen(
+            [*module("cli"), "identify"],
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            # Where the tests run in the background, they ignore it.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        for line in interrupted.stdout:
+            if "goal 2" in line:
+                interrupted.send_signal(signal.SIGINT)
+                break
+        rest = interrupted.stdout.read()
+        assert interrupted.wait(30) == 130 and "the arm is held where it is" in rest, rest
+        found = tried(env, "identify", "--output", str(tmp_path / "live.yaml"), "--parameters", str(file))
+        assert found.returncode == 0, found.stdout + found.stderr
+        assert tried(env, "stop").returncode == 0
+        stopped = tried(env, "identify", "--output", str(tmp_path / "none.yaml"))
+        assert stopped.returncode == 2 and "the arm is stopped" in stopped.stderr, stopped.stderr
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+    mass = float(re.search(r"tool: ([\d.]+) ±", found.stdout)[1])
+    ratio = float(re.search(r"falls to ([\d.]+) of before", found.stdout)[1])
+    assert mass == pytest.approx(PAYLOAD, rel=0.05)
+    assert ratio <= 1.0 / 3.0
+    check_parameters(tmp_path / "live.yaml")
+    assert parameters_in(tmp_path / "live.yaml", "planner")["goal_orientation"] == "pose"
+    recorded = tried(env, "identify", "--bag", str(bag), "--output", str(tmp_path / "bag.yaml"))
+    assert recorded.returncode == 0, recorded.stderr
+    assert parameters_in(tmp_path / "bag.yaml", "observer")["tool.mass"] == pytest.approx(PAYLOAD, rel=0.05)
+    print(found.stdout)
