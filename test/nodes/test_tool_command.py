@@ -100,7 +100,9 @@ def test_nothing_stops_and_no_torque_jumps(recorded):
     around = torques[by_number[at.output] - 200 : by_number[at.output] + 500]
     assert np.abs(np.diff(around, axis=0)).max() < 4.1
     for node in ("controller", "observer", "driver"):
-        assert set(inputs.safety_reasons(node)) <= {"stop service called", "no command for 101 ms"}, node
+        # But the call with which the stack ends.
+        reasons = inputs.safety_reasons(node)
+        assert all(reason.startswith(("stop service called", "no command for")) for reason in reasons), (node, reasons)
 
 
 def test_the_bag_reexecutes_through_the_change(recorded):
