@@ -106,13 +106,13 @@ def test_network_of_the_spheres_is_recovered():
 
 @pytest.mark.slow
 def test_generalized_pipeline_makes_whole_plans_that_lead_around_the_ball():
-    """In lockstep, with a small budget: ten plans a second of three solver steps with 16 candidates each."""
+    """In lockstep, with a small budget: ten plans a second of three solver steps with 32 candidates each."""
     planning = dataclasses.replace(
         PlanningSettings(deadline=0.0),
         pipeline="generalized",
-        population=16,
-        elite=4,
-        line_search_points=16,
+        population=32,
+        elite=8,
+        line_search_points=32,
         max_steps=3,
     )
     scene = load_scene("ball", arm=ARM, seed=0)
