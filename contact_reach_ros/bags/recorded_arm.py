@@ -13,6 +13,8 @@ from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.parameter_files import arm_in
 
 SETTINGS = "settings"
+_ONLOOKERS = ("recorder", "viewer")
+"""Nodes that may have been started apart from the stack, with another arm."""
 
 
 def arm_of_bag(bag: BagReader) -> Arm:
@@ -43,5 +45,6 @@ def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
                 f"settings of the {node}: the arm '{arm.name}' had digest {digest}, this version's has {arm.digest}; "
                 "use the version that recorded the bag"
             )
-        found = found or arm
+        if node not in _ONLOOKERS:
+            found = found or arm
     return found or load_arm()

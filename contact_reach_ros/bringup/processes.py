@@ -131,7 +131,7 @@ def processes(options: BringupOptions) -> list[Process]:
     }
     table = []
     if options.bag:
-        table.append(Process(RECORDER, {"bag": options.bag, **_origin(options)}, wave=Wave.EARLY))
+        table.append(Process(RECORDER, {"bag": options.bag, **_origin(options), **arm}, wave=Wave.EARLY))
     if options.driver:
         table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
     adapted = options.adapter != "none"

@@ -31,6 +31,9 @@ _PATHS = {
     "rrt_star": PathSettings(searches=1, iterations=1000, informed=False, simplify=False),
 }
 
+_ANY_POSTURE = 7.0
+"""rad."""
+
 PATH_METHODS = tuple(_PATHS)
 """Methods that follow a path to its end, however long it is, and know nothing of contact."""
 
@@ -88,4 +91,8 @@ def make_method(
         planner = make_torque_planner(arm, settings, controller.impedance, permitted_force, capacity, damping)
         return Method(planner, controller, TorqueController)
     settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
+    if settings.null_space == "reference_posture":
+        # Law (6) pulls from afar, which the controller would refuse as a posture that is too far away.
+        supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
+        controller = dataclasses.replace(controller, supervision=supervision)
     return Method(RecedingHorizonPlanner(arm, settings, controller.impedance, permitted_force, capacity), controller)
