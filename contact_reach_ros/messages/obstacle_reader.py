@@ -1,8 +1,9 @@
 """Obstacles read from visualization markers, of any object with the fields of the messages.
 
 A ball is a SPHERE. A deformable body is a SPHERE_LIST of the nodes that can move, one of those that are fixed, and a
-LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. A rigid body is a
-CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
+LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. Its material is the
+one that the planner assumes, unless the text of the marker of what can move gives it, see `material_text`. A rigid body
+is a CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MATCH = 1e-4
 
 @dataclass(frozen=True)
 class AssumedMaterial:
-    """Properties of obstacles that markers do not carry."""
+    """Properties of obstacles whose markers do not carry them."""
 
     sphere_stiffness: float
     """Spring that holds a sphere to its place, N/m."""
@@ -55,6 +56,42 @@ class AssumedMaterial:
     def of(cls, settings: Any) -> AssumedMaterial:
         """The material assumed by the planner's settings, by the names of its fields."""
         return cls(**{field.name: getattr(settings, field.name) for field in fields(cls)})
+
+
+class BodyMaterial(NamedTuple):
+    """What a marker's text may say of a body."""
+
+    stiffness: float
+    """Spring that holds each sphere that can move to its place, N/m."""
+    damping: float
+    """N s/m."""
+    edge_stiffness: float
+    """N/m; of no meaning for a ball."""
+
+
+_MATERIAL = "material:"
+
+
+def material_text(material: BodyMaterial) -> str:
+    """The material as the text of a marker has it: 'material: stiffness=100.0 damping=30.0 edge_stiffness=0.0'."""
+    return " ".join([_MATERIAL, *(f"{name}={value!r}" for name, value in material._asdict().items())])
+
+
+def _material_of(marker: Any, name: str) -> BodyMaterial | None:
+    """The material in a marker's text; None where the text is about something else."""
+    if not marker.text.startswith(_MATERIAL):
+        return None
+    try:
+        values = dict(word.split("=") for word in marker.text.removeprefix(_MATERIAL).split())
+        material = BodyMaterial(**{key: float(value) for key, value in values.items()})
+        if not (min(material) >= 0.0 and material.damping > 0.0 and np.isfinite(material).all()):
+            raise ValueError
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            f"obstacles: marker {name}: text = '{marker.text}'; expected one like "
+            f"'{material_text(BodyMaterial(100.0, 30.0, 0.0))}', no value negative and a positive damping"
+        ) from error
+    return material
 
 
 class ObstacleMarkerReader:
@@ -133,17 +170,20 @@ class ObstacleMarkerReader:
                 "node that can move"
             )
         nodes = np.concatenate([movable, fixed])
-        is_ball = ball.type == SPHERE
-        stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
+        stiffness, damping, edge_stiffness = ball.material or (
+            (material.sphere_stiffness, material.sphere_damping, material.edge_stiffness)
+            if ball.type == SPHERE
+            else (material.node_stiffness, material.node_damping, material.edge_stiffness)
+        )
         edges = self._match(identifier, body[EDGES][1], nodes) if EDGES in body else _EMPTY.edges
         return _Part(
             center=nodes,
             rest=np.concatenate([rest, fixed]),
             radius=np.repeat([ball.radius, fixture.radius], [len(movable), len(fixed)]),
             stiffness=np.repeat([stiffness, FIXED_STIFFNESS], [len(movable), len(fixed)]),
-            damping=np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
+            damping=np.full(len(nodes), damping),
             edges=edges + first,
-            edge_stiffness=np.full(len(edges), material.edge_stiffness),
+            edge_stiffness=np.full(len(edges), edge_stiffness),
         )
 
     def _match(self, identifier: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
@@ -202,6 +242,8 @@ class Shape(NamedTuple):
     radius: float
     points: int
     """Their number."""
+    material: BodyMaterial | None = None
+    """What the marker says of it."""
 
 
 _NOTHING = (Shape("", OBSTACLES, 0, SPHERE_LIST, 0.0, 0), np.zeros((0, 3)))
@@ -220,7 +262,8 @@ def shapes_of(message: Any, frame: str) -> list[Shape]:
             raise InputError(f"obstacles: marker {name} comes twice; expected each namespace and id once")
         seen.add((kind, marker.id))
         count = 1 if marker.type == SPHERE else len(marker.points)
-        shapes.append(Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count))
+        material = _material_of(marker, name) if kind == OBSTACLES else None
+        shapes.append(Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count, material))
     return shapes
 
 
