@@ -13,7 +13,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.baselines import collision_free
 from contact_reach_ros.experiments.baselines.collision_free import CollisionFreePlanner
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.rrt_star import PathSettings
+from contact_reach_ros.experiments.baselines.rrt_star import PathSettings, find_path
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
@@ -32,7 +32,10 @@ AHEAD = 0.5 * GAINS.reference_ramp
 
 
 def make_planner(seed: int = 0, gains: ImpedanceSettings = GAINS) -> CollisionFreePlanner:
-    planner = CollisionFreePlanner(ARM, SETTINGS, gains, QUICK, seed)
+    def search(arm, q, goal, spheres, seed):
+        return find_path(arm, q, goal, spheres, QUICK, seed)
+
+    planner = CollisionFreePlanner(ARM, SETTINGS, gains, search, seed)
     planner.warm_up(lambda line: None)
     return planner
 
