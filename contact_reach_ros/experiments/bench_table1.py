@@ -136,7 +136,8 @@ def command(bench: Table1) -> str:
     for name in ("scenes", "goals", "methods"):
         if getattr(bench, name) != getattr(standard, name):
             words += [f"--{name}", *(Path(value).name for value in getattr(bench, name))]
-    for name in ("targets", "repeats", "seed", "timeout", "latency"):
-        if getattr(bench, name) != getattr(standard, name):
-            words += [f"--{name}", f"{getattr(bench, name):g}"]
+    for name in ("arm", "task", "targets", "repeats", "seed", "timeout", "latency"):
+        value = getattr(bench, name)
+        if value != getattr(standard, name):
+            words += [f"--{name}", value if isinstance(value, str) else f"{value:g}"]
     return shlex.join(words)
