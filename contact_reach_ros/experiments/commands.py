@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,6 +142,9 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     table1.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")
     table1.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: the preset's)")
     table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
+    table1.add_argument(
+        "--beside", type=Path, nargs="+", metavar="FILE", help="with --plot: further runs, with other presets"
+    )
     clutter = add("clutter", _clutter, "random scenes with several soft bodies, every method")
     clutter.add_argument("--scenes", type=int, help="how many (default: 200)")
     clutter.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
@@ -151,6 +154,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     for grid in (table1, clutter):
         grid.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
         grid.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
+        grid.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
     for spread in (faults, stops, smoothness, table1, clutter):
         spread.add_argument(
             "--workers", type=int, metavar="W", help="processes on this machine (default: one per core)"
@@ -227,23 +231,30 @@ def _faults(**options: Any) -> int:
     return 1 if bench_faults(**options)["violations"] else 0
 
 
-def _table1(report_only: bool = False, **options: Any) -> None:
+def _table1(report_only: bool = False, beside: Sequence[Path] = (), plot: Path | None = None, **options: Any) -> None:
     from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, report_table1
+    from contact_reach_ros.experiments.output import read_report
+    from contact_reach_ros.experiments.pictures import plot_table1
 
     running, options = _running(options)
     if not report_only:
-        bench_table1(Table1(**_tuples(options)), running)
+        report = bench_table1(Table1(**_tuples(options)), running)
     elif running.file is None:
         raise SettingsError("--report-only needs --json FILE, the result of a finished run")
     else:
-        report_table1(running.file)
+        report = report_table1(running.file)
+    if plot is not None:
+        plot_table1([report, *(read_report(file, "table1") for file in beside)], plot)
 
 
-def _clutter(quick: bool = False, **options: Any) -> None:
+def _clutter(quick: bool = False, plot: Path | None = None, **options: Any) -> None:
     from contact_reach_ros.experiments.bench_clutter import QUICK, Clutter, bench_clutter
+    from contact_reach_ros.experiments.pictures import plot_clutter
 
     running, options = _running(options)
-    bench_clutter(Clutter(**{**(QUICK if quick else {}), **_tuples(options)}), running)
+    report = bench_clutter(Clutter(**{**(QUICK if quick else {}), **_tuples(options)}), running)
+    if plot is not None:
+        plot_clutter(report, plot)
 
 
 def _running(options: dict[str, Any]) -> tuple[Running, dict[str, Any]]:

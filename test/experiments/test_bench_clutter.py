@@ -9,6 +9,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.bench_clutter import QUICK, Clutter, bench_clutter, clutter_table, command, summary
 from contact_reach_ros.experiments.clutter_scenes import FIRST_HELD_OUT, MAX_BODIES, clutter_scene
 from contact_reach_ros.experiments.grid_run import Running
+from contact_reach_ros.experiments.pictures import plot_clutter
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.world.checks import conflict
 from contact_reach_ros.world.generate import make_scene
@@ -82,6 +83,11 @@ def test_the_table_says_how_often_contact_was_needed():
     text = clutter_table({"command": "contact-reach bench clutter", **summary(EPISODES, NAMES)})
     assert "| **contact_reach** | 100 %" in text
     assert "Collision-free planning fails and contact gets the arm there in 33 %" in text
+
+
+def test_the_table_is_drawn(tmp_path):
+    plot_clutter(summary(EPISODES, NAMES), tmp_path / "clutter.png")
+    assert (tmp_path / "clutter.png").stat().st_size > 10_000
 
 
 def test_a_tiny_run_has_the_whole_report(tmp_path, capsys):
