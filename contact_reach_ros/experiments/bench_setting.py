@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.drawing.palette import JOINT_COLOURS
+from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.methods import make_method
@@ -36,6 +36,9 @@ from contact_reach_ros.world.spheres import sphere_capacity
 
 LATENCY = "latency"
 """Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""
+
+
+_COLOURS = (BLUE, VERMILION, GREEN, ORANGE)
 
 
 def bench_setting(
@@ -122,7 +125,7 @@ def _plot(report: dict[str, Any], file: Path) -> None:
         for axes, figure_name, label in zip(
             line, ("largest_force", "time_ratio"), ("peak force, N", "time to settle / limit"), strict=True
         ):
-            for method, colour in zip(dict.fromkeys(row["method"] for row in rows), JOINT_COLOURS, strict=False):
+            for method, colour in zip(dict.fromkeys(row["method"] for row in rows), _COLOURS, strict=False):
                 own = [row for row in rows if row["method"] == method]
                 means = [row[figure_name]["mean"] for row in own]
                 bars = axes.errorbar(

@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from contact_reach_ros.drawing.palette import JOINT_COLOURS
+from contact_reach_ros.drawing.palette import BLUE
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.claims import Results
 from contact_reach_ros.experiments.output import Report
 from contact_reach_ros.experiments.statistics import Estimate, estimate
 
-_OURS, _OTHER = JOINT_COLOURS[0], "#999999"
+_OURS, _OTHER = BLUE, "#aaaaaa"
 
 
 def plot_clutter(report: Report, file: Path) -> None:
@@ -33,7 +33,7 @@ def plot_clutter(report: Report, file: Path) -> None:
     success.set_xlim(0.0, 1.0)
     _bars(against, [_estimate(report["methods"][name]["against"]["peak_force_N"]) for name in names], names)
     against.axvline(0.0, color="black", linewidth=0.8)
-    against.set_xlabel(f"peak force less that of\n{paper.METHOD}, where both settle, N")
+    against.set_xlabel("the same less the method's,\nwhere both settle, N")
     success.set_yticks(range(len(names)), names)
     figure.suptitle(f"{report['scenes']} random scenes; bars: 95 %")
     FigureCanvasAgg(figure).print_png(file)
