@@ -7,7 +7,7 @@ import functools
 import itertools
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -201,11 +201,6 @@ def failed(cell: Cell, message: str) -> Record:
 def cell_of(record: Record) -> Cell:
     """The cell of a record."""
     return Cell(*(record[field.name] for field in dataclasses.fields(Cell)))
-
-
-def by_program(tasks: Sequence[EpisodeTask]) -> list[EpisodeTask]:
-    """Sort tasks so that workers seldom have to prepare another method."""
-    return sorted(tasks, key=lambda task: (task.cell.method, sphere_capacity(task.scene)))
 
 
 @functools.lru_cache(maxsize=16)

@@ -20,7 +20,6 @@ from contact_reach_ros.experiments.grid import (
     EpisodeTask,
     Record,
     Setup,
-    by_program,
     cell_of,
     concrete_scene,
     failed,
@@ -192,7 +191,7 @@ def _run(client: Client, tasks: list[EpisodeTask], done: dict[Cell, Record]) -> 
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
         bar = progress.add_task("episodes", total=total, completed=len(done))
-        for task, found in run_all(client, run_cell, by_program(tasks)):
+        for task, found in run_all(client, run_cell, tasks):
             record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
             done[task.cell] = record
             line = f"{len(done)}/{total} {_line(record)}"

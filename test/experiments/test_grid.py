@@ -9,7 +9,6 @@ from contact_reach_ros.experiments.grid import (
     DEADLINE_STEPS,
     EpisodeTask,
     Setup,
-    by_program,
     cell_of,
     cells,
     episode_seeds,
@@ -86,11 +85,6 @@ def test_a_method_is_prepared_once(here, monkeypatch):
 
     monkeypatch.setattr(grid, "make_method", again)
     assert [figures(run_cell(task)) for task in tasks()[:1]] == [figures(here[0])]
-
-
-def test_tasks_that_share_a_program_follow_each_other():
-    mixed = [task for pair in zip(tasks("gradient"), tasks("cma_es"), strict=True) for task in pair]
-    assert [task.cell.method for task in by_program(mixed)] == ["cma_es"] * 4 + ["gradient"] * 4
 
 
 def test_latency_is_the_median_of_plans_in_whole_ticks(here):
