@@ -81,14 +81,14 @@ class ClearanceChecker:
 
     def distances(self, postures: Array) -> Array:
         """Smallest distance (N,) between a link and a sphere at the postures (N, n), m; negative is depth."""
-        if not self._count:
+        if not self._count or not len(postures):
             return np.full(len(postures), np.inf)
         nearest = [_nearest(self.arm, chunk, self._centers, self._radii) for chunk in _chunks(postures)]
         return np.concatenate([np.asarray(chunk, float) for chunk in nearest])[: len(postures)]
 
     def free(self, postures: Array) -> NDArray[np.bool_]:
         """(N,) whether the postures (N, n) keep clear."""
-        if self._is_empty:
+        if self._is_empty or not len(postures):
             return np.ones(len(postures), bool)
         clear = [self._clear(chunk) for chunk in _chunks(postures)]
         return np.concatenate([np.asarray(chunk) for chunk in clear])[: len(postures)]
