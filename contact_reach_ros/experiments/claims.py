@@ -12,7 +12,7 @@ import numpy as np
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.grid import Record
-from contact_reach_ros.experiments.statistics import Estimate, corrected, estimate, share
+from contact_reach_ros.experiments.statistics import CONFIDENCE, Estimate, corrected, estimate, share
 
 GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
 
@@ -51,8 +51,15 @@ class Demand:
 
     @property
     def required(self) -> str:
-        """The bound in words."""
-        return f"{'≥' if self.is_least else '≤'} {self.bound:.3g} {self.unit}".rstrip()
+        """The bound in words; a difference has to be more than none."""
+        sign = "≤" if not self.is_least else "≥" if self.bound else ">"
+        return f"{sign} {self.bound:.3g} {self.unit}".rstrip()
+
+    def is_met(self, interval: Estimate) -> bool:
+        """Whether the worse end of an interval meets the bound."""
+        if not self.is_least:
+            return bool(interval.high <= self.bound)
+        return bool(interval.low >= self.bound if self.bound else interval.low > 0.0)
 
     def interval(self, confidence: float) -> Estimate:
         """The mean and its interval."""
@@ -119,21 +126,17 @@ def claims(results: Results, scenes: Sequence[str], goals: Sequence[str]) -> lis
     confidence = corrected(len(demands))
     found = []
     for goal, demand in demands:
-        mean, low, high = demand.interval(confidence)
-        worse = low if demand.is_least else high
-        plain = demand.interval(0.95).json
+        together = demand.interval(confidence)
         found.append(
             {
                 "claim": demand.text,
                 "goal": goal,
                 "required": demand.required,
-                "value": mean,
-                "ci95": plain["ci95"],
-                "ci_corrected": None if math.isnan(low) else [low, high],
+                "value": together.mean,
+                "ci95": demand.interval(CONFIDENCE).json["ci95"],
+                "ci_corrected": together.json["ci95"],
                 "targets": len(demand.values),
-                "met": bool(worse > demand.bound or (worse == demand.bound and demand.bound != 0.0))
-                if demand.is_least
-                else bool(worse <= demand.bound),
+                "met": demand.is_met(together),
             }
         )
     return found

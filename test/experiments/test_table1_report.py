@@ -39,7 +39,7 @@ def test_claims_have_both_intervals_and_a_verdict():
     text = tables(report([*episodes("contact_reach", 5.0, 1.0), *episodes("reference_posture", 6.0, 6.0)]))
     rows = [line for line in text.splitlines() if line.startswith("| wall: ")]
     (row,) = (line for line in rows if "reference posture" in line)
-    assert "| ≥ 0 N | 2.00 [2.00, 2.00] | [2.00, 2.00] | 4 | met |" in row
+    assert "| > 0 N | 2.00 [2.00, 2.00] | [2.00, 2.00] | 4 | met |" in row
     (row,) = (line for line in rows if "peak force of the paper" in line)
     assert row.endswith("| ≤ 0.5 N | 1.00 [1.00, 1.00] | [1.00, 1.00] | 4 | **not met** |")
 
