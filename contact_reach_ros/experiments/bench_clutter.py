@@ -78,7 +78,7 @@ def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) 
     SettingsError
         If the preset is unknown, or the run to be resumed has other settings.
     """
-    changes = {} if bench.timeout is None else {"timeout": bench.timeout}
+    changes: dict[str, Any] = {} if bench.timeout is None else {"timeout": bench.timeout}
     setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, **changes)
     seeds, arm = range(bench.seed, bench.seed + bench.scenes), load_arm(setup.arm)
     scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in seeds}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.errors import SettingsError
@@ -83,7 +84,7 @@ def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) ->
     SceneError
         If a scene cannot be made.
     """
-    changes = {} if bench.timeout is None else {"timeout": bench.timeout}
+    changes: dict[str, Any] = {} if bench.timeout is None else {"timeout": bench.timeout}
     setup = setup or Setup.of(bench.preset, load_budget(), bench.arm, bench.task, **changes)
     scenes = _read_scenes(bench)
     targets = range(bench.seed, bench.seed + bench.targets)
