@@ -12,7 +12,7 @@ import numpy as np
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.grid import Record
-from contact_reach_ros.experiments.statistics import CONFIDENCE, Estimate, corrected, estimate, share
+from contact_reach_ros.experiments.statistics import CONFIDENCE, MIN_TARGETS, Estimate, corrected, estimate, share
 
 GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
 
@@ -56,7 +56,9 @@ class Demand:
         return f"{sign} {self.bound:.3g} {self.unit}".rstrip()
 
     def is_met(self, interval: Estimate) -> bool:
-        """Whether the worse end of an interval meets the bound."""
+        """Whether there are `MIN_TARGETS`, and the worse end of their interval meets the bound."""
+        if len(self.values) < MIN_TARGETS:
+            return False
         if not self.is_least:
             return bool(interval.high <= self.bound)
         return bool(interval.low >= self.bound if self.bound else interval.low > 0.0)
@@ -113,8 +115,8 @@ class Results:
 def claims(results: Results, scenes: Sequence[str], goals: Sequence[str]) -> list[dict[str, Any]]:
     """What is demanded of the method, and whether it is met, as JSON has it.
 
-    A claim is met only if the worse end of its interval meets it, where the intervals are so wide that all of them
-    hold together with 95 %; `ci95` is the usual one, of this claim alone.
+    A claim is met only with `MIN_TARGETS` or more, and if the worse end of its interval meets it, where the intervals
+    are so wide that all of them hold together with 95 %; `ci95` is the usual one, of this claim alone.
     """
     demands = [
         (goal, demand)

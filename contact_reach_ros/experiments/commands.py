@@ -136,7 +136,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/baselines.md (default: four)")
     table1.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
     table1.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: pose)")
-    table1.add_argument("--targets", type=int, help="targets per scene (default: 36)")
+    table1.add_argument("--targets", type=int, help="targets per scene (default: 70)")
     table1.add_argument("--repeats", type=int, help="episodes per target (default: 1)")
     table1.add_argument("--seed", type=int, help="of the first target (default: 0)")
     table1.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")

@@ -12,6 +12,8 @@ from scipy.stats import beta
 from contact_reach_ros.arrays import Array
 
 CONFIDENCE = 0.95
+MIN_TARGETS = 10
+"""Fewer than these show nothing: resampling them seldom draws anything but what they happen to be."""
 RESAMPLES = 10000
 """Of the bootstrap; its seed is fixed, so that the same episodes give the same interval."""
 

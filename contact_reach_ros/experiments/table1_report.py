@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.claims import GOAL_NAMES, Results, interval_text, plus_minus
 from contact_reach_ros.experiments.output import Report, table
-from contact_reach_ros.experiments.statistics import CONFIDENCE, corrected, estimate
+from contact_reach_ros.experiments.statistics import CONFIDENCE, MIN_TARGETS, corrected, estimate
 
 _COLUMNS = (
     # heading, figure, factor to its unit, digits
@@ -91,7 +91,7 @@ def claims_table(claims: list[Report]) -> str:
             interval_text(claim["value"], claim["ci95"]),
             interval_text(claim["value"], claim["ci_corrected"]).partition(" ")[2] or "–",
             str(claim["targets"]),
-            "met" if claim["met"] else "**not met**",
+            _verdict(claim),
         ]
         for claim in claims
     )
@@ -99,6 +99,12 @@ def claims_table(claims: list[Report]) -> str:
     return table(
         ["claim", "goals", "required", f"measured [{100 * CONFIDENCE:g} %]", f"[{level:.2f} %]", "targets", ""], rows
     )
+
+
+def _verdict(claim: Report) -> str:
+    if claim["targets"] < MIN_TARGETS:
+        return "too few targets"
+    return "met" if claim["met"] else "**not met**"
 
 
 _NOTICEABLE = {"time": 0.05, "max_contact_force": 0.2}

@@ -48,11 +48,15 @@ FORCE = "peak force of reference posture, less 4 times"
 
 
 def test_four_times_the_force_is_a_difference_that_zeros_do_not_make_infinite():
-    harder = forces("contact_reach", [[0.0], [1.0], [1.0]]) + forces("reference_posture", [[2.0], [7.0], [6.0]])
+    harder = forces("contact_reach", 4 * [[0.0], [1.0], [1.0]])
+    harder += forces("reference_posture", 4 * [[2.0], [7.0], [6.0]])
     found = claim(harder, FORCE)
     assert found["value"] == pytest.approx((2.0 + 3.0 + 2.0) / 3)
     assert found["met"]
-    nothing = forces("contact_reach", [[0.0]] * 5) + forces("reference_posture", [[0.0]] * 5)
+    few = [entry for entry in harder if entry["target"] < 9]
+    assert claim(few, FORCE)["ci95"][0] > 0.0
+    assert not claim(few, FORCE)["met"], "nine targets are too few"
+    nothing = forces("contact_reach", [[0.0]] * 12) + forces("reference_posture", [[0.0]] * 12)
     assert not claim(nothing, FORCE)["met"], "two methods that touch nothing show nothing"
 
 
@@ -61,7 +65,7 @@ def test_a_mean_beyond_the_bound_is_not_enough():
     found = claim(forces("contact_reach", [[0.0]] * 5) + forces("reference_posture", values), FORCE)
     assert found["value"] > 0.0
     assert found["ci95"][0] > 0.0
-    mixed = forces("contact_reach", [[1.0]] * 5) + forces("reference_posture", [[3.0], [3.0], [3.0], [3.0], [30.0]])
+    mixed = forces("contact_reach", [[1.0]] * 12) + forces("reference_posture", 3 * [[3.0], [3.0], [3.0], [30.0]])
     found = claim(mixed, FORCE)
     assert found["value"] > 0.0 > found["ci95"][0]
     assert not found["met"]
@@ -81,7 +85,7 @@ def test_collision_free_paths_of_both_kinds_are_compared_in_time():
     episodes = [
         record(method=method, target=target, time=time, time_ratio=1.0)
         for method, time in (("contact_reach", 3.0), ("collision_free", 4.0), ("rrt_star", 12.0))
-        for target in range(4)
+        for target in range(12)
     ]
     found = {entry["claim"]: entry for entry in claims(Results(episodes), ["ball"], ["hold"])}
     assert found["ball: time of collision_free, less 2.6 times the method's"]["value"] == pytest.approx(4.0 - 7.8)

@@ -23,14 +23,14 @@ def report(episodes, scenes=("wall",), goals=("hold",)):
 def episodes(method, time, force, **figures):
     return [
         record("wall", method=method, target=target, time=time, max_contact_force=force, **figures)
-        for target in range(4)
+        for target in range(12)
     ]
 
 
 def test_cells_have_figures_beside_the_papers():
     text = tables(report([*episodes("contact_reach", 5.0, 1.0), *episodes("reference_posture", 6.0, 6.0)]))
     (ours,) = (line for line in text.splitlines() if line.startswith("| wall | **contact_reach** |"))
-    assert ours.startswith("| wall | **contact_reach** | 4/4 | 5.00 ± 0.00 | 17.5 ± 1.5 | 0.5 ± 0.3 |")
+    assert ours.startswith("| wall | **contact_reach** | 12/12 | 5.00 ± 0.00 | 17.5 ± 1.5 | 0.5 ± 0.3 |")
     assert "| wall | rrt_star | 0/0 | – | no path | – |" in text
     assert "Targets 4 to 7 of each scene" in text
 
@@ -39,9 +39,9 @@ def test_claims_have_both_intervals_and_a_verdict():
     text = tables(report([*episodes("contact_reach", 5.0, 1.0), *episodes("reference_posture", 6.0, 6.0)]))
     rows = [line for line in text.splitlines() if line.startswith("| wall: ")]
     (row,) = (line for line in rows if "reference posture" in line)
-    assert "| > 0 N | 2.00 [2.00, 2.00] | [2.00, 2.00] | 4 | met |" in row
+    assert "| > 0 N | 2.00 [2.00, 2.00] | [2.00, 2.00] | 12 | met |" in row
     (row,) = (line for line in rows if "peak force of the paper" in line)
-    assert row.endswith("| ≤ 0.5 N | 1.00 [1.00, 1.00] | [1.00, 1.00] | 4 | **not met** |")
+    assert row.endswith("| ≤ 0.5 N | 1.00 [1.00, 1.00] | [1.00, 1.00] | 12 | **not met** |")
 
 
 def test_a_baseline_that_is_ahead_for_certain_is_named():
