@@ -36,8 +36,8 @@ class Table1:
     goals, methods
         Some of `GOALS` and `METHODS`.
     targets, repeats
-        Targets per scene, with the seeds `seed`, `seed` + 1, ..., and repeats of each with other random numbers. 70 show
-        a success of `paper.SUCCESS` of a method that never fails.
+        Targets per scene, with the seeds `seed`, `seed` + 1, ..., and repeats of each with other random numbers. A
+        method that never fails shows `paper.SUCCESS` with 70.
     timeout
         Time to reach the goal, simulated, s; None for 20 s, or 60 s with plans that take as long as the paper's.
     latency

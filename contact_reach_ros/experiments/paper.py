@@ -42,8 +42,8 @@ WALL_PLANNING_TIME = {METHOD: 0.47, JOINT_TORQUE: 1.34}
 """Section V-B: mean time of a plan in the wall scene, s."""
 
 SUCCESS = 0.9
-"""Demanded here: share of the targets at which every episode settles, at least. Of a method that never fails, 70 targets
-show it as one of 30 claims, and 36 as the only one: fewer leave the lower end of the interval below."""
+"""Demanded here: share of the targets at which every episode settles, at least. A method that never fails shows it with
+70 targets as one of 30 claims, and with 36 as the only one; fewer leave the lower end of the interval below."""
 
 TIME_RATIO_LIMITS = {"free": 1.4, "ball": 1.6, "wall": 2.0}
 """Demanded here: time to settle over the kinematic limit, at most."""
