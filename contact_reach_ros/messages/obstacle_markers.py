@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time, to_marker, to_point
+from contact_reach_ros.messages.obstacle_material import BodyMaterial, material_text
 from contact_reach_ros.messages.obstacle_reader import (
     BLOCK,
     CUBE,
@@ -25,10 +26,8 @@ from contact_reach_ros.messages.obstacle_reader import (
     REST,
     SPHERE,
     AssumedMaterial,
-    BodyMaterial,
     ObstacleMarkerReader,
     Shape,
-    material_text,
     oldest,
     shapes_of,
 )

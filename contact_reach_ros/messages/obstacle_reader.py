@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import FrameError, InputError
+from contact_reach_ros.messages.obstacle_material import BodyMaterial, material_of
 from contact_reach_ros.messages.values import nanoseconds, quaternion, vector
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
@@ -56,42 +57,6 @@ class AssumedMaterial:
     def of(cls, settings: Any) -> AssumedMaterial:
         """The material assumed by the planner's settings, by the names of its fields."""
         return cls(**{field.name: getattr(settings, field.name) for field in fields(cls)})
-
-
-class BodyMaterial(NamedTuple):
-    """What a marker's text may say of a body."""
-
-    stiffness: float
-    """Spring that holds each sphere that can move to its place, N/m."""
-    damping: float
-    """N s/m."""
-    edge_stiffness: float
-    """N/m; of no meaning for a ball."""
-
-
-_MATERIAL = "material:"
-
-
-def material_text(material: BodyMaterial) -> str:
-    """The material as the text of a marker has it: 'material: stiffness=100.0 damping=30.0 edge_stiffness=0.0'."""
-    return " ".join([_MATERIAL, *(f"{name}={value!r}" for name, value in material._asdict().items())])
-
-
-def _material_of(marker: Any, name: str) -> BodyMaterial | None:
-    """The material in a marker's text; None where the text is about something else."""
-    if not marker.text.startswith(_MATERIAL):
-        return None
-    try:
-        values = dict(word.split("=") for word in marker.text.removeprefix(_MATERIAL).split())
-        material = BodyMaterial(**{key: float(value) for key, value in values.items()})
-        if not (min(material) >= 0.0 and material.damping > 0.0 and np.isfinite(material).all()):
-            raise ValueError
-    except (ValueError, TypeError) as error:
-        raise InputError(
-            f"obstacles: marker {name}: text = '{marker.text}'; expected one like "
-            f"'{material_text(BodyMaterial(100.0, 30.0, 0.0))}', no value negative and a positive damping"
-        ) from error
-    return material
 
 
 class ObstacleMarkerReader:
@@ -262,7 +227,7 @@ def shapes_of(message: Any, frame: str) -> list[Shape]:
             raise InputError(f"obstacles: marker {name} comes twice; expected each namespace and id once")
         seen.add((kind, marker.id))
         count = 1 if marker.type == SPHERE else len(marker.points)
-        material = _material_of(marker, name) if kind == OBSTACLES else None
+        material = material_of(marker, name) if kind == OBSTACLES else None
         shapes.append(Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count, material))
     return shapes
 
