@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from contact_reach_ros.planning.planner import Planner, ReplanningSettings
     from contact_reach_ros.planning.settings import PlanningSettings
     from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+    from contact_reach_ros.presets import preset
     from contact_reach_ros.simulation.robot import SimulatedRobot
     from contact_reach_ros.stack import Result, Robot, Stack, Tick, make_planner
     from contact_reach_ros.versions import VERSION as __version__
@@ -65,6 +66,7 @@ _WHERE = {
     "load_budget": "observer.budget",
     "load_scene": "world.generate",
     "make_planner": "stack",
+    "preset": "presets",
     "sphere_capacity": "world.spheres",
 }
 """Public names, and the modules that define them."""

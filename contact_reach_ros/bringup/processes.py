@@ -209,7 +209,10 @@ def _origin(options: BringupOptions) -> dict[str, ParameterValue]:
 
 
 def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
-    """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has."""
+    """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has.
+
+    Where materials differ the markers carry them.
+    """
     values: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
     for obstacle in anywhere(scene):
         prefix, material = "node" if obstacle.is_deformable else "sphere", obstacle.material

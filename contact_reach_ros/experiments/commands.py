@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from contact_reach_ros.control.settings import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import BRAX_PIPELINES
+
+if TYPE_CHECKING:
+    from contact_reach_ros.experiments.grid_run import Running
 
 
 def add_benches(bench: argparse.ArgumentParser) -> None:
@@ -100,7 +103,10 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     setting.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
     setting.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
     setting.add_argument("--scene", dest="scenes", nargs="+", help="names or YAML files (default: ball wall)")
-    setting.add_argument("--targets", type=int, help="episodes per scene and value (default: 10)")
+    setting.add_argument("--methods", nargs="+", metavar="METHOD", help="as for table1 (default: contact_reach)")
+    setting.add_argument("--targets", type=int, help="episodes per scene, method and value (default: 10)")
+    setting.add_argument("--seed", type=int, help="of the first target (default: 0)")
+    setting.add_argument("--plot", type=Path, metavar="FILE", help="draw time and force over the values")
     setting.add_argument(
         "--with", dest="others", nargs="+", metavar="NAME=VALUE", help="other settings, the same for each value"
     )
@@ -127,23 +133,29 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     table1.add_argument(
         "--goals", nargs="+", metavar="GOAL", help="hold the orientation, or leave it free (default: both)"
     )
-    table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: all)")
+    table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/baselines.md (default: four)")
     table1.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
     table1.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: pose)")
-    table1.add_argument("--targets", type=int, help="targets per scene (default: 10)")
-    table1.add_argument("--repeats", type=int, help="episodes per target (default: 3)")
+    table1.add_argument("--targets", type=int, help="targets per scene (default: 70)")
+    table1.add_argument("--repeats", type=int, help="episodes per target (default: 1)")
     table1.add_argument("--seed", type=int, help="of the first target (default: 0)")
-    table1.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20)")
-    table1.add_argument(
-        "--latency", type=float, metavar="SECONDS", help="time of a plan (default: measured beforehand)"
-    )
-    table1.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
-    table1.add_argument("--results", type=Path, metavar="FILE", help="write a page of results, as docs/results.md")
+    table1.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")
+    table1.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: the preset's)")
     table1.add_argument("--report-only", action="store_true", help="run nothing, report what is in --json FILE")
     table1.add_argument(
-        "--other", type=Path, metavar="FILE", help="with --report-only: a run with other goals, to compare with"
+        "--beside", type=Path, nargs="+", metavar="FILE", help="with --plot: further runs, with other presets"
     )
-    for spread in (faults, stops, smoothness, table1):
+    clutter = add("clutter", _clutter, "random scenes with several soft bodies, every method")
+    clutter.add_argument("--scenes", type=int, help="how many (default: 200)")
+    clutter.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
+    clutter.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: seven)")
+    clutter.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")
+    clutter.add_argument("--quick", action="store_true", help="few scenes and methods, in at most ten minutes")
+    for grid in (table1, clutter):
+        grid.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
+        grid.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
+        grid.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
+    for spread in (faults, stops, smoothness, table1, clutter):
         spread.add_argument(
             "--workers", type=int, metavar="W", help="processes on this machine (default: one per core)"
         )
@@ -219,24 +231,40 @@ def _faults(**options: Any) -> int:
     return 1 if bench_faults(**options)["violations"] else 0
 
 
-def _table1(
-    file: Path | None = None,
-    results: Path | None = None,
-    resume: bool = False,
-    report_only: bool = False,
-    other: Path | None = None,
-    **options: Any,
-) -> None:
+def _table1(report_only: bool = False, beside: Sequence[Path] = (), plot: Path | None = None, **options: Any) -> None:
     from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, report_table1
+    from contact_reach_ros.experiments.output import read_report
+    from contact_reach_ros.experiments.pictures import plot_table1
 
-    if other is not None and not report_only:
-        raise SettingsError("--other needs --report-only")
+    running, options = _running(options)
     if not report_only:
-        bench_table1(Table1(**_tuples(options)), file, results, resume)
-    elif file is None:
+        report = bench_table1(Table1(**_tuples(options)), running)
+    elif running.file is None:
         raise SettingsError("--report-only needs --json FILE, the result of a finished run")
     else:
-        report_table1(file, results, other)
+        report = report_table1(running.file)
+    if plot is not None:
+        plot_table1([report, *(read_report(file, "table1") for file in beside)], plot)
+
+
+def _clutter(quick: bool = False, plot: Path | None = None, **options: Any) -> None:
+    from contact_reach_ros.experiments.bench_clutter import QUICK, Clutter, bench_clutter
+    from contact_reach_ros.experiments.pictures import plot_clutter
+
+    running, options = _running(options)
+    report = bench_clutter(Clutter(**{**(QUICK if quick else {}), **_tuples(options)}), running)
+    if plot is not None:
+        plot_clutter(report, plot)
+
+
+def _running(options: dict[str, Any]) -> tuple[Running, dict[str, Any]]:
+    """How to run a grid, and the other options."""
+    from contact_reach_ros.experiments.grid_run import Running
+
+    own = ("file", "resume", "workers", "scheduler")
+    return Running(**{name: options[name] for name in own if name in options}), {
+        name: value for name, value in options.items() if name not in own
+    }
 
 
 def _fig4(output: Path = Path("docs/fig4.png"), file: Path | None = None, **options: Any) -> None:

@@ -39,7 +39,10 @@ from contact_reach_ros.simulation.settings import JointSettings, SensorSettings,
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.task import FREE, HOLD, Goal
+from contact_reach_ros.world.task import FREE, HOLD, REST_SPEED, Goal
+
+SETTLE_TIME = 0.2
+"""Time for which the tip has to stay near the goal, no faster than `REST_SPEED`, to have settled, s."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class EpisodeOptions:
         Of the sensor noise; that of the scene if there is none.
     linger
         Time to go on after the goal was reached or the arm was stopped, s.
+    until_settled
+        Whether a goal counts as reached only when the tip has stayed there, at rest, for `SETTLE_TIME`.
     faults
         What goes wrong, counted from the moment the goal is given.
     watchdog
@@ -81,6 +86,7 @@ class EpisodeOptions:
     hold_orientation: bool = True
     noise_seed: int | None = None
     linger: float = 0.0
+    until_settled: bool = False
     faults: Schedule = ()
     budget: ContactBudget = field(default_factory=ContactBudget)
     sensors: SensorSettings = field(default_factory=SensorSettings)
@@ -203,11 +209,11 @@ def run_episode(
     settle_ticks, linger_ticks = round(options.settle / TICK), round(options.linger / TICK)
     positions, joints, forces, residuals, distances, plans = [], [], [], [], [], []
     start_position = plant.tip_position
-    duration, has_goal, has_ended = float("nan"), False, False
+    duration, settled, at_rest, has_goal, has_ended = float("nan"), float("nan"), 0, False, False
     end_tick = settle_ticks + round(options.timeout / TICK)
 
     def after_tick() -> None:
-        nonlocal duration, has_ended, end_tick
+        nonlocal duration, settled, at_rest, has_ended, end_tick
         if watch is not None:
             watch(plant.steps - 1, plant)
         if has_goal and not stack.failure:
@@ -218,7 +224,14 @@ def run_episode(
             distances.append(float(np.linalg.norm(positions[-1] - scene.target)))
             if distances[-1] <= options.success and not np.isfinite(duration) and not stack.stop_reason:
                 duration = len(positions) * TICK
-        if not has_ended and (np.isfinite(duration) or stack.stop_reason):
+            if options.until_settled:
+                before = positions[-2] if len(positions) > 1 else start_position
+                is_slow = np.linalg.norm(positions[-1] - before) <= REST_SPEED * TICK
+                at_rest = at_rest + 1 if is_slow and distances[-1] <= options.success else 0
+                if at_rest == round(SETTLE_TIME / TICK) and not np.isfinite(settled) and not stack.stop_reason:
+                    settled = len(positions) * TICK
+        done = settled if options.until_settled else duration
+        if not has_ended and (np.isfinite(done) or stack.stop_reason):
             has_ended, end_tick = True, plant.steps + linger_ticks
 
     stack.simulated.after_tick = after_tick
@@ -238,6 +251,8 @@ def run_episode(
     }
     return EpisodeResult(
         duration=duration,
+        settled=settled,
+        until_settled=options.until_settled,
         start_position=start_position,
         positions=np.reshape(positions, (-1, 3)),
         joints=np.reshape(joints, (-1, n)),

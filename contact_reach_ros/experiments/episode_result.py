@@ -18,7 +18,10 @@ class EpisodeResult:
     Attributes
     ----------
     duration
-        Time until the goal was reached, s; NaN if it was not.
+        Time until the goal was first reached, s; NaN if it was not.
+    settled
+        Time until the tip had stayed there, at rest, for `SETTLE_TIME`, s; NaN if it did not, or the episode ended as
+        soon as the goal was reached.
     start_position
         (3,) position of the tip before, m.
     positions
@@ -63,6 +66,8 @@ class EpisodeResult:
     refused: dict[str, int] = field(default_factory=dict)
     end_speed: float = float("nan")
     period: float = PERIOD
+    settled: float = float("nan")
+    until_settled: bool = False
     command_times: Array = field(default_factory=lambda: np.zeros(0))
     commands: Array = field(default_factory=lambda: np.zeros((0, 1)))
 
@@ -73,5 +78,10 @@ class EpisodeResult:
 
     @property
     def reached(self) -> bool:
-        """Whether the goal was reached and nothing stopped the arm."""
-        return bool(np.isfinite(self.duration)) and not self.stop_reason
+        """Whether the goal was reached, with rest if that was asked for, and nothing stopped the arm."""
+        return bool(np.isfinite(self.time)) and not self.stop_reason
+
+    @property
+    def time(self) -> float:
+        """`settled` if rest was asked for, else `duration`, s."""
+        return self.settled if self.until_settled else self.duration

@@ -150,7 +150,7 @@ def outcome(watched: WatchedEpisode) -> str:
         return "no path found"
     force = f"{watched.peak_force:.1f} N"
     if result.reached:
-        return f"{result.duration:.2f} s, {force}"
+        return f"{result.time:.2f} s, {force}"
     return f"{'stopped' if result.stop_reason else 'not reached'}, {force}"
 
 

@@ -7,7 +7,7 @@ import functools
 import itertools
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,12 +18,15 @@ from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.methods import PATH_METHODS, make_method
+from contact_reach_ros.experiments.baselines.methods import PATH_METHODS, PLANLESS, make_method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
 from contact_reach_ros.experiments.paper import JOINT_TORQUE
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+from contact_reach_ros.presets import preset
 from contact_reach_ros.simulation.drive import WatchdogSettings
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.scene import Scene, SceneFile
@@ -39,6 +42,10 @@ PATH_PATIENCE = 4
 """Factor on the time limit of methods that follow a path: it may be long, but it ends at the goal."""
 
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
+
+DEADLINE_STEPS = 5
+"""Solver steps that the node's deadline of 30 ms holds on a quiet core in the wall scene, where a step takes 5.3 to
+5.5 ms (docs/planning.md); with fewer obstacles it holds more."""
 
 _SOLVER_SEEDS = 2**24
 """Few enough that a search of several runs can derive seeds of 32 bits from each."""
@@ -74,28 +81,60 @@ class Cell:
 
 @dataclass(frozen=True)
 class Setup:
-    """What all episodes have in common."""
+    """What all episodes have in common; by default exact: without a deadline, results depend on no machine."""
 
     arm: str = DEFAULT_ARM
     """Name of the arm; each process loads it."""
+    preset: str = ""
+    """Name of the preset that the settings come from, if they do."""
     planning: PlanningSettings = field(default_factory=lambda: PlanningSettings(deadline=0.0))
-    """Without a deadline, so that results do not depend on how busy the machine is."""
     controller: ControllerSettings = field(default_factory=ControllerSettings)
+    unexpected_contact: UnexpectedContactSettings = field(default_factory=UnexpectedContactSettings)
     budget: ContactBudget = field(default_factory=ContactBudget)
+    replanning: ReplanningSettings | None = None
+    """Of methods whose plans take time; None to begin each plan when the last one takes effect."""
+    capacity: int = 0
+    """Least number of spheres that planners take, so that scenes with different numbers share a program."""
     timeout: float = 20.0
     """Time to reach the goal, s, for methods that follow no path."""
 
+    @classmethod
+    def of(cls, name: str, budget: ContactBudget, arm: str = DEFAULT_ARM, task: str = "pose", **changes: Any) -> Setup:
+        """The setup of a preset for an arm and a task; raises `SettingsError` if there is none of this name.
+
+        A deadline on the wall clock, which would make results depend on the machine, is `DEADLINE_STEPS`. Plans of
+        0.47 s, as the paper's are, make the arm slow: it has three times as long.
+        """
+        found = preset(name, load_arm(arm))
+        impedance = dataclasses.replace(found.controller.impedance, task=task)
+        found = found._replace(controller=dataclasses.replace(found.controller, impedance=impedance))
+        if found.planning.deadline:
+            planning = dataclasses.replace(found.planning, deadline=0.0, max_steps=DEADLINE_STEPS)
+            found = found._replace(planning=planning)
+        timeout = cls.timeout * (3 if found.replanning.latency > 0.1 else 1)
+        return cls(arm=arm, preset=name, budget=budget, **{"timeout": timeout, **found._asdict(), **changes})
+
+    def latency(self, method: str) -> float:
+        """Time from a state to the effect of its plan, s; one that plans nothing in between answers at once."""
+        replanning = None if method in PLANLESS else self.replanning
+        return (replanning or ReplanningSettings()).latency
+
     def options(self, method: str, goal: str, latency: float, noise_seed: int | None = None) -> EpisodeOptions:
-        """Options of an episode in which each plan takes `latency`, s, and the next one is begun when it is ready."""
+        """Options of an episode in which each plan takes `latency`, s."""
+        period = latency
+        if self.replanning is not None:
+            period = min(latency, ReplanningSettings().period if method in PLANLESS else self.replanning.period)
         return EpisodeOptions(
-            period=latency,
+            period=period,
             latency=latency,
             timeout=self.timeout * (PATH_PATIENCE if method in PATH_METHODS else 1),
             hold_orientation=goal == "hold",
+            until_settled=True,
             budget=self.budget,
             noise_seed=noise_seed,
             # Nothing but the plan keeps torques that are applied as they are from moving the arm too fast.
             watchdog=WatchdogSettings(speed_share=0.0) if method == JOINT_TORQUE else WatchdogSettings(),
+            unexpected_contact=self.unexpected_contact,
         )
 
 
@@ -164,11 +203,6 @@ def cell_of(record: Record) -> Cell:
     return Cell(*(record[field.name] for field in dataclasses.fields(Cell)))
 
 
-def by_program(tasks: Sequence[EpisodeTask]) -> list[EpisodeTask]:
-    """Sort tasks so that workers seldom have to prepare another method."""
-    return sorted(tasks, key=lambda task: (task.cell.method, sphere_capacity(task.scene)))
-
-
 @functools.lru_cache(maxsize=16)
 def concrete_scene(file: SceneFile, arm: Arm, target: int) -> Scene:
     """The scene of a seed, cached because placing walls takes a while."""
@@ -180,7 +214,7 @@ def prepared(method: str, file: SceneFile, setup: Setup) -> Method:
     return _prepared(
         load_arm(setup.arm),
         method,
-        sphere_capacity(file),
+        max(sphere_capacity(file), setup.capacity),
         setup.budget.permitted_force,
         setup.planning,
         setup.controller,

@@ -27,13 +27,18 @@ class EpisodeMetrics:
     Attributes
     ----------
     reached
-        Whether the goal was reached in time and nothing stopped the arm.
+        Whether the goal was reached in time, and the tip had settled there if the episode asked for that, and nothing
+        stopped the arm.
     time
-        To the goal, s; None if it was not reached.
+        Until then, s; None if it was not reached.
+    entry_time
+        Until the tip was first at the goal, at whatever speed, s; None if it never was.
     time_ratio
         `time` over the least time that the bound γ on Δx permits, see `least_duration`.
     max_contact_force
         Largest force on any one body of the arm, N, from the simulation.
+    mean_contact_force
+        Mean over time of the largest force on one body, N.
     contact_impulse
         Integral over time of the largest force on one body, N s.
     over_budget
@@ -59,8 +64,10 @@ class EpisodeMetrics:
 
     reached: bool
     time: float | None
+    entry_time: float | None
     time_ratio: float | None
     max_contact_force: float
+    mean_contact_force: float
     contact_impulse: float
     over_budget: float
     max_external_torque: float
@@ -91,7 +98,7 @@ def measure(
     permitted_force
         ε of the contact budget, N.
     """
-    time = result.duration if result.reached else None
+    time = result.time if result.reached else None
     path = np.concatenate([result.start_position[None], result.positions])
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     straight = float(np.linalg.norm(path[-1] - path[0]))
@@ -99,8 +106,10 @@ def measure(
     return EpisodeMetrics(
         reached=result.reached,
         time=time,
+        entry_time=result.duration if np.isfinite(result.duration) else None,
         time_ratio=None if time is None else time / least_duration(result.start_position, target, planning, gains),
         max_contact_force=float(forces.max()),
+        mean_contact_force=float(forces.mean()),
         contact_impulse=float(forces.sum()) * TICK,
         over_budget=int((forces > permitted_force).sum()) * TICK,
         max_external_torque=float(np.abs(result.external_torques).max(initial=0.0)),

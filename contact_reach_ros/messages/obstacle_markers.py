@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from geometry_msgs.msg import Quaternion
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time, to_marker, to_point
+from contact_reach_ros.messages.obstacle_material import BodyMaterial, material_text
 from contact_reach_ros.messages.obstacle_reader import (
     BLOCK,
     CUBE,
@@ -30,7 +33,7 @@ from contact_reach_ros.messages.obstacle_reader import (
 )
 from contact_reach_ros.messages.serialization import decode, encode
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.obstacle import Material, Obstacle
 from contact_reach_ros.world.rigid import Environment, Plane, RigidBody, slab
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, by_obstacle, rest_positions
@@ -43,11 +46,22 @@ _STAMP_NS = 0x51EC51EC * NANOSECONDS + 0x1A2B3C4D
 
 
 def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArray:
-    """The obstacles of a scene at `positions` (K, 3), m, in the order of `rest_positions`, and its rigid bodies."""
+    """The obstacles of a scene at `positions` (K, 3), m, in the order of `rest_positions`, and its rigid bodies.
+
+    Where the balls of a scene, or its meshes, are not all of one material, which the planner's parameters could state,
+    their markers carry it.
+    """
     markers: list[Marker] = []
+    differs = {
+        is_ball: _differ(obstacle for obstacle in scene.obstacles if _is_ball(obstacle) == is_ball)
+        for is_ball in (False, True)
+    }
     for obstacle, places in by_obstacle(scene, positions):
-        is_ball = len(places) == 1 and not obstacle.fixed.any()
-        markers += _ball_markers(obstacle, places) if is_ball else _body_markers(obstacle, places)
+        is_ball = _is_ball(obstacle)
+        made = _ball_markers(obstacle, places) if is_ball else _body_markers(obstacle, places)
+        if differs[is_ball]:
+            made[0].text = material_text(_seen(obstacle.material))
+        markers += made
     markers += [_rigid_marker(body, number) for number, body in enumerate(scene.environment)]
     for marker in markers:
         marker.header.frame_id = scene.arm.base_frame
@@ -180,6 +194,20 @@ def _numbers(data: bytes | bytearray) -> Array:
 
 def _words(data: bytes | bytearray) -> NDArray[np.uint32]:
     return np.frombuffer(data, "<u4", (len(data) - 4) // 4, 4)
+
+
+def _is_ball(obstacle: Obstacle) -> bool:
+    return len(obstacle.rest) == 1 and not obstacle.fixed.any()
+
+
+def _seen(material: Material) -> BodyMaterial:
+    """The material as the planner's model has it."""
+    scale = material.planner_scale
+    return BodyMaterial(scale * material.stiffness, material.damping, scale * material.edge_stiffness)
+
+
+def _differ(obstacles: Iterable[Obstacle]) -> bool:
+    return len({_seen(obstacle.material) for obstacle in obstacles}) > 1
 
 
 def _ball_markers(ball: Obstacle, places: Array) -> list[Marker]:

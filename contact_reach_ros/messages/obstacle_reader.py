@@ -1,8 +1,9 @@
 """Obstacles read from visualization markers, of any object with the fields of the messages.
 
 A ball is a SPHERE. A deformable body is a SPHERE_LIST of the nodes that can move, one of those that are fixed, and a
-LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. A rigid body is a
-CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
+LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. Its material is the
+one that the planner assumes, unless the text of the marker of what can move gives it, see `material_text`. A rigid body
+is a CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import FrameError, InputError
+from contact_reach_ros.messages.obstacle_material import BodyMaterial, material_of
 from contact_reach_ros.messages.values import nanoseconds, quaternion, vector
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
@@ -38,7 +40,7 @@ _MATCH = 1e-4
 
 @dataclass(frozen=True)
 class AssumedMaterial:
-    """Properties of obstacles that markers do not carry."""
+    """Properties of obstacles whose markers do not carry them."""
 
     sphere_stiffness: float
     """Spring that holds a sphere to its place, N/m."""
@@ -133,17 +135,20 @@ class ObstacleMarkerReader:
                 "node that can move"
             )
         nodes = np.concatenate([movable, fixed])
-        is_ball = ball.type == SPHERE
-        stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
+        stiffness, damping, edge_stiffness = ball.material or (
+            (material.sphere_stiffness, material.sphere_damping, material.edge_stiffness)
+            if ball.type == SPHERE
+            else (material.node_stiffness, material.node_damping, material.edge_stiffness)
+        )
         edges = self._match(identifier, body[EDGES][1], nodes) if EDGES in body else _EMPTY.edges
         return _Part(
             center=nodes,
             rest=np.concatenate([rest, fixed]),
             radius=np.repeat([ball.radius, fixture.radius], [len(movable), len(fixed)]),
             stiffness=np.repeat([stiffness, FIXED_STIFFNESS], [len(movable), len(fixed)]),
-            damping=np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
+            damping=np.full(len(nodes), damping),
             edges=edges + first,
-            edge_stiffness=np.full(len(edges), material.edge_stiffness),
+            edge_stiffness=np.full(len(edges), edge_stiffness),
         )
 
     def _match(self, identifier: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
@@ -202,6 +207,8 @@ class Shape(NamedTuple):
     radius: float
     points: int
     """Their number."""
+    material: BodyMaterial | None = None
+    """What the marker says of it."""
 
 
 _NOTHING = (Shape("", OBSTACLES, 0, SPHERE_LIST, 0.0, 0), np.zeros((0, 3)))
@@ -220,7 +227,8 @@ def shapes_of(message: Any, frame: str) -> list[Shape]:
             raise InputError(f"obstacles: marker {name} comes twice; expected each namespace and id once")
         seen.add((kind, marker.id))
         count = 1 if marker.type == SPHERE else len(marker.points)
-        shapes.append(Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count))
+        material = material_of(marker, name) if kind == OBSTACLES else None
+        shapes.append(Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count, material))
     return shapes
 
 

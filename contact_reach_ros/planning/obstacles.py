@@ -101,7 +101,8 @@ class Network:
         np.add.at(stiffness, (second, first), -spheres.edge_stiffness)
         self.stiffness = stiffness
         """(K, K) L, N/m."""
-        self._compliance = np.linalg.inv(stiffness)
+        self.compliance = np.linalg.inv(stiffness)
+        """(K, K) L⁻¹, m/N."""
 
     def same_as(self, spheres: Spheres) -> bool:
         """Whether the spheres, wherever they are, form this network."""
@@ -113,8 +114,8 @@ class Network:
     def modes(self, kept: NDArray[np.intp], capacity: int) -> Modes:
         """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with unconnected spheres."""
         # Displacement of all spheres when the kept ones are displaced and forces act on those alone.
-        stiffness = np.linalg.inv(self._compliance[np.ix_(kept, kept)])
-        followers = self._compliance[:, kept] @ stiffness
+        stiffness = np.linalg.inv(self.compliance[np.ix_(kept, kept)])
+        followers = self.compliance[:, kept] @ stiffness
         damping = followers.T @ (self._spheres.damping[:, None] * followers)
         rates, shapes = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), 0.5 * (damping + damping.T))
         missing = capacity - len(kept)

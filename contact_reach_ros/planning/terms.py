@@ -4,9 +4,9 @@ A term is a function of the predicted motion with the decorator `term`, or `rewa
 is the planner's setting `<name>_weight`. The cost is the weighted sum, over the knots, of all terms for which the
 settings have a weight.
 
-The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − ε) and not
-the literal λ3 (contact − ε), which would reward every newton below ε as much as it punishes one above. A small weight
-on any contact keeps permitted forces low. The joints' limits of position and speed, absent from (5), are soft costs, as
+The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − ε). The
+literal λ3 (contact − ε) charges every newton, also below ε; preset `paper_linear` has it as a weight on any contact. A
+small one keeps permitted forces low. The joints' limits of position and speed, absent from (5), are soft costs, as
 are a goal's orientation and the null-space motion, which nothing else would restrain.
 """
 

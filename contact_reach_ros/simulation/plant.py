@@ -94,7 +94,7 @@ class Plant:
         """
         self.arm = scene.arm
         mismatch = scene.mismatch
-        bodies = [body for obstacle in scene.obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
+        bodies = [body for obstacle in scene.true_obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
         everything = [*bodies, spare_body()] if spare_obstacle else bodies
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(
@@ -213,7 +213,10 @@ class Plant:
         return self._contacts.contacts()
 
     def obstacle_positions(self) -> Array:
-        """Positions of the obstacles' spheres, (K, 3), m, base frame, in the order of `rest_positions`."""
+        """Where the obstacles' spheres are seen, (K, 3), m, base frame, in the order of `rest_positions`.
+
+        They are `Scene.offsets` from there.
+        """
         positions = self._rests.copy()
         positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
         return positions

@@ -11,7 +11,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
 from contact_reach_ros.world.collision import check_hand, nearest
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.obstacle import Obstacle, numbered
+from contact_reach_ros.world.obstacle import Obstacle, bodies
 from contact_reach_ros.world.overlap import (
     base_distances,
     capsule_links,
@@ -83,8 +83,8 @@ def check_reach(arm: Arm, target: Array) -> None:
 
 def given_obstacles(file: SceneFile) -> tuple[Obstacle, ...]:
     """The obstacles whose place is in the file."""
-    given = (section for section in file.obstacles if section.center is not None)
-    return numbered(obstacle for section in given for obstacle in section.at(np.array(section.center)))
+    given = [section for section in file.obstacles if section.center is not None]
+    return bodies(given, [np.array(section.center) for section in given])
 
 
 def conflict(scene: Scene) -> str:

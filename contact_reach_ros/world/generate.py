@@ -18,12 +18,12 @@ from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.fitting import fitted
 from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.obstacle import Obstacle, numbered
-from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.obstacle import bodies
+from contact_reach_ros.world.scene import MismatchSettings, Scene, SceneFile
 
 _TARGET_TRIES = 200
 _FOAM = 1
-"""Keeps the foam's random numbers independent of those of the places."""
+"""Keeps the random numbers of the mismatch independent of those of the places."""
 
 
 def load_scene(name: str, arm: Arm | None = None, seed: int = 0, target: ArrayLike | None = None) -> Scene:
@@ -120,7 +120,7 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: Array | None = None
             continue
         reason = conflict(scene)
         if not reason:
-            return dataclasses.replace(scene, mismatch=file.mismatch, foam_scale=_foam_scale(file, seed))
+            return _mismatched(scene, file.mismatch)
         if wanted is not None and (not file.obstacles or any(each.center is not None for each in file.obstacles)):
             raise SceneError(f"scene '{file.name}': {reason}")
     raise SceneError(f"scene '{file.name}', seed {seed}: {_nothing_found(file, tries, wanted is None, reason)}")
@@ -136,19 +136,30 @@ def _nothing_found(file: SceneFile, tries: int, is_drawn: bool, reason: str) -> 
     return f"no {what} found in {tries} tries{last}; {', or '.join(remedies)}"
 
 
-def _foam_scale(file: SceneFile, seed: int) -> float:
-    """Draw the foam's factor apart from the rest, so that mismatch changes nothing else in the scene."""
-    variation = file.mismatch.foam_variation
-    return float(np.random.default_rng((seed, _FOAM)).uniform(1.0 - variation, 1.0 + variation))
+def _mismatched(scene: Scene, mismatch: MismatchSettings) -> Scene:
+    """Draw the obstacles' mismatch apart from the rest, so that it changes nothing else in the scene."""
+    random = np.random.default_rng((scene.seed, _FOAM))
+    scale = random.uniform(1.0 - mismatch.foam_variation, 1.0 + mismatch.foam_variation)
+    scale *= mismatch.foam_factor ** random.uniform(-1.0, 1.0)
+    offsets = np.zeros((0, 3))
+    if mismatch.placement_error:
+        offsets = random.normal(size=(len(scene.obstacles), 3))
+        lengths = mismatch.placement_error * random.uniform(size=(len(scene.obstacles), 1))
+        offsets *= lengths / np.linalg.norm(offsets, axis=1, keepdims=True)
+    changed = dataclasses.replace(scene, mismatch=mismatch, foam_scale=float(scale), offsets=offsets)
+    for obstacle, offset in zip(changed.true_obstacles, offsets, strict=False):
+        # One that would begin in the arm is seen where it is.
+        offset *= not conflict(dataclasses.replace(scene, obstacles=(obstacle,)))
+    return changed
 
 
 def _with_obstacles(scene: Scene, file: SceneFile, path: Array, random: np.random.Generator) -> Scene | None:
     """Add the obstacles, where the file says or on the arm's free path (N, n); None if nothing fits."""
-    obstacles: list[Obstacle] = []
+    centers: list[Array] = []
     for section in file.obstacles:
         given = section.center
         center = section.place(scene.arm, path, random) if given is None else np.array(given)
         if center is None:
             return None
-        obstacles += section.at(center)
-    return dataclasses.replace(scene, obstacles=numbered(obstacles))
+        centers.append(center)
+    return dataclasses.replace(scene, obstacles=bodies(file.obstacles, centers))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.settings import Settings
+from contact_reach_ros.settings import Settings, setting
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,7 @@ def numbered(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
     return tuple(dataclasses.replace(obstacle, id=number) for number, obstacle in enumerate(obstacles))
 
 
+@dataclass(frozen=True)
 class ObstacleSettings(Settings, ABC):
     """Section of a scene file that puts obstacles of one kind into the scene.
 
@@ -120,12 +123,20 @@ class ObstacleSettings(Settings, ABC):
         Number of targets to try before `place` gives up.
     center
         Position of the obstacles in the scene file, m, base frame; None to let `place` choose it.
+    id
+        Number of the first of them; -1 for the next one that is free.
     """
 
     KIND: ClassVar[str]
     NAME: ClassVar[str]
     TARGET_TRIES: ClassVar[int] = 200
-    center: tuple[float, ...] | None
+
+    center: tuple[float, ...] | None = setting(
+        None, "centre, instead of a random one", unit="m", minimum=-1.5, maximum=1.5, optional_length=3
+    )
+    id: int = setting(
+        -1, "number of its first body, unique in the scene; -1 for the next one that is free", minimum=-1, maximum=9999
+    )
 
     @abstractmethod
     def check(self) -> None:
@@ -156,3 +167,27 @@ class ObstacleSettings(Settings, ABC):
     def limits(self) -> str:
         """Settings to relax if `place` finds nothing, in words; empty if none."""
         return ""
+
+
+def bodies(sections: Sequence[ObstacleSettings], centers: Sequence[Array]) -> tuple[Obstacle, ...]:
+    """The obstacles of sections around their centres (3,), m, with the ids that the sections ask for.
+
+    Bodies of the same name get their id in it.
+    """
+    groups = [section.at(center) for section, center in zip(sections, centers, strict=True)]
+    taken = {
+        section.id + k
+        for section, group in zip(sections, groups, strict=True)
+        if section.id >= 0
+        for k in range(len(group))
+    }
+    free = (number for number in itertools.count() if number not in taken)
+    found = [
+        dataclasses.replace(body, id=next(free) if section.id < 0 else section.id + number)
+        for section, group in zip(sections, groups, strict=True)
+        for number, body in enumerate(group)
+    ]
+    names = Counter(body.name for body in found)
+    return tuple(
+        body if names[body.name] == 1 else dataclasses.replace(body, name=f"{body.name} {body.id}") for body in found
+    )

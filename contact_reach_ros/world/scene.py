@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -78,6 +78,16 @@ class MismatchSettings(Settings):
         minimum=0.0,
         maximum=0.9,
     )
+    foam_factor: float = setting(
+        1.0, "greatest factor by which it is stiffer or softer in addition, drawn by the seed", minimum=1.0, maximum=5.0
+    )
+    placement_error: float = setting(
+        0.0,
+        "greatest distance of each obstacle from where it is seen, drawn by the seed",
+        unit="m",
+        minimum=0.0,
+        maximum=0.1,
+    )
 
 
 NO_MISMATCH = MismatchSettings("nominal", payload=0.0, friction_scale=1.0, noise_scale=1.0, foam_variation=0.0)
@@ -106,6 +116,8 @@ class Scene:
         Differences of the simulation from the models.
     foam_scale
         Factor on all stiffnesses of the obstacles in the simulation; unknown to the planner.
+    offsets
+        (len(obstacles), 3) from where each obstacle is seen to where it is in the simulation, m; empty for none.
     environment
         Rigid bodies, which the arm must not touch.
 
@@ -124,11 +136,20 @@ class Scene:
     mismatch: MismatchSettings = NO_MISMATCH
     foam_scale: float = 1.0
     environment: Environment = ()
+    offsets: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         identifiers = [obstacle.id for obstacle in self.obstacles]
         if len(set(identifiers)) < len(identifiers):
             raise SceneError(f"scene '{self.name}': ids of obstacles are {identifiers}; expected each once")
+
+    @property
+    def true_obstacles(self) -> tuple[Obstacle, ...]:
+        """The obstacles where they are in the simulation."""
+        if not len(self.offsets):
+            return self.obstacles
+        pairs = zip(self.obstacles, self.offsets, strict=True)
+        return tuple(replace(obstacle, rest=obstacle.rest + offset) for obstacle, offset in pairs)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from contact_reach_ros.arrays import Array, checked_array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.world.obstacle import Obstacle, numbered
+from contact_reach_ros.world.obstacle import Obstacle, bodies
 from contact_reach_ros.world.rigid import Environment
 from contact_reach_ros.world.scene import Scene, SceneFile
 
@@ -99,7 +99,7 @@ MAX_SPHERES = 12
 
 def anywhere(file: SceneFile) -> tuple[Obstacle, ...]:
     """The obstacles of a scene file, in arbitrary places: for their shapes and materials only."""
-    return numbered(obstacle for section in file.obstacles for obstacle in section.at(np.zeros(3)))
+    return bodies(file.obstacles, [np.zeros(3)] * len(file.obstacles))
 
 
 def sphere_capacity(scene: SceneFile | Scene) -> int:

@@ -17,8 +17,8 @@ from test_workers import ended
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command
+from contact_reach_ros.experiments.grid_run import Running, partial_of
 from contact_reach_ros.experiments.output import read_report
-from contact_reach_ros.experiments.table1_resume import partial_of
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +30,6 @@ BENCH = Table1(
     repeats=3,
     timeout=0.6,
     latency=0.05,
-    workers=1,
 )
 
 
@@ -46,27 +45,21 @@ def whole(report):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """Report and files of a run that nothing interrupted, on two processes."""
-    folder = tmp_path_factory.mktemp("finished")
-    file, page = folder / "table.json", folder / "docs" / "results.md"
-    report = bench_table1(dataclasses.replace(BENCH, workers=2), file, page, False, TINY)
-    return report, file, page
+    """Report and file of a run that nothing interrupted, on two processes."""
+    file = tmp_path_factory.mktemp("finished") / "table.json"
+    return bench_table1(BENCH, Running(file, workers=2), TINY), file
 
 
 def test_files_hold_what_is_returned(finished):
-    report, file, page = finished
+    report, file = finished
     assert json.loads(file.read_text()) == report
     assert [(entry["target"], entry["repeat"]) for entry in report["episodes"]] == [
         (target, repeat) for target in range(2) for repeat in range(3)
     ]
     assert not partial_of(file).exists()
-    assert report["latencies"] == {
-        "free": {"cma_es": {"latency_s": 0.05, "median_s": None, "cpu_median_s": None, "plans": 0}}
-    }
-    text = page.read_text()
-    assert "6 episodes: 2 targets per scene (seeds 0 to 1), 3 repeats" in text
-    assert "| free | cma_es | 0/6 |" in text
-    assert "- free, orientation held, cma_es: 6 × out of time" in text
+    assert {"claim", "required", "value", "ci95", "met"} <= set(report["claims"][0])
+    assert report["claims"][0]["claim"] == "free: settles at the goal"
+    assert not report["claims"][0]["met"]
 
 
 def test_a_run_that_was_terminated_goes_on_where_it_was(finished, tmp_path):
@@ -76,8 +69,8 @@ def test_a_run_that_was_terminated_goes_on_where_it_was(finished, tmp_path):
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from pathlib import Path\n"
         "if __name__ == '__main__':\n"
-        "    from test_bench_table1 import BENCH, TINY, bench_table1\n"
-        "    bench_table1(BENCH, Path(sys.argv[2]), None, False, TINY)\n"
+        "    from test_bench_table1 import BENCH, TINY, Running, bench_table1\n"
+        "    bench_table1(BENCH, Running(Path(sys.argv[2]), workers=1), TINY)\n"
     )
     run = subprocess.Popen([sys.executable, str(program), str(Path(__file__).parent), str(file)])
     try:
@@ -95,10 +88,9 @@ def test_a_run_that_was_terminated_goes_on_where_it_was(finished, tmp_path):
     kept = episodes(file)
     assert 2 <= len(kept) < 6
 
-    # Latencies come from the run that is gone on with, too.
-    resumed = bench_table1(dataclasses.replace(BENCH, latency=None), file, None, True, TINY)
+    resumed = bench_table1(BENCH, Running(file, resume=True, workers=1), TINY)
     report = whole(finished[0])
-    assert {**whole(resumed), "command": None} == {**report, "command": None}
+    assert whole(resumed) == report
     assert [entry for entry in resumed["episodes"] if entry in kept] == kept
     assert not partial_of(file).exists()
 
@@ -112,36 +104,31 @@ def test_what_was_not_finished_is_not_overwritten(finished, tmp_path):
     file = tmp_path / "table.json"
     partial_of(file).write_text("{}\n")
     with pytest.raises(SettingsError, match="go on with it by --resume, or remove the file"):
-        bench_table1(BENCH, file, None, False, TINY)
+        bench_table1(BENCH, Running(file), TINY)
 
 
 def test_other_settings_cannot_go_on(finished):
-    _, file, _ = finished
+    _, file = finished
     before = file.read_text()
-    for change, message in (
-        ({"timeout": 0.7}, r"timeout was 0\.6 and is 0\.7 now"),
-        ({"targets": 1}, "holds 3 episodes that these options leave out"),
-        ({"targets": 3, "latency": 0.06}, "were run with 0.05 s; leave --latency out"),
+    for change, setup, message in (
+        ({}, dataclasses.replace(TINY, timeout=0.7), r"timeout was 0\.6 and is 0\.7 now"),
+        ({"targets": 1}, TINY, "holds 3 episodes that these options leave out"),
+        ({"targets": 3, "latency": 0.06}, TINY, r"latency was 0\.05 and is 0\.06 now"),
     ):
         with pytest.raises(SettingsError, match=message):
-            bench_table1(dataclasses.replace(BENCH, **change), file, None, True, TINY)
+            bench_table1(dataclasses.replace(BENCH, **change), Running(file, resume=True), setup)
     assert file.read_text() == before
 
 
-def test_the_page_is_rewritten_from_the_file_alone(finished, tmp_path, capsys):
-    _, file, page = finished
-    (tmp_path / "fig4.png").touch()
-    assert contact_reach("bench", "table1", "--report-only", "--json", file, "--results", tmp_path / "results.md") == 0
-    again = (tmp_path / "results.md").read_text()
-    assert again.startswith(page.read_text().rstrip())
-    assert "(fig4.png)" in again
-    assert "fig5.png" not in again
+def test_tables_are_printed_from_the_file_alone(finished, capsys):
+    _, file = finished
+    assert contact_reach("bench", "table1", "--report-only", "--json", file) == 0
     assert "| free | cma_es | 0/6 |" in capsys.readouterr().out
 
 
 def test_the_command_is_what_made_the_page():
     assert command(BENCH).startswith(
-        "contact-reach bench table1 --scenes free --goals hold --methods cma_es --targets 2"
+        "contact-reach bench table1 --preset shipped --scenes free --goals hold --methods cma_es --targets 2"
     )
     assert "--scenes" not in command(Table1())
     assert os.sep + "tmp" not in command(Table1(scenes=("/tmp/own.yaml",)))
@@ -156,6 +143,7 @@ def test_the_command_is_what_made_the_page():
         (["--targets", "0"], "--targets 0: expected at least 1"),
         (["--workers", "0"], "--workers 0: expected at least 1"),
         (["--timeout", "nan"], "--timeout nan: expected a positive time"),
+        (["--preset", "paper"], "preset 'paper' is unknown; expected one of paper_linear"),
         (["--latency", "5"], "--latency 5: expected 0.001 to 1 s"),
         (["--resume"], "--resume needs --json FILE"),
         (["--report-only"], "--report-only needs --json FILE"),

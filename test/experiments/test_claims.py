@@ -1,10 +1,11 @@
-"""Summaries, ratios and what is demanded, on episodes made up so that the answers are known."""
+"""Summaries, differences and what is demanded, on episodes made up so that the answers are known."""
 
 import math
 
+import numpy as np
 import pytest
 
-from contact_reach_ros.experiments.claims import Results, claims, number, plus_minus, ratio_text
+from contact_reach_ros.experiments.claims import Results, claims, interval_text, plus_minus
 from contact_reach_ros.experiments.grid import Cell, failed
 
 
@@ -15,12 +16,17 @@ def record(scene="ball", goal="hold", method="contact_reach", target=0, repeat=0
     return {**entry, **figures}
 
 
-def forces(method, by_target):
+def forces(method, by_target, scene="wall"):
     return [
-        record(method=method, target=target, repeat=repeat, max_contact_force=force)
+        record(scene, method=method, target=target, repeat=repeat, max_contact_force=force)
         for target, values in enumerate(by_target)
         for repeat, force in enumerate(values)
     ]
+
+
+def claim(episodes, text, scene="wall"):
+    (found,) = (entry for entry in claims(Results(episodes), [scene], ["hold"]) if text in entry["claim"])
+    return found
 
 
 def test_mean_and_deviation_of_the_episodes_that_have_the_figure():
@@ -32,71 +38,75 @@ def test_mean_and_deviation_of_the_episodes_that_have_the_figure():
     assert plus_minus(results.summary("wall", "hold", "contact_reach", "time")) == "–"
 
 
-def test_ratio_of_means_and_median_of_pairs():
-    results = Results(forces("contact_reach", [[1, 3], [1, 1], [4, 4]]) + forces("reference_posture", [[4], [3], [8]]))
-    ratio = results.ratio("ball", "hold", "reference_posture", "contact_reach", "max_contact_force")
-    assert ratio.of_means == pytest.approx(15.0 / 7.0)
-    assert ratio.paired_median == 2.0
-    assert ratio.targets == 3
-    # Whatever targets are drawn, the ratio lies between that of the worst and that of the best.
-    assert 2.0 <= ratio.low < ratio.of_means < ratio.high <= 3.0
-    assert results.ratio("ball", "hold", "reference_posture", "contact_reach", "max_contact_force") == ratio
+def test_differences_are_paired_by_target_over_the_mean_of_its_repeats():
+    episodes = forces("contact_reach", [[1, 3], [1], [4]]) + forces("reference_posture", [[4], [3]])
+    found = Results(episodes).difference("wall", "hold", "reference_posture", "contact_reach", "max_contact_force")
+    np.testing.assert_array_equal(found, [2.0, 2.0])
 
 
-def test_a_ratio_needs_targets_that_both_have():
-    results = Results([*forces("contact_reach", [[1], [2]]), record(method="cma_es", target=5, max_contact_force=9.0)])
-    assert results.ratio("ball", "hold", "cma_es", "contact_reach", "max_contact_force") is None
-    one = Results(forces("contact_reach", [[2]]) + forces("cma_es", [[5], [7]]))
-    assert ratio_text(one.ratio("ball", "hold", "cma_es", "contact_reach", "max_contact_force")) == (
-        "2.50, paired median 2.50, 1 target"
-    )
+FORCE = "peak force of reference posture, less 4 times"
 
 
-def test_something_over_nothing_is_infinite_and_nothing_over_nothing_is_no_ratio():
-    results = Results(
-        forces("contact_reach", [[0], [0], [0]])
-        + forces("reference_posture", [[0], [2], [3]])
-        + forces("cma_es", [[0], [0], [0]])
-    )
-    ratio = results.ratio("ball", "hold", "reference_posture", "contact_reach", "max_contact_force")
-    assert (ratio.of_means, ratio.paired_median) == (math.inf, math.inf)
-    assert number(ratio.low) == "∞"
-    assert results.ratio("ball", "hold", "cma_es", "contact_reach", "max_contact_force") is None
+def test_four_times_the_force_is_a_difference_that_zeros_do_not_make_infinite():
+    harder = forces("contact_reach", 4 * [[0.0], [1.0], [1.0]])
+    harder += forces("reference_posture", 4 * [[2.0], [7.0], [6.0]])
+    found = claim(harder, FORCE)
+    assert found["value"] == pytest.approx((2.0 + 3.0 + 2.0) / 3)
+    assert found["met"]
+    few = [entry for entry in harder if entry["target"] < 9]
+    assert claim(few, FORCE)["ci95"][0] > 0.0
+    assert not claim(few, FORCE)["met"], "nine targets are too few"
+    nothing = forces("contact_reach", [[0.0]] * 12) + forces("reference_posture", [[0.0]] * 12)
+    assert not claim(nothing, FORCE)["met"], "two methods that touch nothing show nothing"
 
 
-def verdicts(episodes, scenes=("ball",)):
-    return {claim.text: claim.met for claim in claims(Results(episodes), scenes, ["hold"])}
+def test_a_mean_beyond_the_bound_is_not_enough():
+    values = [[0.1], [0.1], [0.1], [0.1], [9.0]]
+    found = claim(forces("contact_reach", [[0.0]] * 5) + forces("reference_posture", values), FORCE)
+    assert found["value"] > 0.0
+    assert found["ci95"][0] > 0.0
+    mixed = forces("contact_reach", [[1.0]] * 12) + forces("reference_posture", 3 * [[3.0], [3.0], [3.0], [30.0]])
+    found = claim(mixed, FORCE)
+    assert found["value"] > 0.0 > found["ci95"][0]
+    assert not found["met"]
 
 
-def test_demands_are_met_or_not():
-    ours = [record(target=t, time=5.0, time_ratio=1.5, max_contact_force=2.0) for t in range(2)]
-    others = [
-        *(record(method="reference_posture", target=t, time=5.0, max_contact_force=4.0) for t in range(2)),
-        *(record(method="rrt_star", target=t, time=12.0, max_contact_force=0.0) for t in range(2)),
+def test_success_takes_as_many_targets_as_show_it():
+    enough = [record("free", target=target, time=3.0, reached=True) for target in range(40)]
+    found = claim(enough, "settles at the goal", "free")
+    assert (found["value"], found["targets"], found["met"]) == (1.0, 40, True)
+    assert not claim(enough[:10], "settles at the goal", "free")["met"]
+    # A target with one repeat that fails is no success.
+    half = [*enough[:-1], record("free", target=38, repeat=1)]
+    assert claim(half, "settles at the goal", "free")["value"] == pytest.approx(38 / 39)
+
+
+def test_collision_free_paths_of_both_kinds_are_compared_in_time():
+    episodes = [
+        record(method=method, target=target, time=time, time_ratio=1.0)
+        for method, time in (("contact_reach", 3.0), ("collision_free", 4.0), ("rrt_star", 12.0))
+        for target in range(12)
     ]
-    found = verdicts(ours + others)
-    assert found == {
-        "ball: every goal reached, no latched stop": True,
-        "ball: time over the kinematic limit": True,
-        "ball: time below half of the paper's 12.8 s": True,
-        "ball: maximum force, reference posture over the method": True,
-        "ball: time, collision-free over the method": False,
-        "ball: maximum force of the paper (its foam is not published)": True,
-    }
-    slow = [{**entry, "time": 7.0, "time_ratio": 1.7, "max_contact_force": 3.0} for entry in ours]
-    found = verdicts(slow + others)
-    assert [text for text, met in found.items() if met] == ["ball: every goal reached, no latched stop"]
+    found = {entry["claim"]: entry for entry in claims(Results(episodes), ["ball"], ["hold"])}
+    assert found["ball: time of collision_free, less 2.6 times the method's"]["value"] == pytest.approx(4.0 - 7.8)
+    assert not found["ball: time of collision_free, less 2.6 times the method's"]["met"]
+    assert found["ball: time of rrt_star, less 2.6 times the method's"]["met"]
 
 
-def test_one_goal_missed_or_one_stop_is_no_success():
-    reached = record(time=5.0)
-    text = "ball: every goal reached, no latched stop"
-    assert verdicts([reached])[text] is True
-    assert verdicts([reached, record(target=1)])[text] is False
-    assert verdicts([reached, record(target=1, stop_reason="external torque on A2")])[text] is False
-    assert verdicts([])[text] is None
+def test_each_claim_pays_for_the_others():
+    random = np.random.default_rng(0)
+    ours, theirs = random.uniform(0, 1, (12, 1)), random.uniform(2, 9, (12, 1))
+    episodes = forces("contact_reach", ours) + forces("reference_posture", theirs)
+    alone = claim(episodes, FORCE)
+    many = claim(episodes + forces("contact_reach", ours, "ball"), FORCE)
+    assert alone["ci95"] == many["ci95"]
+    assert alone["ci_corrected"][0] < alone["ci95"][0]
 
 
-def test_mismatch_scenes_are_asked_for_success():
-    episodes = [record(scene="wall_mismatch", time=5.0)]
-    assert verdicts(episodes, ("wall_mismatch",)) == {"wall_mismatch: every goal reached, no latched stop": True}
+def test_what_was_not_measured_is_no_claim():
+    assert claims(Results([]), ["ball", "wall"], ["hold"]) == []
+
+
+def test_intervals_are_text():
+    assert interval_text(1.234, [0.5, 2.0]) == "1.23 [0.50, 2.00]"
+    assert interval_text(1.234, [None, None]) == "1.23"

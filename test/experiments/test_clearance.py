@@ -114,3 +114,8 @@ def test_without_obstacles_everything_is_free():
     assert checker.free(postures(0, 3)).all()
     assert checker.motion_free(-LIMITS, LIMITS)
     assert np.isinf(checker.distances(postures(0, 3))).all()
+
+
+def test_of_no_postures_none_is_clear():
+    checker = ClearanceChecker(ARM, spheres_at(FAR), 0.02, 0.02, HOME)
+    assert len(checker.distances(np.zeros((0, ARM.n)))) == len(checker.free(np.zeros((0, ARM.n)))) == 0

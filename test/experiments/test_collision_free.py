@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.baselines import collision_free
 from contact_reach_ros.experiments.baselines.collision_free import CollisionFreePlanner
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.rrt_star import PathSettings
+from contact_reach_ros.experiments.baselines.rrt_star import PathSettings, find_path
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
@@ -31,8 +30,12 @@ AHEAD = 0.5 * GAINS.reference_ramp
 """References are from where the arm will be then, s."""
 
 
-def make_planner(seed: int = 0, gains: ImpedanceSettings = GAINS) -> CollisionFreePlanner:
-    planner = CollisionFreePlanner(ARM, SETTINGS, gains, QUICK, seed)
+def search(arm, q, goal, spheres, seed):
+    return find_path(arm, q, goal, spheres, QUICK, seed)
+
+
+def make_planner(seed: int = 0, gains: ImpedanceSettings = GAINS, search=search) -> CollisionFreePlanner:
+    planner = CollisionFreePlanner(ARM, SETTINGS, gains, search, seed)
     planner.warm_up(lambda line: None)
     return planner
 
@@ -108,16 +111,14 @@ class TestPlanning:
     def plan(self, planner, q=START, state=0, goal=GOAL):
         return planner.plan(q, np.zeros(ARM.n), state * MS, (state + 40) * MS, goal, Spheres.none())
 
-    def test_the_path_is_searched_once_for_each_goal_and_after_a_reset(self, monkeypatch):
+    def test_the_path_is_searched_once_for_each_goal_and_after_a_reset(self):
         searches = []
-        real = collision_free.find_path
 
         def counted(*args):
             searches.append(args)
-            return real(*args)
+            return search(*args)
 
-        monkeypatch.setattr(collision_free, "find_path", counted)
-        planner = make_planner()
+        planner = make_planner(search=counted)
         first = self.plan(planner)
         self.plan(planner, first.predicted_q[0], 40)
         assert len(searches) == 1

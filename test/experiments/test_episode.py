@@ -85,6 +85,27 @@ def test_the_noise_has_a_seed_of_its_own(episode):
     np.testing.assert_allclose(joints(0), joints(1), atol=1e-2)
 
 
+def test_an_episode_until_rest_goes_on_until_the_tip_has_stayed_there_slowly():
+    scene = make_scene(read_scene("free"), ARM, 1)
+
+    def run(until_settled):
+        options = EpisodeOptions(settle=0.6, timeout=9.0, success=0.02, until_settled=until_settled)
+        return run_episode(scene, Method(StraightPlanner(scene), ControllerSettings()), options)
+
+    passing, resting = run(False), run(True)
+    assert passing.reached
+    assert np.isnan(passing.settled)
+    assert resting.reached
+    assert resting.duration == passing.duration == passing.time
+    assert resting.time == resting.settled > resting.duration + 0.2
+    last = resting.positions[-201:]
+    speeds = np.linalg.norm(np.diff(last, axis=0), axis=1) / 1e-3
+    assert speeds.max() <= 0.01
+    assert np.linalg.norm(last[1:] - scene.target, axis=1).max() <= 0.02
+    before = np.linalg.norm(resting.positions[-202] - resting.positions[-203]) / 1e-3
+    assert before > 0.01 or np.linalg.norm(resting.positions[-202] - scene.target) > 0.02
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("patience", [0.0, 0.5])
 def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):

@@ -5,9 +5,18 @@ import dataclasses
 import pytest
 
 from contact_reach_ros.experiments import grid
-from contact_reach_ros.experiments.grid import EpisodeTask, Setup, by_program, cell_of, cells, episode_seeds, run_cell
+from contact_reach_ros.experiments.grid import (
+    DEADLINE_STEPS,
+    EpisodeTask,
+    Setup,
+    cell_of,
+    cells,
+    episode_seeds,
+    run_cell,
+)
 from contact_reach_ros.experiments.latency import MIN_LATENCY, LatencyTask, measure_latency, rounded_up
 from contact_reach_ros.experiments.workers import local_workers, run_all
+from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
 
@@ -78,11 +87,6 @@ def test_a_method_is_prepared_once(here, monkeypatch):
     assert [figures(run_cell(task)) for task in tasks()[:1]] == [figures(here[0])]
 
 
-def test_tasks_that_share_a_program_follow_each_other():
-    mixed = [task for pair in zip(tasks("gradient"), tasks("cma_es"), strict=True) for task in pair]
-    assert [task.cell.method for task in by_program(mixed)] == ["cma_es"] * 4 + ["gradient"] * 4
-
-
 def test_latency_is_the_median_of_plans_in_whole_ticks(here):
     found = measure_latency(LatencyTask(read_scene("free"), "cma_es", 0, TINY))
     assert found["plans"] > 3
@@ -93,3 +97,15 @@ def test_latency_is_the_median_of_plans_in_whole_ticks(here):
 
 def test_latencies_are_rounded_up_to_ticks():
     assert [rounded_up(seconds) for seconds in (0.0, 0.0301, 0.03, 0.6)] == [0.01, 0.031, 0.03, 0.6]
+
+
+def test_a_preset_is_run_without_the_wall_clock_and_with_the_time_of_its_plans():
+    shipped, paper = (Setup.of(name, ContactBudget()) for name in ("shipped", "paper_hinge"))
+    assert (shipped.planning.deadline, shipped.planning.max_steps) == (0.0, DEADLINE_STEPS)
+    assert (paper.planning.deadline, paper.planning.max_steps) == (0.0, 100)
+    assert (shipped.latency("contact_reach"), paper.latency("contact_reach")) == (0.04, 0.47)
+    # What plans nothing on the way answers at once.
+    assert paper.latency("collision_free") == paper.latency("reactive") == 0.04
+    ours = paper.options("contact_reach", "hold", 0.47)
+    assert (ours.period, ours.timeout, ours.until_settled) == (0.47, 60.0, True)
+    assert paper.options("collision_free", "hold", 0.04).period == 0.03

@@ -33,3 +33,12 @@ def test_methods_differ_in_what_their_names_say_and_in_nothing_else():
 def test_unknown_name_is_refused_with_those_there_are():
     with pytest.raises(SettingsError, match=r"'rrt' is unknown; expected one of contact_reach, .*cma_es"):
         make_method(load_arm(), "rrt", 0, 10.0, 0)
+
+
+def test_the_controller_of_reference_posture_takes_a_posture_far_away_and_the_others_do_not():
+    limits = {
+        name: make_method(load_arm(), name, 0, 10.0, 0, SMALL).settings.supervision.max_posture_error
+        for name in ("contact_reach", "reference_posture")
+    }
+    far = max(abs(angle) for angle in load_arm().home)
+    assert limits["contact_reach"] < far < limits["reference_posture"]

@@ -100,3 +100,15 @@ def test_without_a_first_plan_there_is_nothing_to_measure():
     assert (metrics.failure, metrics.end_error, metrics.jerk, metrics.end_speed) == ("no path", None, None, None)
     assert metrics.path_length == 0.0
     assert metrics.max_contact_force == metrics.max_external_torque == 0.0
+
+
+def test_a_goal_that_asks_for_rest_is_reached_when_the_tip_has_settled():
+    passing = measure(episode(straight(), until_settled=True), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
+    assert not passing.reached
+    assert passing.time is None
+    assert passing.entry_time == pytest.approx(2.0)
+    settled = measure(
+        episode(straight(), until_settled=True, settled=2.4), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0
+    )
+    assert settled.reached
+    assert (settled.time, settled.entry_time) == (2.4, pytest.approx(2.0))

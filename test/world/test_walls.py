@@ -8,7 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, with_obstacle
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.generate import make_scene
@@ -179,13 +179,6 @@ def test_walls_that_fit_nowhere_are_refused_with_the_limits(monkeypatch):
     narrow = with_obstacle(read_scene("wall"), gap=0.05)
     with pytest.raises(SceneError, match=r"no target with walls on the arm's path found in 2 tries; .*gap = 0.05 m"):
         make_scene(narrow, ARM, 0)
-
-
-def test_a_file_with_ball_and_wall_is_refused(tmp_path):
-    file = tmp_path / "both.yaml"
-    file.write_text("ball: {}\nwall: {}\n")
-    with pytest.raises(SettingsError, match="has both ball and wall"):
-        read_scene(str(file))
 
 
 def test_the_scene_file_says_what_the_code_has_as_default():

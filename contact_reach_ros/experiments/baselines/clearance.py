@@ -69,7 +69,7 @@ class ClearanceChecker:
         self._margin = max(0.0, min([0.5 * resolution, *at_start]) - 1e-6)
         self._is_empty = not self._count and not spheres.environment
         if self._count:
-            apart = np.asarray(_distances(arm, single(start[:, None]), self._centers, self._radii))
+            apart = np.asarray(distances(arm, single(start[:, None]), self._centers, self._radii))
             if apart.min() < 0.0:
                 raise PlanningError(
                     f"the arm is {-1e3 * apart.min():.1f} mm deep in an obstacle at q = "
@@ -81,14 +81,14 @@ class ClearanceChecker:
 
     def distances(self, postures: Array) -> Array:
         """Smallest distance (N,) between a link and a sphere at the postures (N, n), m; negative is depth."""
-        if not self._count:
+        if not self._count or not len(postures):
             return np.full(len(postures), np.inf)
         nearest = [_nearest(self.arm, chunk, self._centers, self._radii) for chunk in _chunks(postures)]
         return np.concatenate([np.asarray(chunk, float) for chunk in nearest])[: len(postures)]
 
     def free(self, postures: Array) -> NDArray[np.bool_]:
         """(N,) whether the postures (N, n) keep clear."""
-        if self._is_empty:
+        if self._is_empty or not len(postures):
             return np.ones(len(postures), bool)
         clear = [self._clear(chunk) for chunk in _chunks(postures)]
         return np.concatenate([np.asarray(chunk) for chunk in clear])[: len(postures)]
@@ -124,7 +124,7 @@ def _chunks(postures: Array) -> list[jax.Array]:
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _distances(table: Arm, postures: jax.Array, centers: jax.Array, radii: jax.Array) -> jax.Array:
+def distances(table: Arm, postures: jax.Array, centers: jax.Array, radii: jax.Array) -> jax.Array:
     """Distances (C, K, B) of spheres with centres (3, K, 1) and radii (K, 1) from the capsules at postures (n, B)."""
     arm = arm_model(table)
     keep = make_keep(postures)
@@ -139,7 +139,7 @@ def _distances(table: Arm, postures: jax.Array, centers: jax.Array, radii: jax.A
 
 @functools.partial(jax.jit, static_argnums=0)
 def _nearest(arm: Arm, postures: jax.Array, centers: jax.Array, radii: jax.Array) -> jax.Array:
-    return _distances(arm, postures, centers, radii).min(axis=(0, 1))
+    return distances(arm, postures, centers, radii).min(axis=(0, 1))
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -153,6 +153,6 @@ def _clear(
     margin: jax.Array,
 ) -> jax.Array:
     arm, keep = arm_model(table), make_keep(postures)
-    apart = (_distances(table, postures, centers, radii) >= required).all(axis=(0, 1))
+    apart = (distances(table, postures, centers, radii) >= required).all(axis=(0, 1))
     capsules = place_capsules(arm, link_frames(arm, postures, keep))
     return apart & (intrusion(arm, capsules, bodies, margin, keep) == 0.0)

@@ -1,4 +1,4 @@
-"""The collision-free baseline: a path of RRT*, found once and followed by laws (1)-(3) without planning again.
+"""The baselines with a path in joint space: found once, followed by laws (1)-(3) without planning again.
 
 The references lead along the path at the bounds γ that the method's plans have, so that neither is faster by its
 bounds. Joints keep to their speed limits, which for the method is a matter of cost.
@@ -21,7 +21,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.baselines.rrt_star import JointPath, PathSettings, find_path
+from contact_reach_ros.experiments.baselines.rrt_star import JointPath
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.prediction import HeldReference, Piece, Predictor, hold_at, pieces_between, reference_at
@@ -79,17 +79,22 @@ class CollisionFreePlanner:
         γ, horizon and knots are the method's; the rest is not looked at.
     gains
         Of the controller, whose motion is predicted with them.
-    path_settings
-        Of the search.
+    search
+        Finds the path: from arm, posture, goal, spheres and seed.
     seed
         Of the search.
     """
 
     def __init__(
-        self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, path_settings: PathSettings, seed: int
+        self,
+        arm: Arm,
+        settings: PlanningSettings,
+        gains: ImpedanceSettings,
+        search: Callable[[Arm, Array, Target, Spheres, int], JointPath],
+        seed: int,
     ) -> None:
         configure_jax(cache_directory() / "jax", settings.device)
-        self._arm, self._settings, self._path_settings, self._seed = arm, settings, path_settings, seed
+        self._arm, self._settings, self._search, self._seed = arm, settings, search, seed
         self._ramp_s = gains.reference_ramp
         self._predictor = Predictor(make_objective(arm, settings, gains).system)
         # While Kp pulls against Kd, a reference that stays this far ahead moves a joint at its speed limit.
@@ -148,7 +153,7 @@ class CollisionFreePlanner:
         begin = time.perf_counter()
         q, v = np.asarray(q, float), np.asarray(v, float)
         if self._points is None or not goal.same_as(self._goal):
-            self.path = find_path(self._arm, q, goal, spheres, self._path_settings, self._seed)
+            self.path = self._search(self._arm, q, goal, spheres, self._seed)
             self._points, self._goal, self._progress = _Points.along(self._arm, self.path.postures), goal, 0
         settings = self._settings
         timestep = settings.knot_duration / settings.substeps

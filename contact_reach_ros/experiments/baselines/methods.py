@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.collision_free import CollisionFreePlanner
+from contact_reach_ros.experiments.baselines.contact_rrt import find_contact_path
 from contact_reach_ros.experiments.baselines.joint_torque import SIGMA, TorqueController, make_torque_planner
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.rrt_star import PathSettings
+from contact_reach_ros.experiments.baselines.reactive import ReactivePlanner
+from contact_reach_ros.experiments.baselines.rrt_star import JointPath, PathSettings, find_path
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
     "collision_free": "RRT* in joint space, the shortest of several simplified paths, followed without re-planning",
     "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
+    "contact_rrt": "the same with a path of transition-based RRT, whose cost is the predicted force, below ε",
+    "reactive": "no planner: law (1) straight to the goal, law (2) at the arm's own posture",
     "joint_torque": "plans joint torques (paper: 'joint torque') with Algorithm 1, applied without any control law",
     "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
     "gradient": "the method with many gradient steps per step of Algorithm 1",
@@ -34,8 +42,11 @@ _PATHS = {
 _ANY_POSTURE = 7.0
 """rad."""
 
-PATH_METHODS = tuple(_PATHS)
-"""Methods that follow a path to its end, however long it is, and know nothing of contact."""
+PATH_METHODS = (*_PATHS, "contact_rrt")
+"""Methods that follow a path to its end, however long it is."""
+
+PLANLESS = (*PATH_METHODS, "reactive")
+"""Methods that plan nothing on the way, so that no plan takes time."""
 
 _CHANGES: dict[str, dict[str, str]] = {
     "contact_reach": {"null_space": "planned", "solver": "hybrid"},
@@ -44,6 +55,17 @@ _CHANGES: dict[str, dict[str, str]] = {
     "gradient": {"null_space": "planned", "solver": "gradient"},
 }
 """Settings that make the difference between methods with the same planner; all others are the same."""
+
+
+def _search(
+    name: str, permitted_force: float, contact_stiffness: float
+) -> Callable[[Arm, Array, Target, Spheres, int], JointPath]:
+    """What finds the path of one of `PATH_METHODS`."""
+    if name in _PATHS:
+        return lambda arm, q, goal, spheres, seed: find_path(arm, q, goal, spheres, _PATHS[name], seed)
+    return lambda arm, q, goal, spheres, seed: find_contact_path(
+        arm, q, goal, spheres, permitted_force, contact_stiffness, seed
+    )
 
 
 def make_method(
@@ -83,8 +105,11 @@ def make_method(
         raise SettingsError(f"method '{name}' is unknown; expected one of {', '.join(METHODS)}")
     controller = ControllerSettings() if controller is None else controller
     settings = PlanningSettings() if settings is None else settings
-    if name in _PATHS:
-        return Method(CollisionFreePlanner(arm, settings, controller.impedance, _PATHS[name], seed), controller)
+    if name == "reactive":
+        return Method(ReactivePlanner(arm, settings), controller)
+    if name in PATH_METHODS:
+        search = _search(name, permitted_force, settings.contact_stiffness)
+        return Method(CollisionFreePlanner(arm, settings, controller.impedance, search, seed), controller)
     if name == "joint_torque":
         settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
         damping = stop_damping(arm, controller.supervision)

@@ -120,7 +120,7 @@ def find_path(arm: Arm, start: Array, goal: Target, spheres: Spheres, settings: 
         path to one was, or OMPL is not installed.
     """
     begin = time.perf_counter()
-    lower, upper = _limits(arm, settings)
+    lower, upper = joint_bounds(arm, settings)
     if ((start < lower) | (start > upper)).any():
         raise PlanningError(
             f"q = {np.round(start, 3).tolist()}: expected every joint at least {settings.joint_margin:g} rad from its "
@@ -162,11 +162,7 @@ def goal_postures(
     PlanningError
         If there are none among `settings.goal_samples`.
     """
-    arm = checker.arm
-    near = start + _NEAR_START * random.standard_normal((settings.goal_samples // 2, arm.n))
-    anywhere = random.uniform(*_limits(arm, settings), (settings.goal_samples - len(near), arm.n))
-    seeds = np.concatenate([near, anywhere])
-    solutions = solve_ik(arm, goal.position, goal.rotation, seeds, settings.joint_margin)
+    solutions = goal_candidates(checker.arm, start, goal, settings, random)
     distances = checker.distances(solutions)
     found = solutions[checker.free(solutions)]
     if not len(found):
@@ -181,7 +177,14 @@ def goal_postures(
     return found[np.concatenate([nearest, random.permutation(others)[: settings.max_goals // 2]])]
 
 
-def _limits(arm: Arm, settings: PathSettings) -> tuple[Array, Array]:
+def goal_candidates(arm: Arm, start: Array, goal: Target, settings: PathSettings, random: np.random.Generator) -> Array:
+    """Postures (N, n) with the tip at the goal, whatever is in the way."""
+    near = start + _NEAR_START * random.standard_normal((settings.goal_samples // 2, arm.n))
+    anywhere = random.uniform(*joint_bounds(arm, settings), (settings.goal_samples - len(near), arm.n))
+    return solve_ik(arm, goal.position, goal.rotation, np.concatenate([near, anywhere]), settings.joint_margin)
+
+
+def joint_bounds(arm: Arm, settings: PathSettings) -> tuple[Array, Array]:
     """Least and greatest joint angles (n,) of paths, rad."""
     return np.array(arm.lower) + settings.joint_margin, np.array(arm.upper) - settings.joint_margin
 
@@ -203,7 +206,7 @@ class _Search:
             util.RNG.setSeed(seed)  # from which OMPL draws the seeds of all that is made below
             n = len(self._start)
             space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
-            for joint, (low, high) in enumerate(zip(*_limits(self._checker.arm, self._settings), strict=True)):
+            for joint, (low, high) in enumerate(zip(*joint_bounds(self._checker.arm, self._settings), strict=True)):
                 bounds.setLow(joint, low)
                 bounds.setHigh(joint, high)
             space.setBounds(bounds)

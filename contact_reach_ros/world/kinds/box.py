@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.settings import setting
 from contact_reach_ros.world.kinds.lattice import Lattice
@@ -20,6 +23,9 @@ class BoxSettings(ObstacleSettings):
 
     center: tuple[float, ...] = setting((0.5, -0.3, 0.15), "centre", unit="m", minimum=-1.5, maximum=1.5)
     size: tuple[float, ...] = setting((0.2, 0.2, 0.3), "size along x, y, z", unit="m", minimum=0.02, maximum=3.0)
+    angles: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "roll, pitch and yaw about the axes of the base", unit="rad", minimum=-6.3, maximum=6.3
+    )
     nodes: tuple[int, ...] = setting((3, 3, 4), "number of nodes along x, y, z", minimum=2, maximum=50)
     node_radius: float = setting(0.025, "radius of a node", unit="m", minimum=0.005, maximum=0.2)
     node_mass: float = setting(0.01, "mass of a node", unit="kg", minimum=0.001, maximum=1.0)
@@ -46,7 +52,7 @@ class BoxSettings(ObstacleSettings):
             Obstacle(
                 self.KIND,
                 "the box",
-                lattice.points(center),
+                center + Rotation.from_euler("xyz", self.angles).apply(lattice.points(np.zeros(3))),
                 self.node_radius,
                 self.material,
                 fixed=lattice.level(0),

@@ -1,0 +1,73 @@
+"""The baseline without a planner: law (1) straight to the goal, with the null-space law at the arm's own posture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
+
+
+class ReactivePlanner:
+    """Sets x_d as far towards the goal as γ allows, and Δq to zero: obstacles push redundant joints aside."""
+
+    def __init__(self, arm: Arm, settings: PlanningSettings) -> None:
+        self._arm, self._settings, self._number = arm, settings, 0
+
+    def warm_up(self, progress: Callable[[str], None]) -> None:
+        """There is nothing to prepare."""
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def reseed(self, seed: int) -> None:
+        """There is no chance."""
+
+    def history(self) -> int:
+        """The number of plans made."""
+        return self._number
+
+    def go_on_from(self, history: Any) -> None:
+        """Count on from there."""
+        self._number = history
+
+    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+        """One reference, from where the arm will be at its speed when the plan takes effect."""
+        settings = self._settings
+        self._number += 1
+        ahead = np.asarray(q, float) + np.asarray(v, float) * 1e-9 * (effect_ns - state_ns)
+        rotations, origins = link_frames(self._arm, ahead)
+        position, rotation = origins[-1], rotations[-1]
+        way = goal.position - position
+        step = np.clip(way, -settings.translation_bound, settings.translation_bound)
+        if goal.rotation is not None:
+            turn = Rotation.from_matrix(goal.rotation @ rotation.T).as_rotvec()
+            bound = settings.rotation_bound
+            rotation = Rotation.from_rotvec(np.clip(turn, -bound, bound)).as_matrix() @ rotation
+        return Plan(
+            number=self._number,
+            effect_ns=effect_ns,
+            knot_duration_s=settings.knot_duration,
+            positions=(position + step)[None],
+            rotations=rotation[None],
+            postures=ahead[None],
+            predicted_q=np.array([ahead, ahead]),
+            predicted_positions=np.array([position, position + step]),
+            predicted_contact_forces=np.zeros((1, len(self._arm.contact_links))),
+            cost=0.0,
+            cost_terms={},
+            steps=0,
+            stop_reason="reactive",
+            solve_s=0.0,
+            rejected=0,
+            left_out=0,
+        )

@@ -1,0 +1,188 @@
+"""`contact-reach bench clutter`: every method in random scenes with several soft bodies."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments import paper
+from contact_reach_ros.experiments.baselines.methods import METHODS
+from contact_reach_ros.experiments.claims import interval_text
+from contact_reach_ros.experiments.clutter_scenes import FIRST_HELD_OUT, clutter_name, clutter_scene
+from contact_reach_ros.experiments.grid import Cell, Record, Setup
+from contact_reach_ros.experiments.grid_run import Running, finish, run_grid
+from contact_reach_ros.experiments.output import Report, table
+from contact_reach_ros.experiments.statistics import Estimate, estimate, share
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.world.spheres import MAX_SPHERES
+
+QUICK: dict[str, Any] = {
+    "scenes": 6,
+    "seed": 0,
+    "methods": ("contact_reach", "reference_posture", "collision_free", "reactive"),
+}
+"""What --quick runs."""
+
+_EQUAL = 0.1
+"""Peak forces that differ by less count as equal, N; the faster method is then the better one."""
+
+_FIGURES = (
+    # key of the JSON, heading, figure of the records
+    ("time_ratio", "time / limit", "time_ratio"),
+    ("peak_force_N", "peak force, N", "max_contact_force"),
+    ("mean_force_N", "mean force, N", "mean_contact_force"),
+    ("impulse_Ns", "impulse, N s", "contact_impulse"),
+)
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """What is run: a number of scenes with the seeds from `seed` on; for the rest see `Table1`."""
+
+    preset: str = "shipped"
+    scenes: int = 200
+    seed: int = FIRST_HELD_OUT
+    methods: tuple[str, ...] = (
+        "contact_reach",
+        "reference_posture",
+        "collision_free",
+        "rrt_star",
+        "cma_es",
+        "contact_rrt",
+        "reactive",
+    )
+    timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        for method in self.methods:
+            if method not in METHODS:
+                raise SettingsError(f"--methods '{method}' is unknown; expected one of {', '.join(METHODS)}")
+        for name, number, least in (("scenes", self.scenes, 1), ("seed", self.seed, 0)):
+            if number < least:
+                raise SettingsError(f"--{name} {number}: expected at least {least}")
+        if self.timeout is not None and not self.timeout > 0.0:
+            raise SettingsError(f"--timeout {self.timeout:g}: expected a positive time in s")
+
+
+def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) -> Report:
+    """Run the episodes, print the table in Markdown, and write JSON.
+
+    Raises
+    ------
+    SettingsError
+        If the preset is unknown, or the run to be resumed has other settings.
+    """
+    changes: dict[str, Any] = {} if bench.timeout is None else {"timeout": bench.timeout}
+    setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, **changes)
+    seeds, arm = range(bench.seed, bench.seed + bench.scenes), load_arm(setup.arm)
+    scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in seeds}
+    # Scene by scene, so that a run that is interrupted has whole scenes.
+    grid = [Cell(clutter_name(seed), "hold", method, seed, 0) for seed in seeds for method in bench.methods]
+    description = {"command": command(bench), "seeds": [seeds[0], seeds[-1]]}
+    report = run_grid("clutter", description, setup, scenes, grid, running)
+    report.update(summary(report["episodes"], bench.methods))
+    finish(report, running.file)
+    print(clutter_table(report))
+    return report
+
+
+def command(bench: Clutter) -> str:
+    """The command line of a run, without options that do not change its results."""
+    words = ["contact-reach", "bench", "clutter", "--preset", bench.preset]
+    words += ["--scenes", str(bench.scenes), "--seed", str(bench.seed)]
+    if bench.methods != Clutter.methods:
+        words += ["--methods", *bench.methods]
+    if bench.timeout is not None:
+        words += ["--timeout", f"{bench.timeout:g}"]
+    return shlex.join(words)
+
+
+def summary(episodes: Sequence[Record], methods: Sequence[str]) -> dict[str, Any]:
+    """What the report says of each method, each with mean and interval over scenes.
+
+    Forces are those of all episodes, so that a method that does not move presses least; `against` has the differences
+    from the method, another's less its own, in the scenes where both settle.
+    """
+    by_method: dict[str, dict[str, Record]] = {method: {} for method in methods}
+    for entry in episodes:
+        by_method[entry["method"]][entry["scene"]] = entry
+    scenes = list(by_method[methods[0]])
+    best = Counter(_best([by_method[method][scene] for method in methods]) for scene in scenes)
+    own = by_method.get(paper.METHOD, {})
+    made: dict[str, Any] = {}
+    for method, records in by_method.items():
+        entries = list(records.values())
+        entered = sum(entry["entry_time"] is not None and not entry["stop_reason"] for entry in entries)
+        made[method] = {
+            "success": share(entered, len(entries)).json,
+            "settled": share(sum(entry["reached"] for entry in entries), len(entries)).json,
+            **{key: _over(entries, figure).json for key, _, figure in _FIGURES},
+            "best": share(best[method], len(scenes)).json,
+            "against": {
+                key: _against(own, records, figure).json for key, _, figure in (*_FIGURES, ("time_s", "", "time"))
+            },
+        }
+    free = by_method.get(paper.COLLISION_FREE)
+    needed = None
+    if free is not None and own:
+        needed = share(sum(own[name]["reached"] and not free[name]["reached"] for name in scenes), len(scenes)).json
+    return {"methods": made, "contact_needed": needed, "scenes": len(scenes)}
+
+
+def _over(entries: Sequence[Record], figure: str) -> Estimate:
+    return estimate([entry[figure] for entry in entries if entry[figure] is not None])
+
+
+def _against(own: dict[str, Record], records: dict[str, Record], figure: str) -> Estimate:
+    """A figure less the method's, in scenes where both settle."""
+    both = [name for name in own if own[name]["reached"] and records[name]["reached"]]
+    return estimate([records[name][figure] - own[name][figure] for name in both])
+
+
+def _best(entries: Sequence[Record]) -> str:
+    """Of those that settle, the method that presses least, and of equals the fastest; empty if none settles."""
+    settled = [entry for entry in entries if entry["reached"]]
+    if not settled:
+        return ""
+    least = min(entry["max_contact_force"] for entry in settled)
+    equal = [entry for entry in settled if entry["max_contact_force"] <= least + _EQUAL]
+    return str(min(equal, key=lambda entry: entry["time"])["method"])
+
+
+def clutter_table(report: Report) -> str:
+    """The report's table, and how often contact is what makes the goal reachable."""
+    headings = ["method", "first there", "settled", *(heading for _, heading, _ in _FIGURES), "best"]
+    headings += ["peak force less the method's, N", "time less the method's, s"]
+    rows = []
+    for method, found in report["methods"].items():
+        own = method == paper.METHOD
+        cells = [f"**{method}**" if own else method, _percent(found["success"]), _percent(found["settled"])]
+        cells += [_text(found[key]) for key, *_ in _FIGURES]
+        cells.append(_percent(found["best"]))
+        cells += ["" if own else _text(found["against"][key]) for key in ("peak_force_N", "time_s")]
+        rows.append(cells)
+    lines = [f"`{report['command']}`: {report['scenes']} scenes.", "", table(headings, rows)]
+    if report["contact_needed"] is not None:
+        lines += [
+            "",
+            f"Collision-free planning fails and contact gets the arm there in {_percent(report['contact_needed'])} of "
+            "the scenes.",
+        ]
+    return "\n".join(lines)
+
+
+def _text(found: dict[str, Any]) -> str:
+    return "–" if found["mean"] is None else interval_text(found["mean"], found["ci95"])
+
+
+def _percent(found: dict[str, Any]) -> str:
+    mean, (low, high) = found["mean"], found["ci95"]
+    if mean is None or math.isnan(mean):
+        return "–"
+    return f"{100 * mean:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"

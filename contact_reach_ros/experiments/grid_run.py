@@ -1,0 +1,208 @@
+"""Resumable runs of many episodes, kept in one JSON file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.experiments import paper
+from contact_reach_ros.experiments.grid import (
+    GOALS,
+    Cell,
+    EpisodeTask,
+    Record,
+    Setup,
+    cell_of,
+    concrete_scene,
+    failed,
+    reason,
+    run_cell,
+)
+from contact_reach_ros.experiments.machine import machine
+from contact_reach_ros.experiments.output import Report, read_report, say, write_report
+from contact_reach_ros.experiments.workers import run_all, workers
+from contact_reach_ros.world.scene import SceneFile
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+@dataclasses.dataclass(frozen=True)
+class Running:
+    """How a grid is run.
+
+    Attributes
+    ----------
+    file
+        JSON file of the run; None for none. Finished episodes are beside it until the run ends, see `partial_of`.
+    resume
+        Whether to go on with the run of that file.
+    workers
+        Processes on this machine; one per core if None.
+    scheduler
+        Address of a Dask scheduler whose workers run the episodes instead.
+    """
+
+    file: Path | None = None
+    resume: bool = False
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.resume and self.file is None:
+            raise SettingsError("--resume needs --json FILE, the file of the run to go on with")
+        if self.workers is not None and self.workers < 1:
+            raise SettingsError(f"--workers {self.workers}: expected at least 1")
+
+
+def run_grid(
+    bench: str,
+    description: Report,
+    setup: Setup,
+    scenes: Mapping[str, SceneFile],
+    grid: Sequence[Cell],
+    running: Running,
+    latency: float | None = None,
+) -> Report:
+    """Run the cells that are not done; returns a report with settings and all episodes, without writing it.
+
+    Parameters
+    ----------
+    bench, description
+        Name of the bench, and what else its report says about the run.
+    latency
+        Of all plans, s, instead of the setup's.
+
+    Raises
+    ------
+    SettingsError
+        If the run to be resumed has other settings, or a file would be lost.
+    SceneError
+        If a scene cannot be made.
+    """
+    file = running.file
+    header = _header(bench, description, setup, scenes, latency)
+    done = _earlier(bench, file, header) if file is not None and running.resume else {}
+    if file is not None and not running.resume and partial_of(file).exists():
+        raise SettingsError(
+            f"{partial_of(file)} holds the episodes of a run that was interrupted: go on with it by --resume, or "
+            "remove the file"
+        )
+    outside = sorted(set(done) - set(grid), key=dataclasses.astuple)
+    if outside:
+        raise SettingsError(
+            f"{file}: holds {len(outside)} episodes that these options leave out, such as {outside[0]}: go on with the "
+            "options of that run or with more, or begin another file"
+        )
+    todo = [cell for cell in grid if cell not in done]
+    # A scene that cannot be made is found before hours are spent on the others.
+    for name, target in dict.fromkeys((cell.scene, cell.target) for cell in todo):
+        concrete_scene(scenes[name], load_arm(setup.arm), target)
+
+    def report() -> Report:
+        return {**header, "episodes": [done[cell] for cell in grid if cell in done]}
+
+    if todo:
+        partial = None if file is None else partial_of(file)
+        tasks = [EpisodeTask(cell, scenes[cell.scene], latency or setup.latency(cell.method), setup) for cell in todo]
+        with workers(running.workers, running.scheduler) as client:
+            write_report(report(), partial)
+            try:
+                for _ in _run(client, tasks, done):
+                    write_report(report(), partial)
+            except BaseException:
+                if partial is not None:
+                    say(
+                        f"interrupted: {len(done)} of {len(grid)} episodes are in {partial}; --resume goes on with them"
+                    )
+                raise
+    return report()
+
+
+def finish(report: Report, file: Path | None) -> None:
+    """Write the report of a finished run and remove that of the unfinished one."""
+    write_report(report, file)
+    if file is not None:
+        partial_of(file).unlink(missing_ok=True)
+
+
+def partial_of(file: Path) -> Path:
+    """The file with the report of an unfinished run, beside that of the finished one."""
+    return file.with_name(f"{file.name}.partial")
+
+
+def _header(
+    bench: str, description: Report, setup: Setup, scenes: Mapping[str, SceneFile], latency: float | None
+) -> Report:
+    """Everything known before the run, in the types that JSON returns."""
+    options = setup.options(paper.METHOD, GOALS[0], latency=0.1)
+    header = {
+        "bench": bench,
+        **description,
+        "settings": {
+            **dataclasses.asdict(setup),
+            "latency": latency,
+            "success": options.success,
+            "settle": options.settle,
+            "sensors": dataclasses.asdict(options.sensors),
+            "joints": dataclasses.asdict(options.joints),
+            "scenes": {name: dataclasses.asdict(scene) for name, scene in scenes.items()},
+        },
+        "machine": machine(),
+    }
+    return json.loads(json.dumps(header))
+
+
+def _earlier(bench: str, file: Path, header: Report) -> dict[Cell, Record]:
+    """Episodes of an unfinished or finished run with the same settings, if there is one."""
+    source = next((path for path in (partial_of(file), file) if path.exists()), None)
+    if source is None:
+        return {}
+    earlier = read_report(source, bench)
+    _check_same(earlier["settings"], header["settings"], str(source))
+    header["machine"] = earlier["machine"]
+    return {cell_of(record): record for record in earlier["episodes"]}
+
+
+def _check_same(earlier: Any, now: Any, where: str) -> None:
+    """Raise `SettingsError` if a setting that both runs have differs; `where` and the setting are named."""
+    if isinstance(earlier, dict) and isinstance(now, dict):
+        for key in earlier.keys() & now.keys():
+            _check_same(earlier[key], now[key], f"{where}: {key}")
+    elif earlier != now:
+        raise SettingsError(
+            f"{where} was {earlier!r} and is {now!r} now: a run can only go on with the settings it began with; set it "
+            "back, or begin another file"
+        )
+
+
+def _run(client: Client, tasks: list[EpisodeTask], done: dict[Cell, Record]) -> Iterator[None]:
+    """Run the tasks; yields after each of them, with its record among those that are `done`."""
+    total = len(done) + len(tasks)
+    # On the error output, which leaves the table alone.
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bar = progress.add_task("episodes", total=total, completed=len(done))
+        for task, found in run_all(client, run_cell, tasks):
+            record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
+            done[task.cell] = record
+            line = f"{len(done)}/{total} {_line(record)}"
+            progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            progress.advance(bar)
+            yield
+
+
+def _line(record: Record) -> str:
+    cell = cell_of(record)
+    start = f"{cell.scene}, {cell.goal}, {cell.method}, target {cell.target}, repeat {cell.repeat}:"
+    if record["reached"]:
+        return f"{start} {record['time']:.2f} s, {record['max_contact_force']:.2f} N"
+    return f"{start} not reached, {record['stop_reason'] or record['failure'] or 'out of time'}"

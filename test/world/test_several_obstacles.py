@@ -1,0 +1,166 @@
+"""Scenes with several obstacles: lists, ids, materials, and obstacles that are not where they are seen."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+
+from contact_reach_ros.errors import InputError, SceneError, SettingsError
+from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader, obstacle_markers
+from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
+from contact_reach_ros.messages.serialization import encode
+from contact_reach_ros.planning.obstacles import ObstacleReader
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.kinds.box import BoxSettings
+from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
+
+LIST = """
+target: {position: [0.5, 0.2, 0.3]}
+obstacles:
+  - {kind: ball, id: 7, center: [0.7, -0.25, 0.5], radius: 0.08, stiffness: 400.0}
+  - {kind: ball, center: [0.4, 0.6, 0.3], stiffness: 60.0}
+  - {kind: box, center: [0.6, -0.6, 0.2], size: [0.1, 0.1, 0.2], nodes: [2, 2, 3], edge_stiffness: 90.0}
+  - {kind: box, center: [0.6, 0.6, 0.2], size: [0.1, 0.2, 0.2], nodes: [2, 4, 3], angles: [0.0, 0.0, 0.5]}
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(content):
+        file = tmp_path / "own.yaml"
+        file.write_text(content)
+        return read_scene(str(file))
+
+    return read
+
+
+@pytest.fixture
+def scene(read):
+    return make_scene(read(LIST), ARM, 0)
+
+
+def test_a_list_has_any_number_of_obstacles_of_each_kind(read, scene):
+    file = read(LIST)
+    assert [type(section) for section in file.obstacles] == [BallSettings, BallSettings, BoxSettings, BoxSettings]
+    assert [obstacle.id for obstacle in scene.obstacles] == [7, 0, 1, 2]
+    assert [obstacle.name for obstacle in scene.obstacles] == ["the ball 7", "the ball 0", "the box 1", "the box 2"]
+    assert sphere_capacity(file) == sphere_capacity(scene) == 12
+
+
+def test_sections_stand_for_one_obstacle_each_before_the_list(read):
+    file = read("wall: {center: [0.7, 0, 0.4]}\nball: {center: [0.7, 0, 0.9]}\nobstacles: [{kind: ball, radius: 0.05}]")
+    assert [section.KIND for section in file.obstacles] == ["ball", "wall", "ball"]
+
+
+def test_a_list_replaces_that_of_its_base(read, tmp_path):
+    (tmp_path / "below.yaml").write_text(LIST)
+    file = read("base: below.yaml\nobstacles: [{kind: ball, center: [0.7, 0, 0.9]}]")
+    assert file.obstacles == (BallSettings(center=(0.7, 0.0, 0.9)),)
+    assert file.target.position == (0.5, 0.2, 0.3)
+
+
+def test_obstacles_are_placed_on_the_path_one_after_the_other(read):
+    scene = make_scene(read("obstacles: [{kind: ball}, {kind: ball}]"), ARM, 3)
+    first, second = (obstacle.rest[0] for obstacle in scene.obstacles)
+    assert np.linalg.norm(first - second) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("obstacles: {kind: ball}", "obstacles = {'kind': 'ball'}; expected a list"),
+        ("obstacles: [{radius: 0.1}]", r"obstacles\[0\]: kind = None; expected one of ball, box, wall"),
+        ("obstacles: [{kind: cube}]", r"obstacles\[0\]: kind = 'cube'"),
+        ("obstacles: [{kind: ball, size: 1}]", r"obstacles\[0\]: unknown key 'size'"),
+        ("obstacles: [{kind: ball, id: 1}, {kind: wall, id: 0}]", r"have the ids \[1, 0, 1\]"),
+    ],
+)
+def test_lists_that_are_refused_name_the_entry(read, content, message):
+    with pytest.raises(SettingsError, match=message):
+        read(content)
+
+
+def test_more_nodes_than_the_simulation_can_move_are_refused(read):
+    with pytest.raises(SceneError, match="396 spheres and nodes, 264 of which can move"):
+        read("obstacles: [" + 3 * "{kind: wall}, " + "]")
+
+
+def test_boxes_are_turned_about_their_centre(scene):
+    box = scene.obstacles[3]
+    np.testing.assert_allclose(box.rest.mean(axis=0), [0.6, 0.6, 0.2], atol=1e-12)
+    lowest = box.rest[box.fixed]
+    edge = lowest[1] - lowest[0]
+    np.testing.assert_allclose(np.arctan2(-edge[0], edge[1]), 0.5)
+
+
+def test_markers_carry_materials_that_differ_to_the_planner(scene):
+    rests = rest_positions(scene)
+    message = obstacle_markers(scene, rests, 1)
+    reader = SerializedObstacleReader(ARM.base_frame, AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0))
+    expected, got = obstacle_spheres(scene, rests), reader.read_serialized(encode(message))
+    assert sorted(got.stiffness) == sorted(expected.stiffness)
+    assert sorted(got.edge_stiffness) == sorted(expected.edge_stiffness)
+    assert sorted(zip(got.damping, got.radius, strict=True)) == sorted(
+        zip(expected.damping, expected.radius, strict=True)
+    )
+    # The planner's program takes the same condensed network from both.
+    q = scene.start
+    rates = [np.sort(np.asarray(ObstacleReader(ARM, 12).read(q, spheres)[0].rates)) for spheres in (expected, got)]
+    np.testing.assert_allclose(*rates, rtol=1e-5)
+
+
+def test_markers_of_one_material_leave_it_to_the_planner(read):
+    scene = make_scene(
+        read("ball: {center: [0.7, 0, 0.9]}\nwall: {center: [0.75, 0, 0.4]}"), ARM, 0, np.array([0.5, 0.2, 0.3])
+    )
+    message = obstacle_markers(scene, rest_positions(scene), 1)
+    assert {marker.text for marker in message.markers} == {""}
+
+
+def test_a_material_that_makes_no_sense_is_refused(scene):
+    message = obstacle_markers(scene, rest_positions(scene), 1)
+    reader = SerializedObstacleReader(ARM.base_frame, AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0))
+    for text in ("material: soft", "material: stiffness=-1 damping=1 edge_stiffness=1", "material: stiffness=1"):
+        message.markers[0].text = text
+        with pytest.raises(InputError, match="obstacles/7: text = 'material"):
+            reader.read_serialized(encode(message))
+
+
+def test_every_obstacle_is_simulated_with_its_own_material(scene):
+    plant = SimulatedRobot(scene).plant
+    model = plant.model
+    stiffness = {
+        model.body(name).name: model.jnt_stiffness[model.body(name).jntadr[0]] for name in ("ball_7_0", "ball_0_0")
+    }
+    assert stiffness == {"ball_7_0": 400.0, "ball_0_0": 60.0}
+    np.testing.assert_array_equal(plant.obstacle_positions(), rest_positions(scene))
+
+
+class TestMisplaced:
+    def test_obstacles_are_seen_beside_where_they_are(self):
+        file = read_scene("ball_misplaced")
+        offsets = []
+        for seed in range(4):
+            scene = make_scene(file, ARM, seed)
+            plant = SimulatedRobot(scene).plant
+            np.testing.assert_array_equal(plant.obstacle_positions(), rest_positions(scene))
+            true = plant.data.body(f"ball_{scene.obstacles[0].id}_0").xpos
+            np.testing.assert_allclose(true, rest_positions(scene)[0] + scene.offsets[0], atol=1e-12)
+            offsets.append(np.linalg.norm(scene.offsets[0]))
+            assert 0.5 <= scene.foam_scale <= 2.0
+        assert 0.005 < max(offsets) <= 0.02
+
+    def test_nothing_else_differs_from_the_base(self):
+        misplaced, mismatch = (make_scene(read_scene(name), ARM, 1) for name in ("ball_misplaced", "ball_mismatch"))
+        np.testing.assert_array_equal(misplaced.target, mismatch.target)
+        np.testing.assert_array_equal(rest_positions(misplaced), rest_positions(mismatch))
+
+    def test_an_obstacle_that_would_begin_in_the_arm_is_where_it_is_seen(self):
+        file = read_scene("ball_misplaced")
+        far = dataclasses.replace(file.mismatch, placement_error=0.1)
+        for seed in range(4):
+            SimulatedRobot(make_scene(dataclasses.replace(file, mismatch=far), ARM, seed)).plant.step()
