@@ -43,8 +43,8 @@ def stack():
 
 def change(stack: Stack, arm) -> None:
     """As the nodes do."""
-    stack.observer.change_model(RobotModel(arm))
-    stack.controller.change_tool(Controller(arm, stack.controller.settings), RobotModel(arm))
+    stack.observer.change_model(stack.observer.models(arm))
+    stack.controller.change_tool(Controller(arm, stack.controller.settings), stack.observer.models(arm))
 
 
 def torques(stack: Stack, ticks: int) -> np.ndarray:
@@ -96,7 +96,7 @@ def test_in_motion_it_is_refused(stack):
     other = Controller(LOADED, stack.controller.settings)
     for refused in (
         lambda: stack.controller.change_tool(other),
-        lambda: stack.observer.change_model(RobotModel(LOADED)),
+        lambda: stack.observer.change_model(stack.observer.models(LOADED)),
     ):
         with pytest.raises(InputError, match=r"the arm moves with 0\.\d+ rad/s; another tool needs at most 0\.05"):
             refused()

@@ -9,7 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.model import Models, RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
@@ -331,7 +331,7 @@ class Controller:
         if self._started and self.state is not None:
             self.supervisor.check_rest(self.state.v, "another tool")
 
-    def change_tool(self, other: Controller, watched: RobotModel | None = None) -> None:
+    def change_tool(self, other: Controller, watched: Models | None = None) -> None:
         """Go on with the models of another controller, of the same settings, for the same arm with another tool.
 
         The arm is held where it is from now on, with full authority and the new feed-forward, which the torque rate
@@ -342,7 +342,7 @@ class Controller:
         other
             A controller that is not used for anything else.
         watched
-            The model for the controller's own watch, which has one.
+            The models for the controller's own watch, if it has one.
 
         Raises
         ------

@@ -14,7 +14,6 @@ from rclpy.logging import LoggingSeverity
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import differences, disagreement
 from contact_reach_ros.control.controller import Controller, ControllerSettings
@@ -114,7 +113,7 @@ class ControllerNode(ManagedNode):
         """Control an arm with another tool, once it is held at rest."""
         self.call_soon(self._controller.check_tool)
         # Beside the loop, which has no time for it.
-        other, watched = self._make_controller(arm), RobotModel(arm) if self._watch else None
+        other, watched = self._make_controller(arm), self._make_watcher().models(arm) if self._watch else None
 
         def change() -> None:
             self._controller.check_tool()

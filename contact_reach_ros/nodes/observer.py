@@ -10,7 +10,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
@@ -71,12 +70,13 @@ class ObserverNode(ManagedNode):
 
     def change_arm(self, arm: Arm) -> None:
         """Observe an arm with another tool, once it is at rest."""
-        model = RobotModel(arm)
+        # Beside the loop, which has no time for it.
+        models = self._observer.models(arm)
 
         def change() -> None:
             self._observer.check_rest()
             self.note_call(Taken.TOOL)
-            self._observer.change_model(model)
+            self._observer.change_model(models)
 
         self.call_soon(change)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState, checked_torque
-from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.model import Models, RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
@@ -125,20 +125,18 @@ class Observer:
         if self._from_commands:
             budget = settings.commanded.widened(budget)
         momentum = settings.momentum.resolve(arm)
-        model = RobotModel(arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y), inertias)
         self.arm = arm
-        self.momentum = MomentumObserver(settings.momentum, model, period)
+        self._shifts, self._inertias = (momentum.center_shift_x, momentum.center_shift_y), inertias
+        self._models = self.models(arm)
+        self.momentum = MomentumObserver(settings.momentum, self._models.observed, period)
         self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
         self.contact: Contact | None = None
         self.updates = 0
         self.order = StampOrder()
         self.sight = Sight(arm, period)
-        self._model = model
-        self._without_shifts = None if model.arm is arm else RobotModel(arm, inertias)
-        """The model that everybody else has; None if this is the same."""
         self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
         self._torque_check = TorqueCheck(arm, settings.plausibility, period)
-        self._locator = ContactLocator(model, budget.contact_thresholds)
+        self._locator = ContactLocator(self._models.observed, budget.contact_thresholds)
         self._locates = locates
         self._commanded: Array | None = None
         self._patience = settings.commanded.lost
@@ -215,11 +213,11 @@ class Observer:
 
     def _model_error(self) -> tuple[float, ...]:
         """What the controller's model lacks: the slow mean, and the weight that this model has and that one has not."""
-        error, other = self.monitor.model_error, self._without_shifts
-        if other is None:
+        error, (own, other) = self.monitor.model_error, self._models
+        if own is other:
             return error
         other.update_dynamics(self.momentum.posture)
-        more = self._model.gravity - other.gravity
+        more = own.gravity - other.gravity
         return tuple([lacking - weight for lacking, weight in zip(error, more.tolist(), strict=True)])
 
     def _conclude(self, stamp_ns: int, is_heartbeat: bool) -> SafetyReport:
@@ -260,7 +258,13 @@ class Observer:
         """Raise `InputError` while the arm moves and `change_model` would be refused."""
         self.monitor.check_rest("another tool")
 
-    def change_model(self, model: RobotModel) -> None:
+    def models(self, arm: Arm) -> Models:
+        """Models of the arm, or of the same one with another tool, for `change_model`; making them takes long."""
+        shifted = arm.with_center_shifts(*self._shifts)
+        nominal = RobotModel(arm, self._inertias)
+        return Models(nominal if shifted is arm else RobotModel(shifted, self._inertias), nominal)
+
+    def change_model(self, models: Models) -> None:
         """Observe an arm with another tool from the next state on, as after a hand-over; a stop stays latched.
 
         Raises
@@ -269,9 +273,9 @@ class Observer:
             If the arm moves.
         """
         self.check_rest()
-        self.arm = model.arm
-        self.momentum.change_model(model)
-        self._locator = ContactLocator(model, self.monitor.budget.contact_thresholds)
+        self.arm, self._models = models.nominal.arm, models
+        self.momentum.change_model(models.observed)
+        self._locator = ContactLocator(models.observed, self.monitor.budget.contact_thresholds)
 
     def resume(self, residual: Array) -> None:
         """Continue from an external torque (n,), N m, for recordings that begin late."""

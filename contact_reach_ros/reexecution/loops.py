@@ -14,7 +14,6 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.errors import BagError, InputError
@@ -225,7 +224,7 @@ class _ControllerLoop(_Loop):
         return Controller(self.arm, ControllerSettings(*sections), self.period, self.changes.inertia_set)
 
     def _change_tool(self, _: Row) -> None:
-        watched = RobotModel(self.take_next_arm(), self.changes.inertia_set)
+        watched = self.watch.models(self.take_next_arm())
         self.controller.change_tool(self._make_controller(), watched)
 
     def _clock_ns(self, row: Row) -> int:
@@ -305,7 +304,7 @@ class _ObserverLoop(_Loop):
         }
 
     def _change_tool(self, _: Row) -> None:
-        self.observer.change_model(RobotModel(self.take_next_arm(), self.changes.inertia_set))
+        self.observer.change_model(self.observer.models(self.take_next_arm()))
 
     def _command(self, row: Row) -> None:
         at = self.commands.get(row.sent_ns)
