@@ -82,11 +82,7 @@ def run_demo(options: DemoOptions) -> int:
     """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
 
     A run that failed because the machine fell behind real time is repeated in lockstep, unless the page is served.
-
-    Raises
-    ------
-    ContactReachError
-        If the scene, the goal or the settings are refused.
+    Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
     code, summary = _run(options)
     if options.lockstep or options.view or code == INTERRUPTED or summary is None or not fell_behind(summary):

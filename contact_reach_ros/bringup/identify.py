@@ -38,6 +38,8 @@ def run_identification(
 ) -> int:
     """Identify the arm, print what was found, and write the parameter file; returns the exit code.
 
+    Raises `ContactReachError` if there is nothing to identify from, or the motion does not identify the arm.
+
     Parameters
     ----------
     bags
@@ -52,11 +54,6 @@ def run_identification(
         Parameter file whose other values the new one keeps; the package's own when None.
     discovery, namespace
         Of the stack.
-
-    Raises
-    ------
-    ContactReachError
-        If there is nothing to identify from, or the motion does not identify the arm.
     """
     if links and without:
         raise InputError("--links takes the tool as it is: expected no --without beside it")

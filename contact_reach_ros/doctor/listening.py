@@ -55,7 +55,7 @@ class Message(NamedTuple):
 
 
 def look_around(discovery: str, seconds: float, arm: Arm) -> Look:
-    """Look at the stack with a node of its own.
+    """Look at the stack with a node of its own; raises `ContactReachError` if ROS does not start a node.
 
     Parameters
     ----------
@@ -65,11 +65,6 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> Look:
         How long to listen, if anything is there.
     arm
         Whose joint states are expected.
-
-    Raises
-    ------
-    ContactReachError
-        If ROS does not start a node.
     """
     with bare_node(DOCTOR, discovery) as node:
         return Look(node, seconds, arm)

@@ -34,10 +34,7 @@ class ReexecutionOptions:
 def run_reexecution(options: ReexecutionOptions) -> int:
     """Re-execute and report what differs; returns `DIFFERENT` if anything does and no settings are changed.
 
-    Raises
-    ------
-    BagError, SettingsError
-        If the bag lacks what is needed, or the changed settings are not accepted.
+    Raises `BagError` or `SettingsError` if the bag lacks what is needed, or the changed settings are not accepted.
     """
     bag, changes = BagReader(options.bag, of_stack=True), ChangedSettings(options.changes)
     inputs = RecordedInputs(bag)
@@ -63,10 +60,7 @@ def run_reexecution(options: ReexecutionOptions) -> int:
 def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> dict[str, Reexecution]:
     """Re-execute controller and observer, as far as the bag has what they took in; returns them by name.
 
-    Raises
-    ------
-    BagError
-        If it has that of neither.
+    Raises `BagError` if it has that of neither.
     """
     found = {}
     missing: list[BagError] = []

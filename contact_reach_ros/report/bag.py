@@ -108,13 +108,7 @@ class ReportBag:
 
 
 def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportBag:
-    """Read a bag, complete or not.
-
-    Raises
-    ------
-    BagError
-        If the file is no bag.
-    """
+    """Read a bag, complete or not; raises `BagError` if the file is no bag."""
     reader = BagReader(path, of_stack=True)
     notes = list(reader.notes)
     try:

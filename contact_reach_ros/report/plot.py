@@ -53,6 +53,8 @@ def episode_figure(
 ) -> Figure:
     """Draw an episode in three panels: distance to the goal, contact force, external torque.
 
+    Raises `BagError` if there is nothing to draw.
+
     Parameters
     ----------
     distance, contact, torque :
@@ -66,11 +68,6 @@ def episode_figure(
         The paper's epsilon, N.
     torque_thresholds :
         External torque per joint, Nm, above which the robot stops; none are drawn if empty.
-
-    Raises
-    ------
-    BagError
-        If there is nothing to draw.
     """
     times = (distance.time, contact.time, torque.time)
     recorded = [time for time in times if len(time)]

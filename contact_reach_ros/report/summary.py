@@ -87,6 +87,8 @@ class EpisodeSummary:
 class Episode:
     """How the goal of a bag ended; a second goal counts from the moment it is sent.
 
+    Raises `BagError` if there is no goal or no joint state.
+
     Parameters
     ----------
     signals
@@ -108,11 +110,6 @@ class Episode:
         When the goal was reached, on the same clock; None if it was not.
     distance
         Of the flange from the goal: the column "distance", m.
-
-    Raises
-    ------
-    BagError
-        If there is no goal or no joint state.
     """
 
     def __init__(
@@ -178,10 +175,7 @@ class Episode:
     def plot(self, file: Path, title: str, budget: ContactBudget) -> None:
         """Draw distance, contact force and external torque over time as a PNG.
 
-        Raises
-        ------
-        BagError
-            If the file cannot be written.
+        Raises `BagError` if the file cannot be written.
         """
         markers = [Marker(self.start, "goal sent", "goal")]
         if self.reached is not None:

@@ -31,10 +31,7 @@ def goal_position(message: Any) -> Array:
 def planned_goal(message: Any) -> Array | None:
     """The goal (3,), m, of the plan in a plan/statistics message; None if it has none.
 
-    Raises
-    ------
-    InputError
-        If it is nowhere.
+    Raises `InputError` if it is nowhere.
     """
     goal = goal_in({key.rpartition("/")[2]: value for key, value in named_numbers(message).items()})
     if goal is not None and not (np.abs(goal) < FARTHEST).all():

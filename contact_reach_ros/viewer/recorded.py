@@ -50,7 +50,7 @@ T = TypeVar("T")
 
 
 class Recording:
-    """A bag, opened to show any of its moments.
+    """A bag, opened to show any of its moments; raises `BagError` if the bag cannot be read or holds no joint states.
 
     Parameters
     ----------
@@ -69,11 +69,6 @@ class Recording:
         (n,) times of the joint states since the first, s, increasing.
     events
         Events, ordered by time.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read or holds no joint states.
     """
 
     def __init__(self, path: Path, arm: Arm) -> None:
