@@ -15,6 +15,7 @@ import numpy as np
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.bringup.interruption import Interruption
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
@@ -25,7 +26,6 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import RATE, parameters_in
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
-from contact_reach_ros.report.signals import read_signals
 from contact_reach_ros.report.summary import Episode, EpisodeSummary
 from contact_reach_ros.ros.interfaces import DEMO, RECORDER
 from contact_reach_ros.ros.process import bare_node

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.bags.signals import EpisodeSignals, Series
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, read_report_bag
 from contact_reach_ros.report.curves import Chart
 from contact_reach_ros.report.sections import configuration, events, summary
-from contact_reach_ros.report.signals import EpisodeSignals, Series
 from contact_reach_ros.report.tables import write_tables
 
 _PAGE = Path(__file__).with_name("template")
@@ -145,8 +145,7 @@ def _difference(pick: Callable[[ReportBag], Series], title: str, unit: str) -> C
     """Make the chart of what the first bag has less what the second has, by names."""
 
     def since_goal(bag: ReportBag) -> Series:
-        found = pick(bag)
-        return Series(found.time - bag.zero, found.names, found.values)
+        return pick(bag).since(bag.zero)
 
     def compare(first: ReportBag, second: ReportBag) -> Chart:
         return charts.difference_chart(since_goal(first), since_goal(second), f"difference: {title}", unit)

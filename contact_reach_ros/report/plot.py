@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.report.signals import Series
 
 SUCCESS_DISTANCE = 0.01
 """The paper's delta, m: the goal is reached within it."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.bags.signals import EpisodeSignals, Series
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget
@@ -19,7 +20,6 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.report.plot import BEFORE, SUCCESS_DISTANCE, Marker, episode_figure
 from contact_reach_ros.report.recorded_settings import recorded_section
-from contact_reach_ros.report.signals import EpisodeSignals, Series
 
 
 @dataclasses.dataclass(frozen=True)

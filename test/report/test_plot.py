@@ -8,10 +8,10 @@ from matplotlib.image import imread
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import Series, read_signals
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.report.plot import Marker, episode_figure
-from contact_reach_ros.report.signals import Series, read_signals
 from contact_reach_ros.report.summary import Episode
 from contact_reach_ros.resources import share_directory
 
