@@ -17,7 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.discovery import wait_until_settled
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, node_of
+from contact_reach_ros.ros.graph import UNKNOWN_NODE, node_of
 from contact_reach_ros.ros.interfaces import ACTING, ALONE, COMMANDING, INTERFACES
 
 _WATCHING = frozenset(INTERFACES) - frozenset(ACTING)

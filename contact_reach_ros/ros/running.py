@@ -10,7 +10,7 @@ from collections.abc import Collection
 from rclpy.node import Node
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, full_name, node_of
+from contact_reach_ros.ros.graph import UNKNOWN_NODE, full_name, node_of
 from contact_reach_ros.ros.interfaces import ALONE, MANAGED
 from contact_reach_ros.ros.node_processes import node_processes
 
