@@ -14,10 +14,7 @@ Array = NDArray[np.float64]
 def checked_array(name: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return a read-only copy of `values` with the expected shape.
 
-    Raises
-    ------
-    InputError
-        If the shape differs or a value is not finite; the message starts with `name`.
+    Raises `InputError` if the shape differs or a value is not finite; the message starts with `name`.
     """
     array = np.array(values, dtype=float)
     if array.shape != shape:

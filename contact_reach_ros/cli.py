@@ -6,12 +6,13 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.experiments.commands import add_benches
+from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.versions import VERSION
 
 BAD_INPUT = 2
@@ -94,34 +95,42 @@ def _parser() -> argparse.ArgumentParser:
         help="orientation of the flange: rotations about the base frame's x, y and z, rad; for a planner with "
         "goal_orientation: pose",
     )
-    home = add("home", partial(_operate, "home"), "send the flange to where it is in the arm's home posture, as goto")
+    home = add(
+        "home", _later("bringup.commands:home"), "send the flange to where it is in the arm's home posture, as goto"
+    )
     for moving in (goto, home):
         moving.add_argument("--wait", action="store_true", help="also wait until it has settled there")
         moving.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
         _add_stack(moving)
     speed = add(
         "speed",
-        partial(_operate, "speed"),
+        _later("bringup.commands:speed"),
         "let the planner of the running stack use a share of its speed, from the next plan on",
     )
     speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
     _add_stack(speed)
     tool = add(
-        "tool", partial(_operate, "tool"), "give the running stack another tool, while the arm rests without a goal"
+        "tool",
+        _later("bringup.commands:tool"),
+        "give the running stack another tool, while the arm rests without a goal",
     )
     tool.add_argument("file", nargs="?", default=None, type=Path, metavar="FILE", help="with a section 'tool'")
     tool.add_argument("--none", action="store_true", help="instead of a file: the flange carries nothing")
     tool.add_argument("--attach", action="store_true", help="the simulated robot carries it, too")
     _add_stack(tool)
-    stop = add("stop", partial(_operate, "stop"), "stop the arm of the running stack, compliantly, until reset")
+    stop = add("stop", _later("bringup.commands:stop"), "stop the arm of the running stack, compliantly, until reset")
     _add_stack(stop)
     reset = add(
-        "reset", partial(_operate, "reset"), "release all stops of the running stack; the arm then waits for a new goal"
+        "reset",
+        _later("bringup.commands:reset"),
+        "release all stops of the running stack; the arm then waits for a new goal",
     )
     _add_stack(reset)
 
     identify = add(
-        "identify", _identify, "fit tool, friction and torque offsets to a motion, and write parameter files"
+        "identify",
+        _later("bringup.identify:run_identification"),
+        "fit tool, friction and torque offsets to a motion, and write parameter files",
     )
     where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
     identify.add_argument("--bag", dest="bags", type=Path, nargs="+", metavar="BAG", help=where)
@@ -141,43 +150,47 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
     _add_namespace(view)
 
-    doctor = add("doctor", _doctor, "check machine, software and the running stack before a run")
-    doctor.add_argument("--parameters", help="parameter file for the nodes (default: the package's)")
+    doctor = add(
+        "doctor", _later("doctor.run:run_doctor"), "check machine, software and the running stack before a run"
+    )
+    doctor.add_argument("--parameters", type=Path, help="parameter file for the nodes (default: the package's)")
     _add_discovery(doctor, "how far to look for nodes")
-    doctor.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    _add_json(doctor)
 
     arm = commands.add_parser("arm", help="look at an arm's description").add_subparsers(required=True, metavar="WHAT")
     check = arm.add_parser("check", help="what a URDF says, lacks and leaves to rules, and whether the arm moves")
-    check.add_argument("arm", metavar="ARM", help="a name, or the path of a URDF or YAML file")
+    check.add_argument("name", metavar="ARM", help="a name, or the path of a URDF or YAML file")
     check.add_argument("--table", type=Path, metavar="FILE", help="write all numbers as a table, a YAML file")
-    check.set_defaults(run=_arm_check)
+    check.set_defaults(run=_later("doctor.arm_check:check_arm"))
 
-    report = add("report", _report, "a page about one bag or several: one HTML file for any browser")
+    report = add(
+        "report", _later("report.page:run_report"), "a page about one bag or several: one HTML file for any browser"
+    )
     report.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags: directories or mcap files")
     report.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the first bag)")
-    report.add_argument("--json", type=Path, metavar="FILE", help="write the numbers as JSON")
+    _add_json(report)
     report.add_argument("--csv", type=Path, metavar="DIR", help="write tables of all samples")
     report.add_argument(
         "--with", dest="other", type=Path, metavar="FILE", help="parameter file: draw what it would have done, too"
     )
 
     reexecute = add(
-        "reexecute", _reexecute, "re-execute controller and observer, or the planner, on a bag, and report differences"
+        "reexecute",
+        _later("reexecution.command:run_reexecution"),
+        "re-execute controller and observer, or the planner, on a bag, and report differences",
     )
     reexecute.add_argument("bag", type=Path, metavar="BAG", help="a bag: directory or mcap file")
     reexecute.add_argument("--plan", type=int, metavar="N", help="solve plan number N again instead")
-    reexecute.add_argument(
-        "--with", dest="changes", type=Path, metavar="FILE", help="parameter file with other settings"
-    )
-    reexecute.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    reexecute.add_argument("--with", dest="other", type=Path, metavar="FILE", help="parameter file with other settings")
+    _add_json(reexecute)
 
     bag = commands.add_parser("bag", help="look into a recording, or repair it").add_subparsers(
         required=True, metavar="WHAT"
     )
     info = bag.add_parser("info", help="topics, rates, gaps and lost messages of a bag")
-    info.add_argument("bag", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
-    info.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
-    info.set_defaults(run=_bag_info)
+    info.add_argument("path", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
+    _add_json(info)
+    info.set_defaults(run=_later("bags.info:bag_info"))
     repair = bag.add_parser("repair", help="make a complete bag of what can be read of a damaged one")
     repair.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file; it is left as it is")
     repair.add_argument("--output", type=Path, metavar="DIR", help="the new bag (default: BAG_repaired)")
@@ -190,6 +203,10 @@ def _parser() -> argparse.ArgumentParser:
 def _add_stack(command: argparse.ArgumentParser) -> None:
     _add_discovery(command, "how far to look for the stack")
     _add_namespace(command)
+
+
+def _add_json(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--json", dest="file", type=Path, metavar="FILE", help="write the result as JSON")
 
 
 def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
@@ -205,7 +222,13 @@ def _add_namespace(command: argparse.ArgumentParser) -> None:
     command.add_argument("--namespace", metavar="NS", help="of the stack, such as left (default: none)")
 
 
-# rclpy is only needed, and only has to be installed, for the commands that use it.
+def _later(place: str) -> Callable[..., int | None]:
+    """A function of this package, 'module:name', imported when it is called.
+
+    The libraries of most take seconds, and rclpy only has to be installed for those that use it.
+    """
+    module, name = place.split(":")
+    return lambda **options: getattr(import_module(f"{PACKAGE}.{module}"), name)(**options)  # type: ignore[no-any-return]
 
 
 def _check(parameters: Path | None) -> None:
@@ -230,19 +253,9 @@ def _up(target: Sequence[float] | None = None, **options: Any) -> int:
 
 
 def _goto(x: float, y: float, z: float, **options: Any) -> int:
-    return _operate("goto", position=(x, y, z), **options)
+    from contact_reach_ros.bringup.commands import goto
 
-
-def _operate(command: str, **options: Any) -> int:
-    from contact_reach_ros.bringup import commands
-
-    return int(getattr(commands, command)(**options))
-
-
-def _identify(**options: Any) -> int:
-    from contact_reach_ros.bringup.identify import run_identification
-
-    return run_identification(**options)
+    return goto((x, y, z), **options)
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:
@@ -250,36 +263,6 @@ def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) ->
     from contact_reach_ros.nodes.viewer import view
 
     return view(chosen, parameters, namespace)
-
-
-def _doctor(**options: Any) -> int:
-    from contact_reach_ros.doctor.run import DoctorOptions, run_doctor
-
-    return run_doctor(DoctorOptions(**options))
-
-
-def _arm_check(arm: str, table: Path | None) -> int:
-    from contact_reach_ros.doctor.arm_check import check_arm
-
-    return check_arm(arm, table)
-
-
-def _report(bags: Sequence[Path], **options: Any) -> int:
-    from contact_reach_ros.report.page import ReportOptions, run_report
-
-    return run_report(ReportOptions(tuple(bags), **options))
-
-
-def _reexecute(**options: Any) -> int:
-    from contact_reach_ros.reexecution.command import ReexecutionOptions, run_reexecution
-
-    return run_reexecution(ReexecutionOptions(**options))
-
-
-def _bag_info(bag: Path, json: Path | None) -> None:
-    from contact_reach_ros.bags.info import bag_info
-
-    bag_info(bag, json)
 
 
 def _bag_repair(bag: Path, output: Path | None) -> None:

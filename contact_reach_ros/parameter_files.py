@@ -155,10 +155,7 @@ def sections_of_others(file: Path, node_name: str) -> list[str]:
 def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
     """Read the parameters in a file that concern a node, flattened to dotted names.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or is not a parameter file.
+    Raises `SettingsError` if the file cannot be read or is not a parameter file.
     """
     found: dict[str, Any] = {}
     for pattern, content in read_yaml(file).items():

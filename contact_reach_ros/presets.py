@@ -47,10 +47,7 @@ def preset_file(name: str) -> Path:
 def preset(name: str, arm: Arm | None = None) -> Preset:
     """The settings of a preset, 'paper_linear', 'paper_hinge' or 'shipped', for an arm; None for the iiwa 14.
 
-    Raises
-    ------
-    SettingsError
-        If there is no preset of this name, or its file has a value that is not accepted.
+    Raises `SettingsError` if there is no preset of this name, or its file has a value that is not accepted.
     """
     file, arm = preset_file(name), arm or load_arm()
 

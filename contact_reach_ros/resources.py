@@ -22,12 +22,8 @@ def share_directory() -> Path:
     """Directory that holds `package.xml`, `config/`, `launch/` and `msg_docs/`.
 
     It is the source checkout if the package runs from one, else `share/contact_reach_ros` of the prefix that
-    colcon or pip installed the package in.
-
-    Raises
-    ------
-    ContactReachError
-        If no such directory exists; the message lists the places searched.
+    colcon or pip installed the package in. Raises `ContactReachError` if no such directory exists; the message lists
+    the places searched.
     """
     module = Path(__file__).resolve()
     checkout = module.parents[1]
@@ -46,15 +42,12 @@ def share_directory() -> Path:
 def config_file(name: str) -> Path:
     """Path of a file in `config/`.
 
+    Raises `ContactReachError` if there is no such file; the message lists the existing ones.
+
     Parameters
     ----------
     name
         Path relative to `config/`, such as `scenes/ball.yaml`.
-
-    Raises
-    ------
-    ContactReachError
-        If there is no such file; the message lists the existing ones.
     """
     directory = share_directory() / "config"
     path = directory / name
@@ -67,10 +60,7 @@ def config_file(name: str) -> Path:
 def cache_directory() -> Path:
     """Directory of the user's cache for this package; it is created if it does not exist.
 
-    Raises
-    ------
-    ContactReachError
-        If it cannot be created.
+    Raises `ContactReachError` if it cannot be created.
     """
     setting = os.environ.get("XDG_CACHE_HOME", "")
     # The XDG specification says to ignore relative paths.

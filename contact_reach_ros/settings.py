@@ -88,10 +88,8 @@ class Setting:
     def check(self, value: Any, where: str) -> Value:
         """Return `value` in the declared type.
 
-        Raises
-        ------
-        SettingsError
-            If the value has another type or length, is not finite, or lies outside the range; the message has `where`.
+        Raises `SettingsError` if the value has another type or length, is not finite, or lies outside the range; the
+        message has `where`.
         """
         # NumPy's numbers and arrays count as Python's.
         value = value.tolist() if hasattr(value, "tolist") else value
@@ -167,10 +165,7 @@ class Settings:
     def resolve(self, arm: ArmDefaults) -> Self:
         """These settings, with the arm's own values filled in where they have none.
 
-        Raises
-        ------
-        SettingsError
-            If a list does not have one value for each joint of the arm.
+        Raises `SettingsError` if a list does not have one value for each joint of the arm.
         """
         values: dict[str, Any] = {}
         for entry in self.declared():
@@ -219,10 +214,8 @@ _Loader.add_constructor("tag:yaml.org,2002:python/tuple", yaml.SafeLoader.constr
 def read_yaml(file: Path) -> dict[str, Any]:
     """Read the mapping in a YAML file.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, is not YAML or does not hold a mapping; the message names the file.
+    Raises `SettingsError` if the file cannot be read, is not YAML or does not hold a mapping; the message names the
+    file.
     """
     try:
         content = yaml.load(file.read_text(), _Loader)

@@ -1,1 +1,1 @@
-"""Bags: writing and reading mcap recordings without a ROS installation."""
+"""Bags: writing and reading mcap recordings, and their signals, without a ROS installation."""

@@ -19,10 +19,7 @@ MEGA = 1e6
 def custom_data_of(settings: RecorderSettings) -> dict[str, str]:
     """Text to keep in the bag, from the parameters and the files that they name.
 
-    Raises
-    ------
-    BagError
-        If an entry is not key=value, or a file cannot be read.
+    Raises `BagError` if an entry is not key=value, or a file cannot be read.
     """
     custom_data = dict(_key_and_value("custom_data", text) for text in settings.custom_data)
     for key, path in (_key_and_value("files", text) for text in settings.files):

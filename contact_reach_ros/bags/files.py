@@ -17,10 +17,7 @@ _STATES, _SAFETY = "/joint_states", "/safety_state"
 def find_files(path: Path, information: Mapping[str, Any] | None) -> list[Path]:
     """The mcap files of a bag, by its metadata if it has any.
 
-    Raises
-    ------
-    BagError
-        If it has none, or is stored otherwise than in mcap files.
+    Raises `BagError` if it has none, or is stored otherwise than in mcap files.
     """
     if not path.is_dir():
         return [path]

@@ -97,13 +97,7 @@ class BagInfo:
 
 
 def read_info(path: Path) -> BagInfo:
-    """Summarise a bag.
-
-    Raises
-    ------
-    BagError
-        If nothing of it can be read.
-    """
+    """Summarise a bag; raises `BagError` if nothing of it can be read."""
     reader = BagReader(path)
     summary = reader.summary
     on_clock = _robot_clock(reader)
@@ -188,10 +182,7 @@ def _qos(topic: RecordedTopic) -> str:
 def bag_info(path: Path, file: Path | None, console: Console | None = None) -> None:
     """Print an overview of a bag, and write it as JSON if a file is given.
 
-    Raises
-    ------
-    BagError
-        If nothing of it can be read.
+    Raises `BagError` if nothing of it can be read.
     """
     info = read_info(path)
     if file is not None:

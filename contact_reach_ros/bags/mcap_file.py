@@ -85,7 +85,7 @@ class _Part(NamedTuple):
 
 
 class McapFile:
-    """A recording in one mcap file.
+    """A recording in one mcap file; raises `BagError` if the file is missing, empty, or no mcap file.
 
     Attributes
     ----------
@@ -93,11 +93,6 @@ class McapFile:
         The file.
     contents :
         What it holds.
-
-    Raises
-    ------
-    BagError
-        If the file is missing, empty, or no mcap file.
     """
 
     def __init__(self, path: Path) -> None:

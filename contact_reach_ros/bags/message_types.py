@@ -29,10 +29,7 @@ class MessageTypes:
     def definition(self, name: str) -> str:
         """Return the text of the .msg file followed by each dependency once, as in `ros2msg` schemas.
 
-        Raises
-        ------
-        BagError
-            If the type is neither a standard type nor in a sourced workspace.
+        Raises `BagError` if the type is neither a standard type nor in a sourced workspace.
         """
         self._require(name)
         text, _ = self._store.generate_msgdef(name, ros_version=2)

@@ -123,10 +123,7 @@ def sync_directory(directory: Path) -> None:
 def read(directory: Path) -> dict[str, Any] | None:
     """Read metadata.yaml of a bag; returns None if there is none, as after a killed recording.
 
-    Raises
-    ------
-    BagError
-        If the file is no rosbag2 metadata or cannot be read.
+    Raises `BagError` if the file is no rosbag2 metadata or cannot be read.
     """
     path = directory / FILE_NAME
     try:

@@ -79,18 +79,15 @@ class BagSummary:
 class BagReader:
     """A recorded bag: a directory as rosbag2 makes it, or one mcap file.
 
+    Raises `BagError` if it is missing, empty or no bag, or if it is not stored as mcap, or compressed by other means
+    than mcap's own; with `of_stack` also if it has several stacks.
+
     Parameters
     ----------
     path :
         The bag.
     of_stack :
         Whether topics go without the namespace of the stack that was recorded.
-
-    Raises
-    ------
-    BagError
-        If it is missing, empty or no bag, or if it is not stored as mcap, or compressed by other means than mcap's own;
-        with `of_stack` also if it has several stacks.
     """
 
     def __init__(self, path: Path | str, of_stack: bool = False) -> None:
@@ -121,12 +118,7 @@ class BagReader:
         """Yield serialised messages of some topics, or of all, from a time of reception in ns since the epoch on.
 
         File by file, in the order of reception. Messages in damaged chunks are left out; `notes` reports them
-        afterwards.
-
-        Raises
-        ------
-        BagError
-            If the bag has no such topic.
+        afterwards. Raises `BagError` if the bag has no such topic.
         """
         wanted = set(self.topics()) if topics is None else set(topics)
         missing = sorted(wanted - set(self.topics()))
@@ -142,12 +134,8 @@ class BagReader:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """Yield messages of some topics, or of all, decoded by the definitions in the bag itself.
 
-        Topics and messages that cannot be decoded are left out; `notes` reports them afterwards.
-
-        Raises
-        ------
-        BagError
-            If the bag has no such topic.
+        Topics and messages that cannot be decoded are left out; `notes` reports them afterwards. Raises `BagError` if
+        the bag has no such topic.
         """
         for raw in self.raw_messages(topics):
             decoded = self.decode(raw)
@@ -161,10 +149,7 @@ class BagReader:
     def reception_times(self, topic: str) -> np.ndarray:
         """Return times of reception, (n,) in ns since the epoch, in the order of the file; by the index if possible.
 
-        Raises
-        ------
-        BagError
-            If the bag has no such topic.
+        Raises `BagError` if the bag has no such topic.
         """
         if topic not in self.topics():
             raise BagError(f"bag '{self._path}' has no topic '{topic}'")
@@ -179,13 +164,7 @@ class BagReader:
         return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
 
     def definition(self, type_name: str) -> TypeDefinition:
-        """Return the definition of a type from the bag.
-
-        Raises
-        ------
-        BagError
-            If the bag has none.
-        """
+        """Return the definition of a type from the bag; raises `BagError` if the bag has none."""
         for file in self._files:
             for schema in file.contents.schemas.values():
                 if schema.name == type_name:

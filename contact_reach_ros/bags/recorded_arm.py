@@ -27,10 +27,7 @@ def arm_of_bag(bag: BagReader) -> Arm:
 def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
     """The arm that nodes had, with its tool; `settings` are the recorded ones by node.
 
-    Raises
-    ------
-    BagError
-        If this version does not have it, or has another one of that name.
+    Raises `BagError` if this version does not have it, or has another one of that name.
     """
     found: Arm | None = None
     for node, values in settings.items():

@@ -38,17 +38,14 @@ class Repair:
 def repair_bag(path: Path, output: Path | None = None) -> Repair:
     """Write all messages that can be read into a new bag; the old one stays unchanged.
 
+    Raises `BagError` if nothing can be read, or the new bag exists or cannot be written.
+
     Parameters
     ----------
     path :
         A bag, or one of its files.
     output :
         Directory to create; when None, the old bag's name with "_repaired" appended.
-
-    Raises
-    ------
-    BagError
-        If nothing can be read, or the new bag exists or cannot be written.
     """
     reader = BagReader(path)
     if output is None:

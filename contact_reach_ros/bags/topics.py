@@ -52,10 +52,7 @@ class OfferedQos:
     def from_mapping(cls, profile: Mapping[str, Any]) -> OfferedQos:
         """Read a profile from a bag; older versions of rosbag2 wrote numbers in place of words.
 
-        Raises
-        ------
-        BagError
-            If the mapping is no such profile.
+        Raises `BagError` if the mapping is no such profile.
         """
         try:
             return cls(
@@ -87,10 +84,7 @@ _NUMBERED: Mapping[str, Mapping[Any, str]] = {
 def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
     """Read the profiles that an mcap channel holds as YAML; empty if there are none.
 
-    Raises
-    ------
-    BagError
-        If the text is something else.
+    Raises `BagError` if the text is something else.
     """
     try:
         profiles = yaml.safe_load(text) or []
@@ -146,13 +140,7 @@ class RecordedTopic:
 
 
 def check_type_name(name: str) -> str:
-    """Return `name` if it reads package/msg/Type.
-
-    Raises
-    ------
-    BagError
-        If it does not.
-    """
+    """Return `name` if it reads package/msg/Type; raises `BagError` if it does not."""
     parts = name.split("/")
     if len(parts) != 3 or parts[1] != "msg" or not all(part.isidentifier() for part in parts):
         raise BagError(f"message type '{name}': expected package/msg/Type, as in sensor_msgs/msg/JointState")
@@ -162,10 +150,7 @@ def check_type_name(name: str) -> str:
 def parse_topic(text: str) -> tuple[str, str | None]:
     """Split `name` or `name:package/msg/Type` into name and type; the type is None if not given.
 
-    Raises
-    ------
-    BagError
-        If the name is empty or the type is malformed.
+    Raises `BagError` if the name is empty or the type is malformed.
     """
     name, colon, type_name = text.strip().partition(":")
     if not name or any(character.isspace() for character in name):

@@ -35,7 +35,8 @@ class BagWriter:
     """A bag that is being written: a directory with metadata.yaml and one or more mcap files.
 
     Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
-    can still be read.
+    can still be read. Raises `BagError` if the directory exists or cannot be written, a type is unknown, or a parameter
+    is not accepted.
 
     Parameters
     ----------
@@ -50,11 +51,6 @@ class BagWriter:
     split_bytes, split_ns :
         Size of a file, and its age in ns at the next message, at which another file is begun; 0: never.
         Each file has all schemas and channels and can be read by itself.
-
-    Raises
-    ------
-    BagError
-        If the directory exists or cannot be written, a type is unknown, or a parameter is not accepted.
     """
 
     def __init__(
@@ -119,10 +115,7 @@ class BagWriter:
     def set_custom_data(self, key: str, value: str) -> None:
         """Store text in the bag, replacing an earlier one of the same key; the next `flush` writes it.
 
-        Raises
-        ------
-        BagError
-            If key or value is not a string.
+        Raises `BagError` if key or value is not a string.
         """
         if not isinstance(key, str) or not isinstance(value, str):
             raise BagError(f"bag custom data {key!r} = {value!r}: expected text for both")
@@ -133,17 +126,14 @@ class BagWriter:
     def add_topic(self, topic: RecordedTopic, definition: TypeDefinition | None = None) -> None:
         """Add a topic, whose messages can be written from now on.
 
+        Raises `BagError` if the topic is already in the bag, its type is unknown, or the bag is closed.
+
         Parameters
         ----------
         topic :
             Name, type, quality of service and encoding.
         definition :
             Definition of its type; looked up among the standard types and the sourced workspaces when None.
-
-        Raises
-        ------
-        BagError
-            If the topic is already in the bag, its type is unknown, or the bag is closed.
         """
         if self._closed:
             raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
@@ -159,7 +149,7 @@ class BagWriter:
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0
     ) -> None:
-        """Append a message.
+        """Append a message; raises `BagError` if the topic was not added, the bag is closed, or it cannot be written.
 
         Parameters
         ----------
@@ -171,11 +161,6 @@ class BagWriter:
             Times of reception and of sending, ns since the epoch; sending defaults to reception.
         sequence :
             The publisher's number of the message, 0 if unknown.
-
-        Raises
-        ------
-        BagError
-            If the topic was not added, the bag is closed, or it cannot be written.
         """
         channel = self._channels.get(topic)
         sequence &= 0xFFFFFFFF
@@ -197,15 +182,12 @@ class BagWriter:
     def flush(self, durable: bool = False) -> None:
         """Pass everything written so far to the operating system, so that it survives if the process is killed.
 
+        Raises `BagError` if this, or the disk's writing that an earlier call started, fails.
+
         Parameters
         ----------
         durable :
             Also start writing it to the disk, so that it survives a power cut; this finishes after the call returns.
-
-        Raises
-        ------
-        BagError
-            If this, or the disk's writing that an earlier call started, fails.
         """
         if self._closed:
             return
@@ -222,10 +204,7 @@ class BagWriter:
     def close(self) -> None:
         """Complete the bag with index, summary and metadata.yaml; does nothing if it is already closed.
 
-        Raises
-        ------
-        BagError
-            If the bag cannot be written.
+        Raises `BagError` if the bag cannot be written.
         """
         if self._closed:
             return

@@ -15,6 +15,7 @@ import numpy as np
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.bringup.interruption import Interruption
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
@@ -25,7 +26,6 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import RATE, parameters_in
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
-from contact_reach_ros.report.signals import read_signals
 from contact_reach_ros.report.summary import Episode, EpisodeSummary
 from contact_reach_ros.ros.interfaces import DEMO, RECORDER
 from contact_reach_ros.ros.process import bare_node
@@ -82,11 +82,7 @@ def run_demo(options: DemoOptions) -> int:
     """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
 
     A run that failed because the machine fell behind real time is repeated in lockstep, unless the page is served.
-
-    Raises
-    ------
-    ContactReachError
-        If the scene, the goal or the settings are refused.
+    Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
     code, summary = _run(options)
     if options.lockstep or options.view or code == INTERRUPTED or summary is None or not fell_behind(summary):

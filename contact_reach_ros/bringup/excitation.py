@@ -35,12 +35,8 @@ _NEEDED = ("planner", "observer")
 def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Mapping[str, Mapping[str, Any]]]:
     """Move the arm and return its states, and the settings of the nodes.
 
-    On Ctrl-C the arm is held where it is.
-
-    Raises
-    ------
-    ContactReachError
-        If no stack answers, the arm may not be moved, has no room, or is stopped on the way.
+    On Ctrl-C the arm is held where it is. Raises `ContactReachError` if no stack answers, the arm may not be moved, has
+    no room, or is stopped on the way.
     """
     with bare_node(OPERATOR, discovery, namespace=namespace) as node:
         operator = _Exciter(node)
@@ -74,10 +70,7 @@ class _Exciter(Operator):
     def prepare(self) -> None:
         """Wait until everything is heard, and check that the arm may be moved.
 
-        Raises
-        ------
-        ContactReachError
-            If it may not.
+        Raises `ContactReachError` if it may not.
         """
         self.find_stack()
         self._until(lambda: all(name in self.settings for name in _NEEDED), _HEARD_S)
@@ -102,13 +95,7 @@ class _Exciter(Operator):
         self.states.clear()
 
     def move(self) -> None:
-        """Send one goal after the other.
-
-        Raises
-        ------
-        ContactReachError
-            If one is refused, or the arm is stopped.
-        """
+        """Send one goal after the other; raises `ContactReachError` if one is refused, or the arm is stopped."""
         ways = goals(self.arm)
         for number, (position, rotation) in enumerate(ways, 1):
             print(f"goal {number} of {len(ways)}", flush=True)

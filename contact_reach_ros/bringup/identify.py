@@ -11,6 +11,7 @@ import numpy as np
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
+from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.identify import BOTH, LINKS, TOOL, identify
 from contact_reach_ros.identification.output import describe, write
@@ -19,7 +20,6 @@ from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, TOOL_PARAMETERS, arm_in, full_name
 from contact_reach_ros.parameter_files import TOOL as TOOL_SECTION
 from contact_reach_ros.reexecution.settings import BUDGET, recorded_sections
-from contact_reach_ros.report.signals import read_signals
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.units import NANOSECONDS
 
@@ -38,6 +38,8 @@ def run_identification(
 ) -> int:
     """Identify the arm, print what was found, and write the parameter file; returns the exit code.
 
+    Raises `ContactReachError` if there is nothing to identify from, or the motion does not identify the arm.
+
     Parameters
     ----------
     bags
@@ -52,11 +54,6 @@ def run_identification(
         Parameter file whose other values the new one keeps; the package's own when None.
     discovery, namespace
         Of the stack.
-
-    Raises
-    ------
-    ContactReachError
-        If there is nothing to identify from, or the motion does not identify the arm.
     """
     if links and without:
         raise InputError("--links takes the tool as it is: expected no --without beside it")

@@ -102,12 +102,8 @@ class Operator:
     def find_service(self, service: str) -> list[str]:
         """Wait until the controller offers a service, or for a second longer than until another node does.
 
-        Returns the stoppable nodes, those that offer it first.
-
-        Raises
-        ------
-        ContactReachError
-            If no node does within some seconds.
+        Returns the stoppable nodes, those that offer it first. Raises `ContactReachError` if no node does within some
+        seconds.
         """
         clients = [self._node.create_client(Trigger, f"{name}/{service}") for name in STOPPABLE]
         found = self._until(lambda: any(client.service_is_ready() for client in clients), _FOUND_S)
@@ -123,10 +119,7 @@ class Operator:
     def find_stack(self) -> None:
         """Wait until planner and controller have reported what they do, and the planner hears goals.
 
-        Raises
-        ------
-        ContactReachError
-            If they do not within some seconds.
+        Raises `ContactReachError` if they do not within some seconds.
         """
         wanted = (_PLANNER, _CONTROLLER)
 
@@ -143,10 +136,7 @@ class Operator:
     def hear_everybody(self) -> None:
         """Wait until the controller's safety state is known, and no other node's has come for a while.
 
-        Raises
-        ------
-        ContactReachError
-            If the controller does not report it.
+        Raises `ContactReachError` if the controller does not report it.
         """
         known, since = -1, time.monotonic()
         deadline = since + _FOUND_S
@@ -214,10 +204,7 @@ class Operator:
     def change(self, node: str, values: Mapping[str, Any]) -> Outcome:
         """Change parameters of a node, if the node lets them: all or none.
 
-        Raises
-        ------
-        ContactReachError
-            If there is no such node, or no answer.
+        Raises `ContactReachError` if there is no such node, or no answer.
         """
         client = self._node.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
         if not self._until(client.service_is_ready, _FOUND_S):
@@ -232,10 +219,7 @@ class Operator:
     def call(self, service: str) -> Any:
         """Call a Trigger service and return its answer.
 
-        Raises
-        ------
-        ContactReachError
-            If nobody offers it, or there is no answer.
+        Raises `ContactReachError` if nobody offers it, or there is no answer.
         """
         client = self._node.create_client(Trigger, service)
         try:

@@ -84,11 +84,8 @@ class Override(NamedTuple):
     def parse(cls, text: str) -> Override:
         """Read node:parameter=value, the value as YAML.
 
-        Raises
-        ------
-        SettingsError
-            If the text has another form, the node is not one of `TUNABLE`, has no such parameter, or does not accept
-            the value.
+        Raises `SettingsError` if the text has another form, the node is not one of `TUNABLE`, has no such parameter, or
+        does not accept the value.
         """
         node, colon, rest = text.partition(":")
         name, equals, written = rest.partition("=")
@@ -112,10 +109,8 @@ class Override(NamedTuple):
 def processes(options: BringupOptions) -> list[Process]:
     """Make the table of processes; they are ended in the reverse order.
 
-    Raises
-    ------
-    SceneError, SettingsError
-        If the scene is unknown, its file, the parameter file or an override is wrong, or nodes would not go together.
+    Raises `SceneError` or `SettingsError` if the scene is unknown, its file, the parameter file or an override is
+    wrong, or nodes would not go together.
     """
     scene = read_scene(options.scene)
     arm: dict[str, ParameterValue] = {ROBOT.name: options.robot} if options.robot else {}
@@ -169,13 +164,7 @@ def processes(options: BringupOptions) -> list[Process]:
 
 
 def stack_arm(options: BringupOptions) -> Arm:
-    """The arm of the stack, with its tool.
-
-    Raises
-    ------
-    SettingsError
-        If the parameter file has none that there is.
-    """
+    """The arm of the stack, with its tool; raises `SettingsError` if the parameter file has none that there is."""
     own = parameters_in(options.parameter_file, "planner")
     return arm_in({**own, ROBOT.name: options.robot} if options.robot else own, str(options.parameter_file))
 
@@ -183,10 +172,7 @@ def stack_arm(options: BringupOptions) -> Arm:
 def page_address(parameter_file: Path) -> str:
     """Address of the page that the viewer of a stack serves.
 
-    Raises
-    ------
-    SettingsError
-        If the file has a parameter of the viewer that is not accepted.
+    Raises `SettingsError` if the file has a parameter of the viewer that is not accepted.
     """
     settings = ViewerSettings.from_mapping(parameters_in(parameter_file, VIEWER), str(parameter_file))
     return settings.page_address(settings.port)

@@ -29,13 +29,7 @@ _PATIENCE_S, _AGAIN_S = 30.0, 0.1
 
 
 def tool_in(file: Path) -> Tool:
-    """The section `tool` of a parameter file.
-
-    Raises
-    ------
-    SettingsError
-        If there is none, or it is wrong.
-    """
+    """The section `tool` of a parameter file; raises `SettingsError` if there is none, or it is wrong."""
     values = parameters_in(file, "controller")
     if not any(name in values for name in TOOL_PARAMETERS):
         raise SettingsError(

@@ -106,10 +106,7 @@ class Watcher:
     def wait_ready(self, listeners: int) -> None:
         """Wait until brakes are open, the planner knows arm and obstacles and is heard, and so many nodes hear goals.
 
-        Raises
-        ------
-        StackError
-            If a process died, something stopped the arm, or it takes too long.
+        Raises `StackError` if a process died, something stopped the arm, or it takes too long.
         """
         deadline = time.monotonic() + DISCOVERY_S
         while not (self._stands_still() and self._is_ready(listeners)):

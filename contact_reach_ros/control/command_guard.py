@@ -158,10 +158,7 @@ class CommandGuard:
     def reset(self, clock_ns: int) -> None:
         """Release a stop: harmless torques are sent until the next command.
 
-        Raises
-        ------
-        InputError
-            If the arm moves, or its joint states are silent; the stop stays.
+        Raises `InputError` if the arm moves, or its joint states are silent; the stop stays.
         """
         if self._state is None or clock_ns - self._seen_ns > self._stop_ns:
             raise InputError("joint_states are silent: reset needs to see the arm at rest")
@@ -176,10 +173,7 @@ class CommandGuard:
     def change_tool(self, other: CommandGuard) -> None:
         """Go on with the model of another guard, of the same settings, for the same arm with another tool.
 
-        Raises
-        ------
-        InputError
-            If the arm moves, or this guard carries it instead of the controller.
+        Raises `InputError` if the arm moves, or this guard carries it instead of the controller.
         """
         if self.phase is Phase.HARMLESS or not self.rests:
             raise InputError("another tool needs the arm at rest, and commands that are passed on: wait, or reset")

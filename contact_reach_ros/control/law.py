@@ -51,6 +51,8 @@ class ImpedanceLaw:
     def torque(self, model: RobotModel, v: Array, posture_error: Array, error: Array) -> Array:
         """τ of law (3) without the C + g of law (1), (n,), N m.
 
+        Raises `FloatingPointError` if the mass matrix is not positive definite.
+
         Parameters
         ----------
         model
@@ -61,11 +63,6 @@ class ImpedanceLaw:
             Δq = q − q_d, (n,), rad.
         error
             Δx, (6,), from `pose_error`.
-
-        Raises
-        ------
-        FloatingPointError
-            If the mass matrix is not positive definite.
         """
         factor, regular = kernels.factorise(model.mass_matrix, 0.0)
         if not regular:

@@ -142,10 +142,7 @@ class OwnWatch:
     def reset(self, clock_ns: int) -> None:
         """Release what the watch has latched.
 
-        Raises
-        ------
-        InputError
-            If the arm moves or is still pushed, or the watch sees nothing.
+        Raises `InputError` if the arm moves or is still pushed, or the watch sees nothing.
         """
         if not self._supervisor.own_reason:
             return

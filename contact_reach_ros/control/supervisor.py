@@ -185,10 +185,7 @@ class Supervisor:
     def check_reset(self, q: Array, v: Array, clock_ns: int) -> None:
         """Refuse a reset unless the arm rests within its limits and the observer is alive and not stopped.
 
-        Raises
-        ------
-        InputError
-            If one of these does not hold; the message says which.
+        Raises `InputError` if one of these does not hold; the message says which.
         """
         check_start(self._arm, q, v)
         self.check_rest(v, "reset")

@@ -34,17 +34,14 @@ _CLOSE = 0.01
 def check_arm(name: str, table: Path | None = None) -> int:
     """Print what there is, what was assumed, and how the arm moves; returns 0 only if it moves as it should.
 
+    Raises `SettingsError` if the description is refused; the message names link or joint, and the key that mends it.
+
     Parameters
     ----------
     name
         What `load_arm` takes.
     table
         File to write the arm's table to; none is written by default.
-
-    Raises
-    ------
-    SettingsError
-        If the description is refused; the message names link or joint, and the key that mends it.
     """
     console = Console()
     if name.endswith(ENDINGS):

@@ -124,10 +124,7 @@ def send_schedule(text: str, arm: Arm) -> None:
 def signal_node(name: str, number: signal.Signals) -> None:
     """Send a signal to the process of a node of this machine, user and ROS domain.
 
-    Raises
-    ------
-    InputError
-        If there is no such process, or several.
+    Raises `InputError` if there is no such process, or several.
     """
     processes = node_processes(os.environ.get("ROS_DOMAIN_ID", "0"), user=os.getuid())
     found = sorted(process for process, node in processes.items() if node == name)
@@ -140,6 +137,8 @@ def signal_node(name: str, number: signal.Signals) -> None:
 
 def disturb(name: str, what: str, rate: float, seconds: float, arm: Arm) -> int:
     """Publish on a topic besides its own publisher; returns the number of messages.
+
+    Raises `InputError` if nobody listens.
 
     Parameters
     ----------
@@ -154,11 +153,6 @@ def disturb(name: str, what: str, rate: float, seconds: float, arm: Arm) -> int:
         How long.
     arm
         The stack's.
-
-    Raises
-    ------
-    InputError
-        If nobody listens.
     """
     if not (0.1 <= rate <= 5000.0 and 0.0 < seconds <= 3600.0):
         raise InputError(f"rate {rate:g}, for {seconds:g}: expected 0.1 to 5000 messages per second, for up to 3600 s")

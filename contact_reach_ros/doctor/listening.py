@@ -26,7 +26,7 @@ from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.ros.discovery import wait_until_settled
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, full_name, node_of
+from contact_reach_ros.ros.graph import UNKNOWN_NODE, full_name, node_of
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import ADAPTER, DOCTOR, MANAGED
 from contact_reach_ros.ros.process import bare_node
@@ -55,7 +55,7 @@ class Message(NamedTuple):
 
 
 def look_around(discovery: str, seconds: float, arm: Arm) -> Look:
-    """Look at the stack with a node of its own.
+    """Look at the stack with a node of its own; raises `ContactReachError` if ROS does not start a node.
 
     Parameters
     ----------
@@ -65,11 +65,6 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> Look:
         How long to listen, if anything is there.
     arm
         Whose joint states are expected.
-
-    Raises
-    ------
-    ContactReachError
-        If ROS does not start a node.
     """
     with bare_node(DOCTOR, discovery) as node:
         return Look(node, seconds, arm)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,40 +22,28 @@ from contact_reach_ros.resources import config_file
 _LISTEN_S = 1.0
 
 
-@dataclass(frozen=True)
-class DoctorOptions:
-    """Options of the command line."""
+def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Path | None = None) -> int:
+    """Make all checks and print them; returns the exit code: 1 if something failed, else 0.
 
-    parameters: str = ""
-    """Parameter file of the nodes; the package's own when empty."""
-    discovery: str = "host"
-    """How far to look for nodes."""
-    json: Path | None = None
-
-    @property
-    def file(self) -> Path:
-        """The parameter file in use."""
-        return Path(self.parameters) if self.parameters else config_file(DEFAULT_PARAMETERS)
-
-
-def run_doctor(options: DoctorOptions) -> int:
-    """Make all checks and print them; returns the exit code: 1 if something failed, else 0."""
-    console = Console()
+    `parameters` is the parameter file of the nodes, the package's own when None; `discovery` how far to look for them;
+    `file` takes the findings as JSON.
+    """
+    console, used = Console(), parameters or config_file(DEFAULT_PARAMETERS)
     with console.status("looking at this machine and its software ..."):
         try:
-            arm = load_arm(robot_in(options.file))
+            arm = load_arm(robot_in(used))
         except SettingsError:
             # The check of the file says why.
             arm = load_arm()
-        report = examine(options, arm)
+        report = examine(used, discovery, arm)
     print_table(report, console)
-    if options.json is not None:
-        write_json(report, options.json)
+    if file is not None:
+        write_json(report, file)
     return exit_code(report)
 
 
-def examine(options: DoctorOptions, arm: Arm) -> Report:
-    """Make all checks; findings by part."""
+def examine(file: Path, discovery: str, arm: Arm) -> Report:
+    """Make all checks, of the nodes with a parameter file; findings by part."""
     report = {
         "machine": [machine.realtime_permission(), machine.timer_jitter(), machine.processors()],
         "software": [software.python_packages()],
@@ -68,8 +55,7 @@ def examine(options: DoctorOptions, arm: Arm) -> Report:
     except ImportError as error:
         report["software"].append(_without_ros(error))
         return report
-    choose_discovery(options.discovery)
-    file = options.file
+    choose_discovery(discovery)
     report["software"] += [
         software.ros_version(),
         stack.discovery_in_use(),
@@ -77,7 +63,7 @@ def examine(options: DoctorOptions, arm: Arm) -> Report:
         software.parameter_file(file),
         software.contact_budget(file, arm),
     ]
-    return {**report, **_stack(options, file, arm)}
+    return {**report, **_stack(discovery, file, arm)}
 
 
 @check("gravity against torque")
@@ -94,7 +80,7 @@ def _without_ros(error: ImportError) -> Finding:
     return failed(f"cannot be imported ({error}): no node can run", fix)
 
 
-def _stack(options: DoctorOptions, file: Path, arm: Arm) -> dict[str, list[Finding]]:
+def _stack(discovery: str, file: Path, arm: Arm) -> dict[str, list[Finding]]:
     """Check what is running; looks around first, which takes seconds."""
     from contact_reach_ros.doctor import stack
     from contact_reach_ros.doctor.listening import Look, look_around
@@ -104,7 +90,7 @@ def _stack(options: DoctorOptions, file: Path, arm: Arm) -> dict[str, list[Findi
 
     @check("nodes", "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file")
     def nodes() -> Finding:
-        looks.append(look_around(options.discovery, _LISTEN_S, arm))
+        looks.append(look_around(discovery, _LISTEN_S, arm))
         return stack.nodes(looks[0].graph)
 
     parts = {"stack": [nodes()]}

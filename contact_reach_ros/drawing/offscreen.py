@@ -46,10 +46,7 @@ _TRIAL = View([_BALL], frame([_BALL], 16, 16))
 def find_backend() -> str:
     """The first of `BACKENDS` that renders a small picture on this machine.
 
-    Raises
-    ------
-    RenderingError
-        If none works; the message names the reason and what to install.
+    Raises `RenderingError` if none works; the message names the reason and what to install.
     """
     refusals = []
     for backend in BACKENDS:
@@ -65,10 +62,7 @@ def find_backend() -> str:
 def render(views: Sequence[View], backend: str) -> list[Picture]:
     """Render views by one of `BACKENDS`, to pictures (height, width, 3).
 
-    Raises
-    ------
-    RenderingError
-        If this OpenGL does not work here; the message names the reason and what to install.
+    Raises `RenderingError` if this OpenGL does not work here; the message names the reason and what to install.
     """
     layers = iter(_render_layers([layer for view in views for layer in _layers(view)], backend))
     return [_overlay(next(layers), [(next(layers), ghost.opacity) for ghost in view.ghosts]) for view in views]

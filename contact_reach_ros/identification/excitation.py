@@ -43,6 +43,8 @@ def goals(arm: Arm) -> list[tuple[Array, Array]]:
 def check_clearance(arm: Arm, q: Array, obstacles: Spheres, margin: float = CLEARANCE) -> None:
     """Check that the arm has room for the goals, on straight ways of the joints between them.
 
+    Raises `InputError` if a goal cannot be reached, or something is nearer.
+
     Parameters
     ----------
     q
@@ -51,11 +53,6 @@ def check_clearance(arm: Arm, q: Array, obstacles: Spheres, margin: float = CLEA
         What stands around.
     margin
         Room that it needs, m.
-
-    Raises
-    ------
-    InputError
-        If a goal cannot be reached, or something is nearer.
     """
     before = q
     for number, (position, rotation) in enumerate(goals(arm), 1):

@@ -85,10 +85,7 @@ class Fit:
 def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
     """Fit the parameters to motions; rows of joints that hardly move are left out: what friction does there is unknown.
 
-    Raises
-    ------
-    InputError
-        If no joint moves, or nothing is identifiable.
+    Raises `InputError` if no joint moves, or nothing is identifiable.
     """
     regressors = [parameters.regressor(motion.samples) for motion in motions]
     moves = np.concatenate([motion.samples.moves for motion in motions])

@@ -74,6 +74,8 @@ def identify(
 ) -> Identification:
     """Fit the model to free motions, and see what the observer makes of them with it.
 
+    Raises `InputError` if the recordings do not permit it.
+
     Parameters
     ----------
     arm
@@ -88,11 +90,6 @@ def identify(
         One of `FITS`. With 'links' the tool is the one that the nodes had.
     without
         Of the same arm without the tool, which tell tool and links apart: needed for 'both'.
-
-    Raises
-    ------
-    InputError
-        If the recordings do not permit it.
     """
     if settings.torque_source != MEASURED:
         raise InputError("the observer takes commands for torques: identification needs torque_source: measured")

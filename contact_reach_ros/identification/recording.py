@@ -57,10 +57,7 @@ class Recording(NamedTuple):
 def make_recording(stamps_ns: np.ndarray, q: Array, v: Array, torque: Array, name: str = "recording") -> Recording:
     """Put states, as in `Recording` but in any order, together; repeated ones are left out.
 
-    Raises
-    ------
-    InputError
-        If there are too few, or none has torques; `name` is that of the recording in the message.
+    Raises `InputError` if there are too few, or none has torques; `name` is that of the recording in the message.
     """
     order = np.unique(stamps_ns, return_index=True)[1]
     recording = Recording(stamps_ns[order], q[order], v[order], torque[order])

@@ -45,10 +45,7 @@ class Watched:
 def watch(arm: Arm, settings: ObserverSettings, budget: ContactBudget, recording: Recording) -> Watched:
     """Let an observer see a recording.
 
-    Raises
-    ------
-    InputError
-        If the acting torque is never known for as long as a hand-over takes.
+    Raises `InputError` if the acting torque is never known for as long as a hand-over takes.
     """
     budget, period = budget.resolve(arm), recording.period
     observer = Observer(arm, settings, budget, period, locates=False)

@@ -41,13 +41,7 @@ def to_goal_state(state: GoalState, stamp_ns: int, name: str, arm: Arm) -> Diagn
 
 
 def read_goal_state(message: Any) -> tuple[int, GoalState]:
-    """The stamp of the goal, ns, and its state.
-
-    Raises
-    ------
-    InputError
-        If a value is missing or malformed.
-    """
+    """The stamp of the goal, ns, and its state; raises `InputError` if a value is missing or malformed."""
     values = {item.key: item.value for item in message.values}
     try:
         distance, angle, elapsed = (float(values[key]) for key in (_DISTANCE, _ANGLE, _ELAPSED))

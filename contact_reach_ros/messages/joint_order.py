@@ -23,10 +23,7 @@ class JointOrder:
     def indices(self, names: list[str], topic: str) -> list[int] | None:
         """Where the wanted joints stand among `names`; None if they stand there in order.
 
-        Raises
-        ------
-        InputError
-            If joints are missing; topic, field and the missing names are given.
+        Raises `InputError` if joints are missing; topic, field and the missing names are given.
         """
         if names != self._seen:
             missing = [name for name in self._names if name not in names]
@@ -41,10 +38,7 @@ class JointOrder:
     def pick(self, message: Any, field: str, topic: str) -> Array:
         """One field of a JointState, (n,), in the wanted order.
 
-        Raises
-        ------
-        InputError
-            If joints are missing or the field has not one value for each name.
+        Raises `InputError` if joints are missing or the field has not one value for each name.
         """
         indices = self.indices(message.name, topic)
         values = np.array(getattr(message, field), dtype=float)

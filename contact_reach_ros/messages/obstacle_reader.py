@@ -86,13 +86,9 @@ class ObstacleMarkerReader:
     def read(self, message: Any) -> Spheres:
         """The spheres of a message: in the order of their ids, and of each body the nodes that can move first.
 
-        Springs hold spheres and nodes where the namespace 'rest' has them, or else where they were seen first.
-
-        Raises
-        ------
-        InputError
-            If a marker is in another frame, of another type than its namespace needs, has no size or a value that
-            is not finite, or an edge ends where no node is; the marker is named.
+        Springs hold spheres and nodes where the namespace 'rest' has them, or else where they were seen first. Raises
+        `InputError` if a marker is in another frame, of another type than its namespace needs, has no size or a value
+        that is not finite, or an edge ends where no node is; the marker is named.
         """
         points = map(points_of, soft_markers(message))
         rigid = environment_of(message, self._frame)

@@ -47,10 +47,7 @@ class PlanPicture:
 def read_plan(message: Any) -> PlanPicture | None:
     """The plan in a MarkerArray of plan/markers; None if the message withdraws the plan.
 
-    Raises
-    ------
-    InputError
-        If a place is none, or an orientation no unit quaternion.
+    Raises `InputError` if a place is none, or an orientation no unit quaternion.
     """
     paths = {FLANGE: np.zeros((0, 3)), ELBOW: np.zeros((0, 3))}
     starts, ends, radii = [], [], []

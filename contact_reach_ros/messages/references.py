@@ -19,10 +19,7 @@ from contact_reach_ros.messages.values import nanoseconds, vector
 def pose_knots(message: Any) -> PoseKnots:
     """The x_d half in a MultiDOFJointTrajectory.
 
-    Raises
-    ------
-    InputError
-        If a point has not one transform, or a rotation is none.
+    Raises `InputError` if a point has not one transform, or a rotation is none.
     """
     if any(len(point.transforms) != 1 for point in message.points):
         raise InputError("reference/pose: each point needs exactly one transform, the flange's x_d")
@@ -39,10 +36,7 @@ def pose_knots(message: Any) -> PoseKnots:
 def posture_knots(message: Any, joint_names: Sequence[str]) -> PostureKnots:
     """The q_d half in a JointTrajectory, its joints in the order of `joint_names`.
 
-    Raises
-    ------
-    InputError
-        If joints are missing, or a point has not one position for each name.
+    Raises `InputError` if joints are missing, or a point has not one position for each name.
     """
     names = list(message.joint_names)
     indices = JointOrder(joint_names).indices(names, "reference/posture")

@@ -125,10 +125,7 @@ def read_reason(message: Any) -> str:
 def read_contact(message: Any, arm: Arm) -> Contact | None:
     """The contact in the observer's safety state; None if there is none in it.
 
-    Raises
-    ------
-    InputError
-        If link, position or force are malformed.
+    Raises `InputError` if link, position or force are malformed.
     """
     values = {item.key: item.value for item in message.values}
     if _LINK not in values:

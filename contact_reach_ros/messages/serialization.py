@@ -22,10 +22,7 @@ def encode(message: Any) -> bytes:
 def decode(data: bytes, message_type: type, topic: str) -> Any:
     """Deserialise a message.
 
-    Raises
-    ------
-    InputError
-        If the bytes are no message of that type; the topic is named.
+    Raises `InputError` if the bytes are no message of that type; the topic is named.
     """
     from rclpy.impl.implementation_singleton import rclpy_implementation
     from rclpy.serialization import deserialize_message

@@ -68,11 +68,8 @@ class JointStateReader:
     def read(self, data: bytes) -> JointState:
         """One state; its torque is None if the message has no efforts, or `with_effort` is not set.
 
-        Raises
-        ------
-        InputError
-            If the bytes are no JointState, joints are missing, a field has not one value for each name, or the stamp
-            is no time.
+        Raises `InputError` if the bytes are no JointState, joints are missing, a field has not one value for each name,
+        or the stamp is no time.
         """
         at = self._velocity_count
         if (
@@ -187,10 +184,7 @@ class CommandWriter:
 def read_command(data: bytes) -> Array:
     """The values of a serialised Float64MultiArray, (n,); its layout has no meaning here.
 
-    Raises
-    ------
-    InputError
-        If the bytes are no Float64MultiArray.
+    Raises `InputError` if the bytes are no Float64MultiArray.
     """
     if data.startswith(PLAIN_CDR + NO_LAYOUT) and len(data) > ARRAY_START:
         (count,) = COUNT.unpack_from(data, ARRAY_COUNT)

@@ -22,10 +22,7 @@ FARTHEST = 1e3
 def checked_stamp(seconds: int, nanosec: int, topic: str) -> int:
     """Nanoseconds of a stamp that other stamps are made from.
 
-    Raises
-    ------
-    InputError
-        If it is no time, or too late to add to.
+    Raises `InputError` if it is no time, or too late to add to.
     """
     if not (0 <= seconds <= LATEST_S and nanosec < NANOSECONDS):
         raise InputError(

@@ -27,10 +27,10 @@ from contact_reach_ros.nodes.effort_target import EffortTarget
 from contact_reach_ros.nodes.franka_target import FrankaTarget
 from contact_reach_ros.nodes.lbr_target import LbrTarget
 from contact_reach_ros.parameter_files import TOOL_PARAMETERS
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER, CONTROLLER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.scheduling import ADAPTER_PRIORITY, Role
 from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, requested
 from contact_reach_ros.timing import Histogram, StampOrder

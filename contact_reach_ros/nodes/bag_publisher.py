@@ -81,10 +81,7 @@ class BagPublisher:
     def run(self, start_ns: int, ended: queue.SimpleQueue[BaseException | None]) -> int:
         """Publish from a time of the recording on, ns, until its end or until an entry is in the queue.
 
-        Raises
-        ------
-        ContactReachError
-            If any part of a stack runs, or the bag cannot be read.
+        Raises `ContactReachError` if any part of a stack runs, or the bag cannot be read.
         """
         if self._guard is not None:
             self._guard.settle(lambda: not ended.empty())

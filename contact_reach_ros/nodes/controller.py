@@ -31,12 +31,12 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
 from contact_reach_ros.parameter_files import TOOL_PARAMETERS, full_name
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.interfaces import ALONE, OBSERVER
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.scheduling import CONTROLLER_PRIORITY, Role
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, requested

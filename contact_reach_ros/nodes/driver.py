@@ -30,11 +30,11 @@ from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
 from contact_reach_ros.parameter_files import TOOL_PARAMETERS
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
 from contact_reach_ros.simulation.fault_schedules import driver_faults
 from contact_reach_ros.simulation.faults import Faults

@@ -38,11 +38,8 @@ class FrankaTarget:
     def __init__(self, node: Node, arm: Arm, settings: FrankaSettings, torque_rate: float) -> None:
         """`torque_rate`: of the adapter's harmless torques, Nm/s.
 
-        Raises
-        ------
-        SettingsError
-            If that is above Franka's limit, the arm has not one joint for each reflex, or franka_msgs is needed and not
-            installed.
+        Raises `SettingsError` if that is above Franka's limit, the arm has not one joint for each reflex, or
+        franka_msgs is needed and not installed.
         """
         if torque_rate > TORQUE_RATE:
             raise SettingsError(f"kind = franka: torque_rate = {torque_rate:g}; expected at most {TORQUE_RATE:g} Nm/s")

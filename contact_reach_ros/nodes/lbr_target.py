@@ -70,10 +70,7 @@ class LbrTarget:
     def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float, lockstep: bool) -> None:
         """`period`: nominal time between joint states, s; `lockstep`: take the robot's time as it is.
 
-        Raises
-        ------
-        SettingsError
-            If lbr_fri_idl is not installed, or the arm has not seven joints.
+        Raises `SettingsError` if lbr_fri_idl is not installed, or the arm has not seven joints.
         """
         if LBRState is None:
             raise SettingsError(
@@ -123,10 +120,7 @@ class LbrTarget:
     def read(self, message: Any, now_ns: int) -> JointState | None:
         """The joint state in a message, which arrived at `now_ns` of this machine's clock; None for one that repeats.
 
-        Raises
-        ------
-        InputError
-            If positions are not finite; the observer decides about torques.
+        Raises `InputError` if positions are not finite; the observer decides about torques.
         """
         self.problem = self._find_problem(message)
         q = np.array(message.measured_joint_position, float)

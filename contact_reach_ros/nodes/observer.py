@@ -21,9 +21,9 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
 from contact_reach_ros.parameter_files import TOOL_PARAMETERS
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.scheduling import OBSERVER_PRIORITY, Role
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, is_missing_states, requested

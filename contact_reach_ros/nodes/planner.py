@@ -46,12 +46,11 @@ from contact_reach_ros.planning.planner import Planner, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.ros.frames import Frames
-from contact_reach_ros.ros.hearing import commanders_that_hear
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, commanders_that_hear, rivalry
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.rivals import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.timing import Histogram

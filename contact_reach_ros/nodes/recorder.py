@@ -84,10 +84,7 @@ class RecorderNode(ManagedNode):
     def turn(self) -> None:
         """Write what has arrived; now and then look for new topics and flush the data to the disk.
 
-        Raises
-        ------
-        BagError
-            If writing fails.
+        Raises `BagError` if writing fails.
         """
         self._stop.wait(DRAIN_PERIOD)
         with self._lock:
@@ -111,13 +108,7 @@ class RecorderNode(ManagedNode):
                 self._complete()
 
     def close(self) -> None:
-        """Write what is still in transit and complete the bag.
-
-        Raises
-        ------
-        BagError
-            If writing fails.
-        """
+        """Write what is still in transit and complete the bag; raises `BagError` if writing fails."""
         with self._lock:
             self._complete()
         self.write_out()

@@ -77,10 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> int:
     """Replay a bag with these options until its end, Ctrl-C or SIGTERM; returns the exit code.
 
-    Raises
-    ------
-    ContactReachError
-        If the options or the bag are refused, or any part of a stack runs.
+    Raises `ContactReachError` if the options or the bag are refused, or any part of a stack runs.
     """
     ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -114,6 +111,8 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
 def choose_topics(reader: BagReader, wanted: Sequence[str] | None, everything: bool) -> dict[str, type]:
     """Choose the topics to publish, with their message classes; prints on stderr which of them cannot be published.
 
+    Raises `InputError` if a wanted topic is not in the bag, or none is left.
+
     Parameters
     ----------
     reader
@@ -122,11 +121,6 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None, everything: b
         Names; None for all topics that do not make an arm move.
     everything
         Whether None stands for all topics.
-
-    Raises
-    ------
-    InputError
-        If a wanted topic is not in the bag, or none is left.
     """
     known = reader.topics()
     names = [name for name in known if everything or not topics.find(name, COMMANDING)]

@@ -57,13 +57,7 @@ class TopicRecorder:
         self._wanted = {node.resolve_topic_name(name): type_name for name, type_name in topics}
 
     def discover(self) -> None:
-        """Subscribe to the wanted topics that have appeared since the last call.
-
-        Raises
-        ------
-        BagError
-            If writing fails.
-        """
+        """Subscribe to the wanted topics that have appeared since the last call; raises `BagError` if writing fails."""
         for name in self._wanted:
             # Counting is cheap; the publishers' offers are looked up only when their number has changed.
             count = self._node.count_publishers(name)
@@ -75,13 +69,7 @@ class TopicRecorder:
                 self._meet(name, publishers)
 
     def drain(self) -> None:
-        """Write what has arrived, in the order of arrival.
-
-        Raises
-        ------
-        BagError
-            If writing fails.
-        """
+        """Write what has arrived, in the order of arrival; raises `BagError` if writing fails."""
         batch: list[tuple[int, _Recorded, bytes, Any]] = []
         for recorded in self._recorded.values():
             handle = recorded.subscription.handle
@@ -100,13 +88,7 @@ class TopicRecorder:
             self._writer.write(recorded.topic.name, data, received_ns, sent_ns, sequence or 0)
 
     def stop(self) -> None:
-        """Write what is still in transit, note what was lost, and unsubscribe.
-
-        Raises
-        ------
-        BagError
-            If writing fails.
-        """
+        """Write what is still in transit, note what was lost, and unsubscribe; raises `BagError` if writing fails."""
         self.drain()
         time.sleep(SETTLING_TIME)
         self.drain()
@@ -161,13 +143,7 @@ class TopicRecorder:
 
 
 def message_class(type_name: str) -> type:
-    """The class of a message type.
-
-    Raises
-    ------
-    BagError
-        If the type is not installed.
-    """
+    """The class of a message type; raises `BagError` if the type is not installed."""
     package, _, name = check_type_name(type_name).split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -179,10 +179,7 @@ class SafetyMonitor:
     def reset(self) -> None:
         """Release the stop.
 
-        Raises
-        ------
-        InputError
-            If the arm moves or is still pushed; the stop stays.
+        Raises `InputError` if the arm moves or is still pushed; the stop stays.
         """
         self.check_rest("reset")
         budget = self.budget

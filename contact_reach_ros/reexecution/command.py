@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,33 +18,20 @@ from contact_reach_ros.reexecution.settings import ChangedSettings
 IDENTICAL, DIFFERENT = 0, 1
 
 
-@dataclass(frozen=True)
-class ReexecutionOptions:
-    """Options of the command line."""
-
-    bag: Path
-    changes: Path | None = None
-    """Parameter file with settings to change."""
-    plan: int | None = None
-    """Number of the plan to solve again, instead of controller and observer."""
-    json: Path | None = None
-
-
-def run_reexecution(options: ReexecutionOptions) -> int:
+def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = None, file: Path | None = None) -> int:
     """Re-execute and report what differs; returns `DIFFERENT` if anything does and no settings are changed.
 
-    Raises
-    ------
-    BagError, SettingsError
-        If the bag lacks what is needed, or the changed settings are not accepted.
+    `plan` is the number of one to solve again, instead of controller and observer; `other` a parameter file with
+    settings to change; `file` takes the result as JSON. Raises `BagError` or `SettingsError` if the bag lacks what is
+    needed, or the changed settings are not accepted.
     """
-    bag, changes = BagReader(options.bag, of_stack=True), ChangedSettings(options.changes)
-    inputs = RecordedInputs(bag)
-    for note in bag.notes:
+    reader, changes = BagReader(bag, of_stack=True), ChangedSettings(other)
+    inputs = RecordedInputs(reader)
+    for note in reader.notes:
         print(f"note: {note}")
-    report: dict[str, Any] = {"bag": str(options.bag)}
+    report: dict[str, Any] = {"bag": str(bag)}
     differs = False
-    if options.plan is None:
+    if plan is None:
         found = reexecute(inputs, changes)
         for one in found.values():
             differs |= one.first_difference is not None
@@ -54,19 +40,16 @@ def run_reexecution(options: ReexecutionOptions) -> int:
         report["reexecution_realtime_factor"] = realtime_factor(found)
         print(f"re-executed {report['reexecution_realtime_factor']:.1f} times as fast as the robot")
     else:
-        report["plan"], differs = _reexecute_plan(inputs, options.plan, changes)
-    if options.json is not None:
-        options.json.write_text(json.dumps(report, indent=2) + "\n")
+        report["plan"], differs = _reexecute_plan(inputs, plan, changes)
+    if file is not None:
+        file.write_text(json.dumps(report, indent=2) + "\n")
     return DIFFERENT if differs else IDENTICAL
 
 
 def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> dict[str, Reexecution]:
     """Re-execute controller and observer, as far as the bag has what they took in; returns them by name.
 
-    Raises
-    ------
-    BagError
-        If it has that of neither.
+    Raises `BagError` if it has that of neither.
     """
     found = {}
     missing: list[BagError] = []

@@ -75,6 +75,8 @@ class Intake:
 class RecordedInputs:
     """A bag's inputs of controller, observer and planner, by the time at which they were sent.
 
+    Raises `BagError` if the bag has no joint states, or no node recorded what it took in.
+
     Parameters
     ----------
     bag :
@@ -92,11 +94,6 @@ class RecordedInputs:
         Messages of joint states, commands and external torques, by topic.
     intakes :
         What each node took in.
-
-    Raises
-    ------
-    BagError
-        If the bag has no joint states, or no node recorded what it took in.
     """
 
     def __init__(self, bag: BagReader) -> None:
@@ -144,10 +141,7 @@ class RecordedInputs:
     def state(self, sent_ns: int) -> JointState | None:
         """The joint state that was sent at that time; None if the bag lacks it.
 
-        Raises
-        ------
-        InputError
-            If its stamp is none that the nodes accept.
+        Raises `InputError` if its stamp is none that the nodes accept.
         """
         row = self._rows.get(sent_ns)
         if row is None:
@@ -191,10 +185,7 @@ class RecordedInputs:
     def sections(self, node: str) -> dict[str, Any]:
         """The settings objects of a node by prefix, as they were.
 
-        Raises
-        ------
-        BagError
-            If the bag lacks them, or they are not those of this version.
+        Raises `BagError` if the bag lacks them, or they are not those of this version.
         """
         path = self.bag.summary.path
         if node not in self.settings:

@@ -125,13 +125,7 @@ class _Loop:
         )
 
     def take_next_arm(self) -> Arm:
-        """The arm with the tool that the node changed to.
-
-        Raises
-        ------
-        BagError
-            If the bag lacks it.
-        """
+        """The arm with the tool that the node changed to; raises `BagError` if the bag lacks it."""
         if not self._later_arms:
             raise BagError(
                 f"bag '{self.inputs.bag.summary.path}': the tool of the {self.node} was changed, and its settings "

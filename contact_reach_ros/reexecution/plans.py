@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 
 
 class RecordedPlans:
-    """The plans of a bag, and what each of them was made from.
+    """The plans of a bag, and what each of them was made from; raises `BagError` if the bag lacks what is needed.
 
     Attributes
     ----------
@@ -57,11 +57,6 @@ class RecordedPlans:
         What each plan was solved for, by its number.
     statistics
         The recorded statistics of each plan, by its number.
-
-    Raises
-    ------
-    BagError
-        If the bag lacks what is needed.
     """
 
     def __init__(self, inputs: RecordedInputs) -> None:
@@ -94,7 +89,7 @@ class RecordedPlans:
         return [number for number in self.requests if self._start_of(number) is not None]
 
     def solve(self, number: int, changes: ChangedSettings | None = None) -> ReexecutedPlan:
-        """Solve a plan again.
+        """Solve a plan again; raises `BagError` if the bag lacks the plan or what it was made from.
 
         Parameters
         ----------
@@ -102,11 +97,6 @@ class RecordedPlans:
             Of the plan, as in plan/statistics.
         changes
             Changed settings for it, but not for those on the way.
-
-        Raises
-        ------
-        BagError
-            If the bag lacks the plan or what it was made from.
         """
         start = self._start_of(number) if number in self.requests else None
         if start is None:

@@ -141,10 +141,7 @@ class ChangedSettings:
     def apply(self, node: str, recorded: Mapping[str, Any]) -> dict[str, Any]:
         """The settings objects of a node by prefix: the recorded ones with what the file changes.
 
-        Raises
-        ------
-        SettingsError
-            If a value is not accepted.
+        Raises `SettingsError` if a value is not accepted.
         """
         made = dict(recorded)
         for prefix, own in self._changes[node].items():

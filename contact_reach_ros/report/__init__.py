@@ -1,1 +1,1 @@
-"""What bags amount to: signals, numbers, plots and a page for browsers."""
+"""What bags amount to: numbers, plots and a page for browsers."""

@@ -14,6 +14,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
+from contact_reach_ros.bags.signals import EpisodeSignals, read_signals
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -22,7 +23,6 @@ from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.outcome import Reexecution
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report.recorded_settings import recorded_section
-from contact_reach_ros.report.signals import EpisodeSignals, read_signals
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest
 from contact_reach_ros.timing import PERCENTILES
@@ -108,13 +108,7 @@ class ReportBag:
 
 
 def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportBag:
-    """Read a bag, complete or not.
-
-    Raises
-    ------
-    BagError
-        If the file is no bag.
-    """
+    """Read a bag, complete or not; raises `BagError` if the file is no bag."""
     reader = BagReader(path, of_stack=True)
     notes = list(reader.notes)
     try:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag, stop_reasons, threshold_share
 from contact_reach_ros.report.curves import (
@@ -22,7 +23,6 @@ from contact_reach_ros.report.curves import (
 )
 from contact_reach_ros.report.histogram import histogram
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
-from contact_reach_ros.report.signals import Series
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 
 TIME = "time since the goal [s]"

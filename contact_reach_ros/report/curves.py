@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.drawing.palette import JOINT_COLOURS
 from contact_reach_ros.report.bag import ReportBag
 from contact_reach_ros.report.envelope import envelope
-from contact_reach_ros.report.signals import Series
 from contact_reach_ros.units import NANOSECONDS
 
 Chart = dict[str, Any]

@@ -11,30 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.bags.signals import EpisodeSignals, Series
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, read_report_bag
 from contact_reach_ros.report.curves import Chart
 from contact_reach_ros.report.sections import configuration, events, summary
-from contact_reach_ros.report.signals import EpisodeSignals, Series
 from contact_reach_ros.report.tables import write_tables
 
 _PAGE = Path(__file__).with_name("template")
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """Options of the command line."""
-
-    bags: tuple[Path, ...]
-    output: Path | None = None
-    """The page; beside the first bag, with its name, when None."""
-    json: Path | None = None
-    csv: Path | None = None
-    """Directory for tables."""
-    other: Path | None = None
-    """Parameter file whose effect, by re-execution, is shown as second curves."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +34,27 @@ class _Section:
     compare: Callable[[ReportBag, ReportBag], Chart] | None = None
 
 
-def run_report(options: ReportOptions) -> int:
+def run_report(
+    bags: Sequence[Path],
+    output: Path | None = None,
+    file: Path | None = None,
+    csv: Path | None = None,
+    other: Path | None = None,
+) -> int:
     """Write the report; returns 0.
+
+    Parameters
+    ----------
+    bags
+        Directories or mcap files.
+    output
+        The page; beside the first bag, with its name, when None.
+    file
+        For the numbers, as JSON.
+    csv
+        Directory for tables.
+    other
+        Parameter file whose effect, by re-execution, is shown as second curves.
 
     Raises
     ------
@@ -58,29 +63,29 @@ def run_report(options: ReportOptions) -> int:
     SettingsError
         If the other settings are not accepted.
     """
-    bags, failures = [], []
-    changes = ChangedSettings(options.other)
-    for path in options.bags:
+    read, failures = [], []
+    changes = ChangedSettings(other)
+    for path in bags:
         try:
-            bags.append(read_report_bag(path, _label(path, options.bags), changes))
+            read.append(read_report_bag(path, _label(path, bags), changes))
         except BagError as error:
             failures.append(error)
-    if not bags:
+    if not read:
         raise failures[0]
     for failure in failures:
         print(f"left out: {failure}")
-    output = options.output or bags[0].path.with_suffix(".html")
+    output = output or read[0].path.with_suffix(".html")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(page(bags, [str(failure) for failure in failures]), encoding="utf-8")
-        if options.json is not None:
-            options.json.write_text(json.dumps(report_json(bags), indent=2, allow_nan=False) + "\n")
-        if options.csv is not None:
-            for bag in bags:
-                write_tables(bag, options.csv / bag.label if len(bags) > 1 else options.csv)
+        output.write_text(page(read, [str(failure) for failure in failures]), encoding="utf-8")
+        if file is not None:
+            file.write_text(json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
+        if csv is not None:
+            for bag in read:
+                write_tables(bag, csv / bag.label if len(read) > 1 else csv)
     except OSError as error:
         raise BagError(f"{error.filename or output}: cannot be written: {error.strerror}") from error
-    for bag in bags:
+    for bag in read:
         print(f"{bag.label}: {bag.verdict}")
         for note in bag.notes:
             print(f"  note: {note}")
@@ -140,8 +145,7 @@ def _difference(pick: Callable[[ReportBag], Series], title: str, unit: str) -> C
     """Make the chart of what the first bag has less what the second has, by names."""
 
     def since_goal(bag: ReportBag) -> Series:
-        found = pick(bag)
-        return Series(found.time - bag.zero, found.names, found.values)
+        return pick(bag).since(bag.zero)
 
     def compare(first: ReportBag, second: ReportBag) -> Chart:
         return charts.difference_chart(since_goal(first), since_goal(second), f"difference: {title}", unit)

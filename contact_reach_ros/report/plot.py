@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.report.signals import Series
 
 SUCCESS_DISTANCE = 0.01
 """The paper's delta, m: the goal is reached within it."""
@@ -25,12 +24,11 @@ _MARKER_STYLES: dict[str, dict[str, Any]] = {
     "reached": {"color": GREEN, "linestyle": "--"},
     "safety": {"color": VERMILION, "linestyle": ":"},
 }
-_MAXIMUM_ROWS = 6
+_NAMED = 8
+"""Markers that the legend has room for."""
 _SHORTEST = 1e-3
 BEFORE = 2.0
 """How much of the time before the first goal or stop is shown, s: a stack may have waited long for its goal."""
-_ROW_HEIGHT = 0.09
-"""Of the labels, in heights of a panel."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +51,8 @@ def episode_figure(
 ) -> Figure:
     """Draw an episode in three panels: distance to the goal, contact force, external torque.
 
+    Raises `BagError` if there is nothing to draw.
+
     Parameters
     ----------
     distance, contact, torque :
@@ -66,11 +66,6 @@ def episode_figure(
         The paper's epsilon, N.
     torque_thresholds :
         External torque per joint, Nm, above which the robot stops; none are drawn if empty.
-
-    Raises
-    ------
-    BagError
-        If there is nothing to draw.
     """
     times = (distance.time, contact.time, torque.time)
     recorded = [time for time in times if len(time)]
@@ -84,14 +79,13 @@ def episode_figure(
     _draw_distance(panels[0], distance.time - zero, distance.column("distance"))
     _draw_contact(panels[1], contact, zero, permitted_force)
     _draw_torque(panels[2], torque.time - zero, torque.values, torque_thresholds)
+    _draw_markers(panels, markers, zero)
     for panel, time in zip(panels, times, strict=True):
         _finish(panel, bool(len(time)))
     begin = max(first, min((marker.time for marker in markers), default=first) - BEFORE)
     panels[0].set_xlim(begin - zero, max(last, begin + _SHORTEST) - zero)
     panels[2].set_xlabel("time since the goal was sent [s]" if sent else "time [s]")
-    figure.subplots_adjust(left=0.09, right=0.8, top=0.9, bottom=0.075, hspace=0.12)
-    rows = _draw_markers(figure, panels, markers, zero)
-    figure.subplots_adjust(top=0.93 - 0.024 * rows)
+    figure.subplots_adjust(left=0.09, right=0.76, top=0.93, bottom=0.075, hspace=0.12)
     figure.suptitle(title, x=0.09, y=0.98, ha="left", fontsize=12, fontweight="bold")
     figure.align_ylabels(panels)
     return figure
@@ -146,33 +140,13 @@ def _finish(panel: Axes, recorded: bool) -> None:
     panel.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
 
 
-def _draw_markers(figure: Figure, panels: Sequence[Axes], markers: Sequence[Marker], zero: float) -> int:
-    """Draw the lines through all panels, with the labels in as many rows above as keep them apart.
-
-    Returns
-    -------
-    int
-        The number of rows.
-    """
-    top = panels[0]
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    row_starts: list[float] = []
-    # From right to left: an earlier label goes above those that it would run into, so that no line crosses a label.
-    for marker in sorted(markers, key=lambda marker: marker.time, reverse=True):
+def _draw_markers(panels: Sequence[Axes], markers: Sequence[Marker], zero: float) -> None:
+    """Draw a line for each moment through all panels; the legend of the first one names them."""
+    for marker in sorted(markers, key=lambda marker: marker.time):
         time, style = marker.time - zero, _MARKER_STYLES[marker.kind]
         for panel in panels:
             panel.axvline(time, linewidth=1.1, zorder=1.5, **style)
-        label = top.annotate(marker.label, (time, 1.0), xycoords=("data", "axes fraction"), fontsize=9)
-        start = top.transData.transform((time, 1.0))[0]
-        end = start + label.get_window_extent(renderer).width + 12.0
-        row = next((row for row in range(len(row_starts)) if end < min(row_starts[row:])), len(row_starts))
-        if row >= _MAXIMUM_ROWS:
-            label.remove()
-            continue
-        row_starts[row : row + 1] = [start]
-        height = 1.0 + _ROW_HEIGHT * (row + 1)
-        label.set(position=(3, 2.0), color=style["color"])
-        label.xy = (time, height - _ROW_HEIGHT)
-        label.set_anncoords("offset points")
-        top.axvline(time, ymin=1.0, ymax=height, linewidth=1.1, clip_on=False, **style)
-    return len(row_starts)
+    for marker in sorted(markers, key=lambda marker: marker.time)[:_NAMED]:
+        panels[0].plot(
+            [], [], linewidth=1.1, label=f"{marker.label}, {marker.time - zero:.2f} s", **_MARKER_STYLES[marker.kind]
+        )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from contact_reach_ros.bags.signals import EpisodeSignals
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.report.signals import EpisodeSignals
 from contact_reach_ros.settings import Settings
 
 

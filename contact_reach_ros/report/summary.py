@@ -12,6 +12,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.bags.signals import EpisodeSignals, Series
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget
@@ -19,7 +20,6 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.report.plot import BEFORE, SUCCESS_DISTANCE, Marker, episode_figure
 from contact_reach_ros.report.recorded_settings import recorded_section
-from contact_reach_ros.report.signals import EpisodeSignals, Series
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +87,8 @@ class EpisodeSummary:
 class Episode:
     """How the goal of a bag ended; a second goal counts from the moment it is sent.
 
+    Raises `BagError` if there is no goal or no joint state.
+
     Parameters
     ----------
     signals
@@ -108,11 +110,6 @@ class Episode:
         When the goal was reached, on the same clock; None if it was not.
     distance
         Of the flange from the goal: the column "distance", m.
-
-    Raises
-    ------
-    BagError
-        If there is no goal or no joint state.
     """
 
     def __init__(
@@ -178,10 +175,7 @@ class Episode:
     def plot(self, file: Path, title: str, budget: ContactBudget) -> None:
         """Draw distance, contact force and external torque over time as a PNG.
 
-        Raises
-        ------
-        BagError
-            If the file cannot be written.
+        Raises `BagError` if the file cannot be written.
         """
         markers = [Marker(self.start, "goal sent", "goal")]
         if self.reached is not None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.signals import Series
 
 
 def write_tables(bag: ReportBag, directory: Path) -> None:

@@ -54,12 +54,7 @@ def environment(choice: str = "host") -> dict[str, str]:
     """Environment variables for the choice; empty where the user's environment has already made one.
 
     ROS's own LOCALHOST range would do for Fast DDS too, but takes its shared memory with it, see config/fastdds.xml.
-    Other middleware does not read that file and gets the range.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such choice.
+    Other middleware does not read that file and gets the range. Raises `SettingsError` if there is no such choice.
     """
     if choice not in CHOICES:
         raise SettingsError(f"discovery = '{choice}': expected one of {', '.join(CHOICES)}")

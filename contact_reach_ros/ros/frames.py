@@ -56,10 +56,7 @@ class Frames:
     def publish_goal(self, message: PoseStamped) -> None:
         """Publish a goal again in the base frame, which its orientation is turned into, too.
 
-        Raises
-        ------
-        InputError
-            If tf2 is not installed, or has no transform for the moment of the stamp.
+        Raises `InputError` if tf2 is not installed, or has no transform for the moment of the stamp.
         """
         message.pose = _moved(message.pose, *self._transform(message.header, "goal"))
         message.header.frame_id = self._base_frame
@@ -68,10 +65,7 @@ class Frames:
     def publish_obstacles(self, message: MarkerArray) -> None:
         """Publish obstacles again in the base frame, those in other frames moved.
 
-        Raises
-        ------
-        InputError
-            If tf2 is not installed, or has no transform for a marker; the marker is named.
+        Raises `InputError` if tf2 is not installed, or has no transform for a marker; the marker is named.
         """
         for marker in message.markers:
             if marker.header.frame_id == self._base_frame:

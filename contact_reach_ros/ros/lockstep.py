@@ -187,6 +187,8 @@ class LockstepDriver:
     ) -> bool:
         """Wait until every node is done with the last state.
 
+        Raises `ContactReachError` if a node is silent for 30 s; it is named.
+
         Parameters
         ----------
         handle
@@ -201,11 +203,6 @@ class LockstepDriver:
         -------
         bool
             False if it gave up.
-
-        Raises
-        ------
-        ContactReachError
-            If a node is silent for 30 s; it is named.
         """
         began_ns = repeated_ns = self._clock()
         while self.silent:

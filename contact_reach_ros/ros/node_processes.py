@@ -68,10 +68,7 @@ def _node_name(arguments: list[str]) -> str:
 def bound_addresses(process: int) -> set[str]:
     """Find the local addresses of the UDP and TCP sockets of a process of the same user.
 
-    Raises
-    ------
-    OSError
-        If there is no such process, or it belongs to another user.
+    Raises `OSError` if there is no such process, or it belongs to another user.
     """
     own = set()
     for file in (_PROC / str(process) / "fd").iterdir():

@@ -31,6 +31,8 @@ from contact_reach_ros.settings import Sections, Setting
 def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str] = ()) -> dict[str, Any]:
     """Declare all settings as parameters and return them, one settings object by prefix.
 
+    Raises `SettingsError` if a parameter has a value that is not accepted.
+
     Parameters
     ----------
     node
@@ -41,11 +43,6 @@ def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str
         Gives settings with a value for each joint their length and default.
     changeable
         Names of the parameters that can be set later; all others are read-only.
-
-    Raises
-    ------
-    SettingsError
-        If a parameter has a value that is not accepted.
     """
     made: dict[str, Any] = {}
     for prefix, settings_class in sections.items():
@@ -118,10 +115,7 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
 def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, arm: Arm) -> dict[str, Any]:
     """Settings objects of another node, by prefix, as far as this process's command line has its parameters.
 
-    Raises
-    ------
-    SettingsError
-        If a value is not accepted; keys that the node does not have are its own affair.
+    Raises `SettingsError` if a value is not accepted; keys that the node does not have are its own affair.
     """
     values: dict[str, Any] = {}
     for option, argument in itertools.pairwise(arguments):
@@ -136,10 +130,7 @@ def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, ar
 def early_value(arguments: Sequence[str], node_name: str, entry: Setting) -> Any:
     """Value of one parameter of a node, without a prefix, from its command line: before ROS starts.
 
-    Raises
-    ------
-    SettingsError
-        If the value is not accepted.
+    Raises `SettingsError` if the value is not accepted.
     """
     value: Any = entry.default
     for option, argument in itertools.pairwise(arguments):

@@ -78,17 +78,14 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
 def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
     """Start rclpy; signals are left to the caller.
 
+    Raises `SettingsError` if ROS does not understand the arguments.
+
     Parameters
     ----------
     arguments
         Command line, program name first.
     discovery
         How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment sets it.
-
-    Raises
-    ------
-    SettingsError
-        If ROS does not understand the arguments.
     """
     choose_discovery(discovery)
     with _refusing(arguments):
@@ -118,6 +115,8 @@ def in_namespace(namespace: str) -> list[str]:
 def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (), namespace: str = "") -> Iterator[Node]:
     """A node without a lifecycle, for a tool or a supervisor; ROS ends with it.
 
+    Raises `ContactReachError` if ROS does not start it.
+
     Parameters
     ----------
     name
@@ -128,11 +127,6 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
         Command line, program name first; ROS gets only the node's name when empty.
     namespace
         Of the node, unless the arguments have one.
-
-    Raises
-    ------
-    ContactReachError
-        If ROS does not start it.
     """
     initialise(arguments or [name, *in_namespace(namespace)], discovery)
     try:

@@ -17,7 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.discovery import wait_until_settled
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, node_of
+from contact_reach_ros.ros.graph import UNKNOWN_NODE, node_of
 from contact_reach_ros.ros.interfaces import ACTING, ALONE, COMMANDING, INTERFACES
 
 _WATCHING = frozenset(INTERFACES) - frozenset(ACTING)
@@ -76,10 +76,7 @@ class Guard:
     def settle(self, ended: Callable[[], bool]) -> None:
         """Look at all topics until nothing new has been found for a while, or until `ended` returns True.
 
-        Raises
-        ------
-        InputError
-            If any part of a stack runs.
+        Raises `InputError` if any part of a stack runs.
         """
         wait_until_settled(self._look_at_all, lambda: time.sleep(_LOOK_S), complete=_are_named, ended=ended)
         _refuse(self._look_at_all())
@@ -87,10 +84,7 @@ class Guard:
     def check_next(self) -> None:
         """Look at one topic, another one each time: a look at all of them would make messages late.
 
-        Raises
-        ------
-        InputError
-            If any part of a stack runs.
+        Raises `InputError` if any part of a stack runs.
         """
         self._to_look_at = self._to_look_at or self._names()
         name = self._to_look_at.pop()
@@ -100,10 +94,7 @@ class Guard:
     def admit(self, name: str, publisher: Publisher) -> None:
         """Judge new subscribers of a topic before a message goes to them, once they have names.
 
-        Raises
-        ------
-        InputError
-            If any part of a stack runs.
+        Raises `InputError` if any part of a stack runs.
         """
         # A message reaches only subscribers that the publisher is matched with, and to count those is cheap.
         matched = publisher.get_subscription_count()

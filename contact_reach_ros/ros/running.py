@@ -10,7 +10,7 @@ from collections.abc import Collection
 from rclpy.node import Node
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, full_name, node_of
+from contact_reach_ros.ros.graph import UNKNOWN_NODE, full_name, node_of
 from contact_reach_ros.ros.interfaces import ALONE, MANAGED
 from contact_reach_ros.ros.node_processes import node_processes
 
@@ -52,12 +52,8 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
 def refuse_beside_another(node: Node, planned: Collection[str], since: float) -> None:
     """Look for another stack until `LOOK_S` after `since`, on the monotonic clock.
 
-    A stack of this package on this machine is found at once, by its processes.
-
-    Raises
-    ------
-    InputError
-        If there is one, with its nodes, the domain, and how to choose another.
+    A stack of this package on this machine is found at once, by its processes. Raises `InputError` if there is one,
+    with its nodes, the domain, and how to choose another.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     space = node.get_namespace()

@@ -66,7 +66,8 @@ def choose_cpus(
     On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
     another CPU. All processes but onlookers have the others: the loop's data stay in its CPU's caches, and the threads
     of a computing process are not stuck behind the loop while another CPU is free. Where the kernel isolates CPUs, the
-    control loop has the last of these.
+    control loop has the last of these. Raises `SettingsError` if `wanted` is none of these, or names a CPU that may not
+    be used.
 
     Parameters
     ----------
@@ -78,11 +79,6 @@ def choose_cpus(
         CPUs that the process may use.
     isolated
         CPUs that the kernel reserves for processes that ask for them.
-
-    Raises
-    ------
-    SettingsError
-        If `wanted` is none of these, or names a CPU that may not be used.
     """
     if wanted == "auto" and role is Role.LOOP and isolated:
         return {max(isolated)}

@@ -57,10 +57,7 @@ class Drive:
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (n,) in N m that arrived at `clock_ns`.
 
-        Raises
-        ------
-        InputError
-            If it has the wrong size or is not finite; it is counted, and the last one stays in force.
+        Raises `InputError` if it has the wrong size or is not finite; it is counted, and the last one stays in force.
         """
         try:
             checked_torque(torque, self.plant.scene.arm.n)

@@ -51,10 +51,7 @@ def parse_faults(text: str, arm: Arm) -> Schedule:
 def driver_faults(text: str, arm: Arm) -> Schedule:
     """Parse a schedule, as `parse_faults`, of faults that the driver can play.
 
-    Raises
-    ------
-    SettingsError
-        If the text is not a schedule, or has a fault of another node.
+    Raises `SettingsError` if the text is not a schedule, or has a fault of another node.
     """
     schedule = parse_faults(text, arm)
     for fault in schedule:

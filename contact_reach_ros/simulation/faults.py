@@ -62,10 +62,7 @@ class Faults:
     def __init__(self, schedule: Schedule, seed: int, plant: Plant) -> None:
         """`plant` needs a spare obstacle if the schedule has an obstacle.
 
-        Raises
-        ------
-        SettingsError
-            If two obstacles would be present at the same time, or there is no spare one.
+        Raises `SettingsError` if two obstacles would be present at the same time, or there is no spare one.
         """
         self.schedule = schedule
         self._plant = plant

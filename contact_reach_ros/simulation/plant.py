@@ -165,10 +165,7 @@ class Plant:
     def step(self, command: Array | None = None) -> None:
         """Advance by one tick; when commanded, under `command` (n,) N m, capped at the data sheet's limits.
 
-        Raises
-        ------
-        ValueError
-            If the actuation is commanded and there is no command.
+        Raises `ValueError` if the actuation is commanded and there is no command.
         """
         data = self.data
         if self.actuation is Actuation.COMMANDED:
@@ -286,10 +283,7 @@ class Plant:
     def place_spare_obstacle(self, position: Array, radius: float, stiffness: float) -> None:
         """Place a rigid sphere at `position` (3,) m, base frame.
 
-        Raises
-        ------
-        ValueError
-            If the plant was built without one.
+        Raises `ValueError` if the plant was built without one.
         """
         if not self.has_spare_obstacle:
             raise ValueError("the plant has no spare obstacle: build it with spare_obstacle=True")

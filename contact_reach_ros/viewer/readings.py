@@ -13,28 +13,17 @@ from contact_reach_ros.bags.goals import goal_in
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact, read_level
-from contact_reach_ros.messages.values import FARTHEST, numbers, vector
+from contact_reach_ros.messages.values import FARTHEST, numbers
 from contact_reach_ros.viewer.frame import SafetyLevel, SafetyStatus
 
 ANY_MATERIAL = AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0)
 """Of obstacles: only positions, radii and edges are shown."""
 
 
-def goal_position(message: Any) -> Array:
-    """The position (3,) in a goal_pose message, m; raises `InputError` if it is not finite."""
-    position = vector(message.pose.position)
-    if not np.isfinite(position).all():
-        raise InputError(f"goal_pose: pose.position = {position.tolist()}; expected finite numbers in m")
-    return position
-
-
 def planned_goal(message: Any) -> Array | None:
     """The goal (3,), m, of the plan in a plan/statistics message; None if it has none.
 
-    Raises
-    ------
-    InputError
-        If it is nowhere.
+    Raises `InputError` if it is nowhere.
     """
     goal = goal_in({key.rpartition("/")[2]: value for key, value in named_numbers(message).items()})
     if goal is not None and not (np.abs(goal) < FARTHEST).all():

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,43 +14,29 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.bags.columns import JointStates, Stamps, read_raw
-from contact_reach_ros.bags.goals import pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
+from contact_reach_ros.bags.signals import EpisodeSignals, Series, read_signals
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
-from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.history import SPAN, joint_labels, quantities, thinned
-from contact_reach_ros.viewer.readings import ANY_MATERIAL, goal_position, named_numbers, planned_goal, safety_status
-from contact_reach_ros.viewer.recorded_events import (
-    Event,
-    Reported,
-    contact_events,
-    goal_events,
-    read_reported,
-    stop_events,
-)
+from contact_reach_ros.viewer.readings import ANY_MATERIAL, safety_status
+from contact_reach_ros.viewer.recorded_events import contact_events, goal_events, speaker, stop_events
 
-Times = NDArray[np.int64]
-
-_STATES, _TORQUES, _CONTACTS = "/joint_states", "/external_torque", "/sim/contacts"
-_PLANS, _PICTURES, _OBSTACLES = "/reference/pose", "/plan/markers", "/obstacles"
-_GOALS, _SAFETY, _NUMBERS, _STATISTICS = "/goal_pose", "/safety_state", "/diagnostics", "/plan/statistics"
-_ASKED_FOR = (_PICTURES, _OBSTACLES, _SAFETY)
+_PICTURES, _OBSTACLES, _SAFETY = "/plan/markers", "/obstacles", "/safety_state"
 """Topics whose messages are read from the bag only when their moment is shown."""
 
 _SAMPLES = 0.02
 """Time between the points of a curve, s: even the fastest plotted quantities are thinned to this rate."""
-_ROUND_TRIP = b"round trip"
+_ROUND_TRIPS = ("p50", "p99")
 
 T = TypeVar("T")
 
 
 class Recording:
-    """A bag, opened to show any of its moments.
+    """A bag, opened to show any of its moments; raises `BagError` if the bag cannot be read or holds no joint states.
 
     Parameters
     ----------
@@ -69,46 +55,65 @@ class Recording:
         (n,) times of the joint states since the first, s, increasing.
     events
         Events, ordered by time.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read or holds no joint states.
     """
 
     def __init__(self, path: Path, arm: Arm) -> None:
         self.path = path
-        self._read_obstacles = ObstacleMarkerReader(arm.base_frame, ANY_MATERIAL).read
         self._reader = BagReader(path, of_stack=True)
         self.arm = arm_of_bag(self._reader)
         if self.arm.name != arm.name:
             raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
-        self._read()
-        self.events = self._find_events()
-        self._table = self._make_table()
-
-    @property
-    def start(self) -> float:
-        """Stamp of the first joint state, s."""
-        return float(self._start_ns / NANOSECONDS)
+        self._read_obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL).read
+        signals = read_signals(self._reader, self.arm.joint_names)
+        position = signals.position
+        # States with unknown joints, and repeated ones, are not moments to look at.
+        good = np.asarray(np.isfinite(position.values).all(axis=1))
+        good[1:] &= position.time[1:] > np.maximum.accumulate(position.time)[:-1]
+        if not good.any():
+            raise BagError(f"{self.path}: holds no joint states of the arm; record joint_states")
+        begin = float(position.time[good][0])
+        self.ticks, self._q = position.time[good] - begin, position.values[good]
+        self.duration = float(self.ticks[-1])
+        self._received = signals.state_received_ns[good]
+        self._torque, self._force = signals.external_torque.since(begin), signals.contact_force.since(begin)
+        self._link_forces = np.stack([self._force.column(link) for link in self.arm.contact_links], axis=1)
+        self._goals = signals.goals.since(begin)
+        spoken = sorted(((raw.log_time_ns, speaker(raw.data)) for raw in self._raw(_SAFETY)), key=itemgetter(0))
+        self._speakers = {
+            name: np.flatnonzero([other == name for _, other in spoken])
+            for name in sorted({name for _, name in spoken})
+        }
+        # The files of a bag may overlap.
+        self._messages = {topic: np.sort(self._reception_times(topic)) for topic in (_PICTURES, _OBSTACLES)}
+        self._messages[_SAFETY] = np.array([received_ns for received_ns, _ in spoken], np.int64)
+        self._kept: dict[str, tuple[int, Any]] = {}
+        self.events = tuple(
+            sorted(
+                [
+                    *goal_events(self._goals, "goal", "goal"),
+                    *goal_events(signals.refused_goals.since(begin), "refused", "refused goal"),
+                    *stop_events(signals.safety, begin),
+                    *contact_events(self._force, signals.safety, begin),
+                ]
+            )
+        )
+        self._table = self._make_table(signals, begin)
 
     def frame(self, time: float) -> Frame:
         """The moment `time` s after the first joint state."""
         tick = self.tick(time)
         until_ns = int(self._received[tick])
-        torque = self._row(self._torque_times, time)
-        contact = self._row(self._contact_times, time)
-        goal = self._row(self._goals[0], time)
+        torque, contact, goal = (self._row(series.time, time) for series in (self._torque, self._force, self._goals))
         return Frame(
             time=float(self.ticks[tick]),
             q=self._q[tick],
-            external_torque=self._torques[torque] if torque >= 0 else None,
+            external_torque=self._torque.values[torque] if torque >= 0 else None,
             obstacles=self._newest(_OBSTACLES, until_ns, self._read_obstacles),
             plan=self._newest(_PICTURES, until_ns, read_plan),
-            forces=dict(zip(self.arm.contact_links, self._forces[contact].tolist(), strict=True))
+            forces=dict(zip(self.arm.contact_links, self._link_forces[contact].tolist(), strict=True))
             if contact >= 0
             else {},
-            goal=self._goals[1][goal] if goal >= 0 else None,
+            goal=self._goals.values[goal] if goal >= 0 else None,
             safety=self._safety_at(until_ns),
         )
 
@@ -130,75 +135,12 @@ class Recording:
         """Start of the first contact after a time, s; None without any."""
         return next((event.time for event in self.events if event.kind == "contact" and event.time > time + 1e-6), None)
 
-    def _read(self) -> None:
-        columns = {
-            _STATES: JointStates(["position"], self.arm.joint_names),
-            _TORQUES: JointStates(["effort"], self.arm.joint_names),
-            _CONTACTS: JointStates(["effort"], (*self.arm.contact_links, "max")),
-            _PLANS: Stamps(),
-        }
-        received: dict[str, list[int]] = {topic: [] for topic in _ASKED_FOR}
-        reported: list[Reported] = []
-        goals: list[tuple[int, Array]] = []
-        self._numbers: list[tuple[int, Mapping[str, float]]] = []
-        planned: list[Array] = []
+    def _raw(self, topic: str, start_ns: int = 0) -> Iterator[RawMessage]:
+        """The messages of a topic, which the bag may lack."""
+        return self._reader.raw_messages([topic] if topic in self._reader.topics() else [], start_ns)
 
-        def note(raw: RawMessage) -> None:
-            received[raw.topic].append(raw.log_time_ns)
-            if raw.topic == _SAFETY:
-                reported.append(read_reported(raw.data))
-
-        def take(raw: RawMessage, read: Callable[[Any], T]) -> list[T]:
-            """What is read of a message; nothing of an invalid one."""
-            message = self._reader.decode(raw)
-            with suppress(InputError):
-                return [] if message is None else [read(message)]
-            return []
-
-        def take_goal(raw: RawMessage) -> None:
-            goals.extend((raw.log_time_ns, goal) for goal in take(raw, goal_position))
-
-        def take_planned(raw: RawMessage) -> None:
-            planned.extend(goal for goal in take(raw, planned_goal) if goal is not None)
-
-        def take_numbers(raw: RawMessage) -> None:
-            # There are thousands of diagnostics, and only the driver's contain the round trip.
-            if _ROUND_TRIP in raw.data:
-                self._numbers.extend((raw.log_time_ns, found) for found in take(raw, named_numbers))
-
-        others = {_GOALS: take_goal, _STATISTICS: take_planned, _NUMBERS: take_numbers}
-        read_raw(self._reader, {**columns, **dict.fromkeys(_ASKED_FOR, note), **others})
-        states, torques, contacts = (columns[topic].column() for topic in (_STATES, _TORQUES, _CONTACTS))
-        # States with unknown joints, and repeated ones, are not moments to look at.
-        good = np.asarray(np.isfinite(states.values).all(axis=1))
-        good[1:] &= states.stamp_ns[1:] > np.maximum.accumulate(states.stamp_ns)[:-1]
-        if not good.any():
-            raise BagError(f"{self.path}: holds no joint states of the arm; record joint_states")
-        self._received, stamps, self._q = states.log_ns[good], states.stamp_ns[good], states.values[good]
-        self._start_ns = int(stamps[0])
-        self.ticks = (stamps - self._start_ns) / NANOSECONDS
-        self.duration = float(self.ticks[-1])
-        self._torque_times, self._torques = (torques.stamp_ns - self._start_ns) / NANOSECONDS, torques.values
-        self._contact_times = (contacts.stamp_ns - self._start_ns) / NANOSECONDS
-        self._forces, self._largest = contacts.values[:, :-1], contacts.values[:, -1]
-        self._plan_times = (np.sort(columns[_PLANS].column().stamp_ns) - self._start_ns) / NANOSECONDS
-        # The files of a bag may overlap.
-        self._messages = {topic: np.sort(np.array(times, np.int64)) for topic, times in received.items()}
-        self._reported = [reported[row] for row in np.argsort(received[_SAFETY], kind="stable")]
-        times = self._time_of(np.array([received_ns for received_ns, _ in goals], np.int64))
-        positions = np.array([position for _, position in goals]).reshape(-1, 3)
-        accepted = pursued(positions, planned)
-        self._goals = times[accepted], positions[accepted]
-        self._refused = times[~accepted], positions[~accepted]
-        self._speakers = {
-            name: np.array([row for row, entry in enumerate(self._reported) if entry.name == name], np.int64)
-            for name in {entry.name for entry in self._reported}
-        }
-        self._kept: dict[str, tuple[int, Any]] = {}
-
-    def _time_of(self, received_ns: int | Times) -> Array:
-        """Times on the robot's clock, s, at times of reception."""
-        return np.asarray(np.interp(received_ns, self._received, self.ticks))
+    def _reception_times(self, topic: str) -> NDArray[np.int64]:
+        return self._reader.reception_times(topic) if topic in self._reader.topics() else np.zeros(0, np.int64)
 
     def _row(self, times: Array, time: float) -> int:
         return int(np.searchsorted(times, time + 1e-9, side="right")) - 1
@@ -207,7 +149,7 @@ class Recording:
         """A message of a topic, by its place among those by time of reception; None if it cannot be decoded."""
         times = self._messages[topic]
         time_ns = int(times[row])
-        same = (raw for raw in self._reader.raw_messages([topic], time_ns) if raw.log_time_ns == time_ns)
+        same = (raw for raw in self._raw(topic, time_ns) if raw.log_time_ns == time_ns)
         raw = next(islice(same, row - int(np.searchsorted(times, time_ns)), None), None)
         return None if raw is None else self._reader.decode(raw)
 
@@ -235,7 +177,7 @@ class Recording:
     def _safety_at(self, until_ns: int) -> dict[str, SafetyStatus]:
         last = self._last_row(_SAFETY, until_ns)
         found = {}
-        for name, rows in sorted(self._speakers.items()):
+        for name, rows in self._speakers.items():
             place = int(np.searchsorted(rows, last, side="right")) - 1
             if place >= 0:
                 status = self._kept_or_read(f"{_SAFETY} {name}", _SAFETY, int(rows[place]), self._read_status)
@@ -246,55 +188,39 @@ class Recording:
     def _read_status(self, message: Any) -> SafetyStatus:
         return safety_status(message, self.arm)
 
-    def _find_events(self) -> tuple[Event, ...]:
-        reported_at = self._time_of(self._messages[_SAFETY])
-        return tuple(
-            sorted(
-                [
-                    *goal_events(*self._goals, "goal", "goal"),
-                    *goal_events(*self._refused, "refused", "refused goal"),
-                    *stop_events(reported_at, self._reported),
-                    *contact_events(self._contact_times, self._largest, reported_at, self._reported),
-                ]
-            )
-        )
-
-    def _make_table(self) -> Array:
+    def _make_table(self, signals: EpisodeSignals, begin: float) -> Array:
         """All plotted quantities at equidistant times."""
         times = np.arange(0.0, self.duration + 0.5 * _SAMPLES, _SAMPLES)
         names = quantities(self.arm.n)
         table = np.full((len(times), len(names)), np.nan)
         columns = dict(zip(names, table.T, strict=True))
         columns["time"][:] = times
-        goal = np.searchsorted(self._goals[0], times, side="right") - 1
+        goal = np.searchsorted(self._goals.time, times, side="right") - 1
         known = np.flatnonzero(goal >= 0)
         if len(known):
             ticks = np.searchsorted(self.ticks, times[known] + 1e-9, side="right") - 1
             flange = tip_positions(self.arm, self._q[ticks])
-            columns["distance"][known] = 1000.0 * np.linalg.norm(flange - self._goals[1][goal[known]], axis=1)
-        place = np.searchsorted(times, self._contact_times)
-        inside = place < len(times)
-        np.fmax.at(columns["force"], place[inside], self._largest[inside])
-        _hold(columns["force"])
-        if len(self._torque_times):
-            rows = np.searchsorted(self._torque_times, times + 1e-9, side="right") - 1
+            columns["distance"][known] = 1000.0 * np.linalg.norm(flange - self._goals.values[goal[known]], axis=1)
+        _peaks(columns["force"], times, Series(self._force.time, ("max",), self._force.column("max")[:, None]))
+        if len(self._torque.time):
+            rows = np.searchsorted(self._torque.time, times + 1e-9, side="right") - 1
             for joint, name in enumerate(joint_labels(self.arm.n)):
-                columns[name][:] = np.where(rows >= 0, self._torques[rows, joint], np.nan)
-        if len(self._plan_times):
-            rows = np.searchsorted(self._plan_times, times + 1e-9, side="right") - 1
-            columns["plan age"][:] = np.where(rows >= 0, 1000.0 * (times - self._plan_times[rows]), np.nan)
-        received = np.array([received_ns for received_ns, _ in self._numbers], np.int64)
-        places = np.searchsorted(times, self._time_of(received)).tolist()
-        for at, (_, numbers) in zip(places, self._numbers, strict=True):
-            for name in ("p50", "p99"):
-                if at < len(times) and f"driver/round trip {name} us" in numbers:
-                    columns[f"round trip {name}"][at] = numbers[f"driver/round trip {name} us"]
-        for name in ("p50", "p99"):
-            _hold(columns[f"round trip {name}"])
+                columns[name][:] = np.where(rows >= 0, self._torque.values[rows, joint], np.nan)
+        if len(signals.plan_times):
+            effects = signals.plan_times - begin
+            rows = np.searchsorted(effects, times + 1e-9, side="right") - 1
+            columns["plan age"][:] = np.where(rows >= 0, 1000.0 * (times - effects[rows]), np.nan)
+        for name in _ROUND_TRIPS:
+            measured = signals.diagnostics.get(f"driver/round trip {name} us")
+            if measured is not None:
+                _peaks(columns[f"round trip {name}"], times, measured.since(begin))
         return table
 
 
-def _hold(values: Array) -> None:
-    """Fill gaps with the last known value."""
-    known = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
-    values[:] = np.where(known >= 0, values[known], np.nan)
+def _peaks(column: Array, times: Array, series: Series) -> None:
+    """Enter the largest value of a series up to each of the times, from the one before; the last one where none is."""
+    place = np.searchsorted(times, series.time)
+    inside = place < len(times)
+    np.fmax.at(column, place[inside], series.values[inside, 0])
+    known = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), -1))
+    column[:] = np.where(known >= 0, column[known], np.nan)

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.messages.cdr import after_string, text_at
+from contact_reach_ros.bags.signals import Event as SafetyEvent
+from contact_reach_ros.bags.signals import Series
+from contact_reach_ros.messages.cdr import text_at
 from contact_reach_ros.viewer.frame import SafetyLevel
 
 _CONTACT_FORCE = 0.5
@@ -29,46 +30,35 @@ class Event(NamedTuple):
     text: str
 
 
-class Reported(NamedTuple):
-    """A safety state without its values."""
-
-    name: str
-    level: SafetyLevel
-    message: str
-
-
-def read_reported(data: bytes) -> Reported:
-    """Read the needed parts of a serialised DiagnosticStatus; there may be tens of thousands."""
+def speaker(data: bytes) -> str:
+    """The name in a serialised DiagnosticStatus; there may be tens of thousands."""
     try:
-        name, message = text_at(data, 8), text_at(data, after_string(data, 8))
+        return text_at(data, 8)
     except (struct.error, UnicodeDecodeError):
-        name = message = ""
-    level = SafetyLevel(min(data[4], SafetyLevel.STOP.value)) if len(data) > 4 else SafetyLevel.OK
-    return Reported(name, level, message)
+        return ""
 
 
-def goal_events(times: Array, positions: Array, kind: str, words: str) -> Iterator[Event]:
-    """Goals (n, 3), m, at their times, s."""
-    for time, position in zip(times.tolist(), positions, strict=True):
+def goal_events(goals: Series, kind: str, words: str) -> Iterator[Event]:
+    """Goals (n, 3), m."""
+    for time, position in zip(goals.time.tolist(), goals.values, strict=True):
         yield Event(time, kind, f"{words} {np.round(position, 3).tolist()} m")
 
 
-def stop_events(times: Array, reported: Sequence[Reported]) -> Iterator[Event]:
-    """Stops and releases, of safety states at their times, s."""
+def stop_events(states: Sequence[SafetyEvent], begin: float) -> Iterator[Event]:
+    """Stops and releases, of safety states at times that count from `begin`, s."""
     stopped: dict[str, bool] = {}
-    for time, entry in zip(times.tolist(), reported, strict=True):
-        is_stop = entry.level is SafetyLevel.STOP
-        if is_stop != stopped.get(entry.name, False):
-            stopped[entry.name] = is_stop
-            yield Event(time, "stop" if is_stop else "released", f"{entry.name}: {entry.message}")
+    for state in states:
+        if state.is_stop != stopped.get(state.name, False):
+            stopped[state.name] = state.is_stop
+            yield Event(state.time - begin, "stop" if state.is_stop else "released", f"{state.name}: {state.message}")
 
 
-def contact_events(times: Array, forces: Array, reported_at: Array, reported: Sequence[Reported]) -> Iterator[Event]:
-    """Beginnings of contacts by true forces, N, at their times, s; where there are none by safety states."""
-    if len(times):
-        touched = times[forces >= _CONTACT_FORCE]
+def contact_events(forces: Series, states: Sequence[SafetyEvent], begin: float) -> Iterator[Event]:
+    """Beginnings of contacts by true forces, N; where there are none by safety states, with times as `stop_events`."""
+    if len(forces.time):
+        touched = forces.time[forces.column("max") >= _CONTACT_FORCE]
     else:
-        touched = reported_at[[entry.level is SafetyLevel.CONTACT for entry in reported]]
+        touched = np.array([state.time - begin for state in states if state.level == SafetyLevel.CONTACT.value])
     starts = touched[np.append(True, np.diff(touched) > _CONTACT_PAUSE)[: len(touched)]]
     for time in starts.tolist():
         yield Event(time, "contact", "contact begins")

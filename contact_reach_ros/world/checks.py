@@ -70,10 +70,7 @@ def _check_box(arm: Arm, target: TargetSettings) -> None:
 def check_reach(arm: Arm, target: Array) -> None:
     """Refuse a target (3,), m, that is out of reach or inside the base.
 
-    Raises
-    ------
-    SceneError
-        If it is; the message gives the distance.
+    Raises `SceneError` if it is; the message gives the distance.
     """
     reason = unreachable(arm, target)
     if reason:

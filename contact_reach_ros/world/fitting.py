@@ -42,12 +42,8 @@ S = TypeVar("S", bound=Settings)
 def fitted(file: SceneFile, arm: Arm) -> SceneFile:
     """The scene for an arm: all of its lengths in proportion to the reach, except the places that it names.
 
-    A scene without `target.reach`, or for this very reach, stays as it is.
-
-    Raises
-    ------
-    SceneError
-        If no start was found for the arm from which it gets to the targets.
+    A scene without `target.reach`, or for this very reach, stays as it is. Raises `SceneError` if no start was found
+    for the arm from which it gets to the targets.
     """
     target = file.target
     if target.reach in (0.0, arm.reach):

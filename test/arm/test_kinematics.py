@@ -108,11 +108,6 @@ def test_converted_inertias_keep_the_masses():
     assert masses == [inertia.mass for inertia in iiwa14.ALIGNED_INERTIAS]
 
 
-def test_unknown_inertia_set_is_refused():
-    with pytest.raises(SettingsError, match=r"'heavy'.*nominal, alternative"):
-        ARM.inertias("heavy")
-
-
 def test_joints_are_found_by_name():
     assert [ARM.joint_index(name) for name in ARM.joint_names] == list(range(ARM.n))
     with pytest.raises(SettingsError, match=r"'lbr_A8'.*lbr_A1, .*lbr_A7"):

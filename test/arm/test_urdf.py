@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.urdf import build_urdf, roll_pitch_yaw
-from contact_reach_ros.errors import SettingsError
 
 
 def rotation_from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
@@ -81,8 +80,3 @@ def test_roll_pitch_yaw_gives_the_rotation_back(roll, pitch, yaw):
     rotation = rotation_from_angles(roll, pitch, yaw)
     again = rotation_from_angles(*roll_pitch_yaw(rotation))
     np.testing.assert_allclose(again, rotation, rtol=0, atol=1e-7)
-
-
-def test_unknown_inertia_set_is_refused():
-    with pytest.raises(SettingsError, match="nominal, alternative"):
-        build_urdf(ARM, "none")

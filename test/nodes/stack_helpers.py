@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import rclpy
 import yaml
@@ -49,6 +50,16 @@ def ros(*arguments: str, domain: str | None = None) -> Iterator[None]:
         yield
     finally:
         rclpy.shutdown()
+
+
+class Published:
+    """Stands for a publisher, and keeps what is published."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+
+    def publish(self, message: Any) -> None:
+        self.messages.append(message)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from plans import make_plan
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from stack_helpers import UNWATCHED, environment, module, running, wait_for
+from stack_helpers import UNWATCHED, environment, module, ros, running, wait_for
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import Trigger
 
@@ -68,12 +68,8 @@ class Bench:
 
 @pytest.fixture
 def bench(request):
-    arguments = [part for argument in request.param for part in ("-p", argument)]
-    rclpy.init(args=["--ros-args", *arguments], domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros("--ros-args", *(part for argument in request.param for part in ("-p", argument))):
         yield Bench()
-    finally:
-        rclpy.shutdown()
 
 
 ASKING, SIMPLE = (), ("effort.ask_joints:=false",)

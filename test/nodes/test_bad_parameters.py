@@ -65,10 +65,3 @@ def test_a_scene_that_cannot_be_keeps_the_driver_from_starting(tmp_path):
     assert result.returncode == 2
     assert str(file) in result.stderr and "40.0 mm inside the ball" in result.stderr
     assert "Traceback" not in result.stderr
-
-
-def test_an_unknown_scene_lists_the_scenes():
-    result = start("driver", "-p", "scene:=moon")
-    assert result.returncode != 0
-    assert "moon" in result.stderr and "ball" in result.stderr and "free" in result.stderr
-    assert "Traceback" not in result.stderr

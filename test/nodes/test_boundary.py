@@ -10,7 +10,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
-from stack_helpers import UNWATCHED, ros
+from stack_helpers import UNWATCHED, Published, ros
 from trajectory_msgs.msg import JointTrajectory
 
 from contact_reach_ros.arms import iiwa14
@@ -22,16 +22,6 @@ from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.ros.boundary import INTERNAL, Boundary
 from contact_reach_ros.stop_reasons import StopCode
-
-
-class Publisher:
-    """Keeps what is published."""
-
-    def __init__(self):
-        self.messages = []
-
-    def publish(self, message):
-        self.messages.append(message)
 
 
 @contextmanager
@@ -105,7 +95,7 @@ def test_a_fault_in_the_tick_stops_the_arm_and_commands_nothing_for_that_state(c
 
 def test_a_fault_in_the_observer_stops_the_arm(monkeypatch):
     with active(ObserverNode) as (node, give):
-        node._safety = Publisher()
+        node._safety = Published()
         give(2)
         with monkeypatch.context() as patch:
             patch.setattr(node._observer.momentum, "update", lambda *_: 1 / 0)

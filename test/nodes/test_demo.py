@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.highlevel import AnyReader
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.goal_state import read_goal_state
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.world.files import scene_names
 from contact_reach_ros.world.kinds.wall import WallSettings
 from contact_reach_ros.world.spheres import MAX_SPHERES
 
@@ -117,16 +115,6 @@ def test_the_bag_opens_with_the_mcap_library(ball):
         for earlier, later in itertools.pairwise(distinct)
     ]
     assert set(steps) == {1_000_000}
-
-
-def test_the_bag_opens_with_rosbags_and_the_counts_agree(ball):
-    _, report = ball
-    with AnyReader([Path(report["bag"])]) as reader:
-        assert {name: topic.msgtype for name, topic in reader.topics.items()} == TYPES
-        counted = Counter(connection.topic for connection, _, _ in reader.messages())
-        assert counted == {name: topic.msgcount for name, topic in reader.topics.items()}
-        for connection, _, data in reader.messages():
-            reader.deserialize(data, connection.msgtype)
 
 
 def test_the_bag_tells_what_happened_to_the_goal(ball):
@@ -239,19 +227,6 @@ def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):
     result = demo(tmp_path, "--goal", "2.0", "0.0", "0.5")
     assert result.returncode == 2
     assert "2.0" in result.stderr and "Traceback" not in result.stderr
-
-
-def test_an_unknown_scene_lists_the_scenes(tmp_path):
-    result = demo(tmp_path, "--scene", "moon")
-    assert result.returncode == 2
-    assert ", ".join(scene_names()) in result.stderr and "Traceback" not in result.stderr
-
-
-def test_a_scene_that_cannot_be_is_refused_before_anything_starts(tmp_path):
-    (tmp_path / "bad.yaml").write_text("base: ball\nball: {center: [0.3, 0.0, 0.6]}\n")
-    result = demo(tmp_path, "--scene", str(tmp_path / "bad.yaml"))
-    assert result.returncode == 2
-    assert "mm deep in the ball" in result.stderr and "Traceback" not in result.stderr
 
 
 def test_the_version_is_printed():

@@ -1,4 +1,4 @@
-"""What the demo prints while it runs and afterwards, and when it sends its goal, without any process."""
+"""What the demo prints while it runs and afterwards, without any process."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -19,9 +18,7 @@ from contact_reach_ros.bringup.demo import INTERRUPTED, DemoOptions, _print_summ
 from contact_reach_ros.bringup.watcher import Watcher
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_time
-from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.report.summary import EpisodeSummary
-from contact_reach_ros.ros.lockstep import FOREVER_NS
 
 TICK_NS = 1_000_000
 START_NS = 1_000_000_000_000
@@ -29,28 +26,27 @@ NAN = float("nan")
 
 
 class Stack:
-    """Node and stack of a watcher: keeps what it publishes, and how it handles what it hears."""
+    """Node and stack of a watcher: keeps how it handles what it hears."""
 
     def __init__(self) -> None:
-        self.published: list[Any] = []
         self.handlers: dict[str, Any] = {}
         self.inbox = SimpleNamespace(add=lambda topic, handle, *_: self.handlers.update({topic.name: handle}))
 
     def create_publisher(self, *_: Any) -> Any:
-        return SimpleNamespace(publish=self.published.append, get_subscription_count=lambda: 2)
+        return SimpleNamespace()
 
     def hear(self, topic: topics.Topic, message: Any) -> None:
         self.handlers[topic.name](message)
 
-    def state(self, stamp_ns: int, effort: float = 0.0) -> None:
-        message = JointState(name=ARM.joint_names, position=ARM.home, effort=[effort] * ARM.n)
+    def state(self, stamp_ns: int) -> None:
+        message = JointState(name=ARM.joint_names, position=ARM.home, effort=[0.0] * ARM.n)
         message.header.stamp = to_time(stamp_ns)
         self.hear(topics.JOINT_STATES, message)
 
 
-def make(tick_ns: int = 0) -> tuple[Watcher, Stack]:
+def make() -> tuple[Watcher, Stack]:
     stack = Stack()
-    return Watcher(stack, stack, RobotModel(ARM), np.zeros(3), tick_ns), stack  # type: ignore[arg-type]
+    return Watcher(stack, stack, RobotModel(ARM), np.zeros(3)), stack  # type: ignore[arg-type]
 
 
 def test_the_age_of_a_plan_is_the_time_since_it_took_effect() -> None:
@@ -62,42 +58,6 @@ def test_the_age_of_a_plan_is_the_time_since_it_took_effect() -> None:
     for now, age in ((10, "-"), (20, "5 ms"), (44, "29 ms"), (50, "5 ms")):
         stack.state(START_NS + now * TICK_NS)
         assert watcher.line(START_NS).split("plan age")[1].split("starting")[0].strip() == age
-
-
-def test_in_lockstep_the_goal_is_sent_while_time_stands_still() -> None:
-    watcher, stack = make(TICK_NS)
-
-    def promised() -> list[int]:
-        return [nanoseconds(message.stamp) for message in stack.published if isinstance(message, Header)]
-
-    def done(stamp_ns: int) -> None:
-        for name in ("observer", "planner"):
-            stack.hear(topics.LOCKSTEP_HORIZON, Header(frame_id=name, stamp=to_time(stamp_ns + TICK_NS)))
-
-    stack.state(START_NS, effort=NAN)
-    watcher._go_on()
-    # Nothing, or the nodes would wait for it before time begins.
-    assert not promised()
-    done(START_NS)
-    # The brakes are closed: time goes on for a while.
-    watcher._go_on()
-    end_ns = START_NS + 100 * TICK_NS
-    assert max(promised()) == end_ns
-    stack.state(end_ns - TICK_NS)
-    done(end_ns - TICK_NS)
-    assert not watcher._stands_still()
-    stack.state(end_ns)
-    assert not watcher._stands_still()
-    done(end_ns)
-    assert watcher._stands_still()
-    # They are open, and others may take their time.
-    watcher._go_on()
-    assert max(promised()) == end_ns
-    stack.published.clear()
-    watcher.send_goal()
-    goal, promise = stack.published
-    assert isinstance(goal, PoseStamped) and nanoseconds(goal.header.stamp) == end_ns
-    assert (promise.frame_id, nanoseconds(promise.stamp)) == ("demo", FOREVER_NS)
 
 
 def summary_of(reached: bool = False, ticks: int = 5000, missed: int = 0, stops: Sequence[dict] = ()) -> EpisodeSummary:

@@ -128,8 +128,3 @@ def test_bringup_knows_the_choice_of_a_file(tmp_path):
     arguments = ["bringup", "--ros-args", "--params-file", str(file)]
     assert early_value(arguments, "bringup", ENTRY) == "subnet"
     assert early_value([*arguments, "-p", "discovery:=host"], "bringup", ENTRY) == "host"
-
-
-def test_bringup_refuses_a_choice_that_there_is_not():
-    with pytest.raises(SettingsError, match=r"discovery.*'world'.*host, subnet"):
-        early_value(["bringup", "-p", "discovery:=world"], "bringup", ENTRY)

@@ -6,12 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from arm_simulation import HOME
 from message_packages import message_packages
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from stack_helpers import environment
+from stack_helpers import ros
 from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
@@ -226,12 +225,8 @@ ACTIVE = ("kind:=lbr", "gravity_compensation:=false", "state_rate:=500.0")
 @pytest.fixture
 def bench():
     """An adapter for KUKA's driver, whose loop runs when told to."""
-    arguments = [part for argument in ACTIVE for part in ("-p", argument)]
-    rclpy.init(args=["--ros-args", *arguments], domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    try:
+    with ros("--ros-args", *(part for argument in ACTIVE for part in ("-p", argument))):
         yield Bench()
-    finally:
-        rclpy.shutdown()
 
 
 def test_a_session_that_ends_stops_the_arm_and_says_why(bench):

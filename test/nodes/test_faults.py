@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from rclpy.serialization import deserialize_message, serialize_message
-from stack_helpers import environment, module, running, wait_for
+from stack_helpers import environment, module, ros, running, wait_for
 from std_msgs.msg import Float64MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
@@ -25,12 +24,10 @@ ARM = load_arm("iiwa14")
 
 @pytest.fixture
 def driver():
-    domain = int(environment()["ROS_DOMAIN_ID"])
-    rclpy.init(args=["--ros-args", "-p", "scene:=free"], domain_id=domain)
-    node = DriverNode()
-    node.boundary.protect(node)
-    yield node
-    rclpy.shutdown()
+    with ros("--ros-args", "-p", "scene:=free"):
+        node = DriverNode()
+        node.boundary.protect(node)
+        yield node
 
 
 def send(node, text):

@@ -6,7 +6,7 @@ import pytest
 import rclpy
 from arm_simulation import HOME, REST
 from rclpy.node import Node
-from stack_helpers import environment, wait_for
+from stack_helpers import ros, wait_for
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.messages import topics
@@ -20,13 +20,11 @@ HALVES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 
 @pytest.fixture
 def planner() -> Iterator[PlannerNode]:
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    node = PlannerNode()
-    node._planner.state = JointState(0, HOME, REST, None)
-    node._planner.see(Spheres.none())
-    yield node
-    node.destroy_node()
-    rclpy.shutdown()
+    with ros():
+        node = PlannerNode()
+        node._planner.state = JointState(0, HOME, REST, None)
+        node._planner.see(Spheres.none())
+        yield node
 
 
 def make(name: str, heard: tuple[Topic, ...], published: tuple[Topic, ...] = ()) -> Node:

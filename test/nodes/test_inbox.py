@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 from rclpy.node import Node
-from stack_helpers import environment, wait_for
+from stack_helpers import ros, wait_for
 from std_msgs.msg import String
 
 from contact_reach_ros.errors import InputError
@@ -26,11 +26,8 @@ def refused(what: str, error: Exception) -> None:
 
 @pytest.fixture
 def node() -> Iterator[Node]:
-    rclpy.init(domain_id=int(environment()["ROS_DOMAIN_ID"]))
-    node = rclpy.create_node("inbox")
-    yield node
-    node.destroy_node()
-    rclpy.shutdown()
+    with ros():
+        yield rclpy.create_node("inbox")
 
 
 def test_what_nobody_hurries_for_does_not_wake_the_loop_and_comes_last(node: Node) -> None:

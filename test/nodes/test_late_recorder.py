@@ -10,7 +10,7 @@ import rclpy
 from mcap.reader import make_reader
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from stack_helpers import environment, module, running, wait_for
+from stack_helpers import environment, module, ros, running, wait_for
 
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.qos import qos_profile
@@ -25,11 +25,8 @@ KEPT = topics.KEPT_STREAM.depth
 @pytest.fixture
 def domain():
     env = environment()
-    rclpy.init(domain_id=int(env["ROS_DOMAIN_ID"]))
-    try:
+    with ros(domain=env["ROS_DOMAIN_ID"]):
         yield env
-    finally:
-        rclpy.shutdown()
 
 
 def test_the_first_messages_are_in_the_bag(domain, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
-from stack_helpers import ros
+from stack_helpers import Published, ros
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
@@ -22,22 +22,12 @@ LIGHT = np.array([0.0, 5.0, 0.0, 4.0, 0.0, 0.0, 0.0])
 UNKNOWN = np.full(7, np.nan)
 
 
-class Publisher:
-    """Keeps what is published."""
-
-    def __init__(self) -> None:
-        self.messages: list[DiagnosticStatus] = []
-
-    def publish(self, message: DiagnosticStatus) -> None:
-        self.messages.append(message)
-
-
 class Watched:
     """An observer node that is given joint states of an arm at rest at home."""
 
     def __init__(self) -> None:
         self.node = ObserverNode()
-        self.safety = self.node._safety = Publisher()
+        self.safety = self.node._safety = Published()
         self._writer = JointStateWriter(
             iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity", "effort"]
         )

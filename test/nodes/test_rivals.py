@@ -26,10 +26,9 @@ from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE
+from contact_reach_ros.ros.graph import UNKNOWN_NODE, _has_strangers
 from contact_reach_ros.ros.interfaces import ALONE
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.ros.rivals import _has_strangers
 from contact_reach_ros.stop_reasons import StopCode
 from contact_reach_ros.world.spheres import Spheres
 

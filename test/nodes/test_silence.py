@@ -8,7 +8,7 @@ import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from stack_helpers import UNWATCHED, ros
+from stack_helpers import UNWATCHED, Published, ros
 from std_msgs.msg import Header
 
 from contact_reach_ros.arm.model import RobotModel
@@ -25,16 +25,6 @@ from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.units import NANOSECONDS
 
 _HEARD = (topics.JOINT_STATES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
-
-
-class Publisher:
-    """Keeps what is published."""
-
-    def __init__(self) -> None:
-        self.messages: list = []
-
-    def publish(self, message) -> None:
-        self.messages.append(message)
 
 
 @pytest.fixture
@@ -94,7 +84,7 @@ def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(lockstep, mo
 def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
     node = ControllerNode()
     node._look_around()
-    node._safety, horizon = Publisher(), Publisher()
+    node._safety, horizon = Published(), Published()
     node._lockstep = Lockstep("controller", TICK_NS, horizon.publish)
     commands: list[bytes] = []
     node._write_commands = commands.append

@@ -11,7 +11,7 @@ from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, pr
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.report.signals import read_signals
+from contact_reach_ros.bags.signals import read_signals
 
 PATIENT_PLANNER = {**SMALL_PLANNER, "latency": 0.25}
 """Has a quarter of a second for each plan: with less, a busy machine makes every plan too late to take effect, until

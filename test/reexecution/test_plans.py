@@ -9,7 +9,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.reexecution import plans as plans
-from contact_reach_ros.reexecution.command import DIFFERENT, IDENTICAL, ReexecutionOptions, run_reexecution
+from contact_reach_ros.reexecution.command import DIFFERENT, IDENTICAL, run_reexecution
 from contact_reach_ros.reexecution.inputs import RecordedInputs, Row
 from contact_reach_ros.reexecution.plan_outcome import PlanDifference, ReexecutedPlan, compare_plans
 from contact_reach_ros.reexecution.plans import RecordedPlans
@@ -81,5 +81,5 @@ def test_the_command_says_how_far_a_plan_is_off(monkeypatch, capsys, difference,
     )
     found = ReexecutedPlan(3, plan, {}, 1, difference, rounding, 0.1)
     monkeypatch.setattr(RecordedPlans, "solve", lambda *_: found)
-    assert run_reexecution(ReexecutionOptions(share_directory() / "bags" / "sample", plan=3)) == code
+    assert run_reexecution(share_directory() / "bags" / "sample", plan=3) == code
     assert says in capsys.readouterr().out

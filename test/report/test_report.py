@@ -13,6 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.reexecution.settings import ChangedSettings
@@ -21,7 +22,6 @@ from contact_reach_ros.report.charts import external_torque_chart
 from contact_reach_ros.report.envelope import BINS, envelope
 from contact_reach_ros.report.page import page
 from contact_reach_ros.report.plot import BEFORE
-from contact_reach_ros.report.signals import read_signals
 from contact_reach_ros.report.summary import Episode
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.viewer.plots import page_plots

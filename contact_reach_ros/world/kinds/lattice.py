@@ -58,10 +58,8 @@ class Lattice:
     def check(self, kind: str, bodies: str, material: Material, copies: int = 1) -> None:
         """Refuse a lattice with one fixed level if `copies` of it, the `bodies`, cannot be simulated.
 
-        Raises
-        ------
-        SceneError
-            If it has too many nodes, its springs are too stiff for the nodes' mass, or the nodes overlap.
+        Raises `SceneError` if it has too many nodes, its springs are too stiff for the nodes' mass, or the nodes
+        overlap.
         """
         along_x, along_y, along_z = self.nodes
         count, free = copies * along_x * along_y * along_z, copies * along_x * along_y * (along_z - 1)

@@ -11,12 +11,8 @@ _STEP = 0.001
 def check_stiffness(kind: str, stiffness: float, mass: float) -> None:
     """Refuse springs and contact of `stiffness` N/m on `mass` kg that are unstable in a simulation in steps of 1 ms.
 
-    Semi-implicit Euler steps are stable up to 4 m / dt²; half of that leaves room for hardening and mismatch.
-
-    Raises
-    ------
-    SceneError
-        If they are too stiff; the message gives the greatest stiffness.
+    Semi-implicit Euler steps are stable up to 4 m / dt²; half of that leaves room for hardening and mismatch. Raises
+    `SceneError` if they are too stiff; the message gives the greatest stiffness.
     """
     limit = 2.0 * mass / _STEP**2
     if stiffness > limit:
@@ -29,10 +25,7 @@ def check_stiffness(kind: str, stiffness: float, mass: float) -> None:
 def check_overlaps(kind: str, least: float, greatest: float) -> None:
     """Refuse limits, m, of the overlap with the free path that are in the wrong order.
 
-    Raises
-    ------
-    SettingsError
-        If they are; the message gives both.
+    Raises `SettingsError` if they are; the message gives both.
     """
     if least > greatest:
         raise SettingsError(f"{kind}: min_overlap = {least:g}: expected at most max_overlap = {greatest:g} m")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.bags.clock import Clock
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, Stamps, read_raw
 from contact_reach_ros.bags.goals import goal_in, pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
@@ -20,7 +21,6 @@ from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import nanoseconds, numbers
-from contact_reach_ros.report.clock import Clock
 from contact_reach_ros.units import NANOSECONDS
 
 _SPARSE = {
@@ -62,6 +62,10 @@ class Series:
         """The part from one time to another, s, both included."""
         inside = (self.time >= start) & (self.time <= end)
         return Series(self.time[inside], self.names, self.values[inside])
+
+    def since(self, zero: float) -> Series:
+        """The same with times that count from another moment, s."""
+        return Series(self.time - zero, self.names, self.values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,14 +112,16 @@ class EpisodeSignals:
     goals :
         Positions that were sent as goals, m, except those that the planner refused: the columns x, y and z. In lockstep
         at the joint state that their stamp names, else when they were received.
+    refused_goals :
+        Those that it refused, likewise.
     diagnostics :
         Numbers from the diagnostics, by "<status>/<key>".
     plan_times :
         (n,) when plans take effect, s, in order.
     plans :
         How they were found, in the order of their effect.
-    state_sent_ns :
-        (n,) when joint states were sent, ns since the epoch; in the order of their series.
+    state_sent_ns, state_received_ns :
+        (n,) when joint states were sent and received, ns since the epoch; in the order of their series.
     answers_ns :
         (n,) from the sending of a joint state to the sending of its command, ns.
     settings :
@@ -135,10 +141,12 @@ class EpisodeSignals:
     contact_force: Series
     safety: tuple[Event, ...]
     goals: Series
+    refused_goals: Series
     diagnostics: Mapping[str, Series]
     plan_times: np.ndarray
     plans: tuple[PlanStatistics, ...]
     state_sent_ns: np.ndarray
+    state_received_ns: np.ndarray
     answers_ns: np.ndarray
     settings: Mapping[str, Mapping[str, Any]]
     in_lockstep: bool
@@ -183,11 +191,12 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         Series(clock.of_stamps(torque), joints, torque.values),
         Series(clock.of_stamps(contact), contact.names, contact.values),
         tuple(_changes(received("safety_state"))),
-        _goals(received("goal_pose"), plans, clock if in_lockstep else None),
+        *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
         _diagnostics(received("diagnostics")),
         (np.sort(pose.stamp_ns[pose.stamp_ns > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
+        state.log_ns,
         _answers(command, [message.data for _, message in received("intake/controller")]),
         settings,
         in_lockstep,
@@ -248,8 +257,10 @@ def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
-def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock | None) -> Series:
-    """The goals that were not refused; by their stamps on a clock, or without one by reception."""
+def _goals(
+    messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock | None
+) -> tuple[Series, Series]:
+    """The goals that were not refused, and the others; by their stamps on a clock, or without one by reception."""
     places = [message.pose.position for _, message in messages]
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
     times = np.array([time for time, _ in messages])
@@ -257,8 +268,8 @@ def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics
         stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
         times = np.where(clock.covers(stamps), (stamps - clock.origin_ns) / NANOSECONDS, times)
     planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
-    kept = pursued(positions, planned)
-    return Series(times[kept], ("x", "y", "z"), positions[kept])
+    kept = pursued(positions, planned) & np.isfinite(positions).all(axis=1)
+    return tuple(Series(times[some], ("x", "y", "z"), positions[some]) for some in (kept, ~kept))  # type: ignore[return-value]
 
 
 def _diagnostics(arrays: Sequence[tuple[float, Any]]) -> dict[str, Series]:

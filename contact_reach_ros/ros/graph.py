@@ -1,4 +1,4 @@
-"""Finds publishers of topics beside those that the arm's safety rests on.
+"""Who publishes and hears what in the ROS graph: the names of nodes, and those that a topic must not have.
 
 A node that was killed stays in the graph until its lease runs out, 20 s by default: until then a second one of its name
 counts as its rival.
@@ -7,17 +7,44 @@ counts as its rival.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.graph_names import UNKNOWN_NODE, node_of
 from contact_reach_ros.ros.interfaces import ALONE, MANAGED
+
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""Name in the graph of a node that was discovered later than its endpoint."""
 
 LOOK_AROUND_S = 0.25
 """Period of the check."""
+
+_COMMANDS = (topics.COMMANDS, topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS)
+
+
+def full_name(namespace: str, name: str) -> str:
+    """Join a namespace and a name in it."""
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def node_of(endpoint: TopicEndpointInfo) -> str:
+    """Return the full name of the node that publishes or subscribes; it may end in `UNKNOWN_NODE`."""
+    return full_name(endpoint.node_namespace, endpoint.node_name)
+
+
+def commanders_that_hear(node: Node, wanted: Iterable[Topic]) -> list[str]:
+    """Full names of the nodes that publish commands, for driver, adapter or nobody, and hear all of these topics."""
+    names = set().union(*(_names(node.get_publishers_info_by_topic(topic.name)) for topic in _COMMANDS))
+    for topic in wanted:
+        names &= _names(node.get_subscriptions_info_by_topic(topic.name))
+    return sorted(names)
+
+
+def _names(endpoints: Sequence[TopicEndpointInfo]) -> set[str]:
+    return {node_of(info) for info in endpoints if info.node_name != UNKNOWN_NODE}
 
 
 def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
