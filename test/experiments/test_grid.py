@@ -1,16 +1,17 @@
 """Episodes of the grid: the same wherever and in whatever order they are run."""
 
 import dataclasses
+import itertools
 
 import pytest
 
 from contact_reach_ros.experiments import grid
 from contact_reach_ros.experiments.grid import (
     DEADLINE_STEPS,
+    Cell,
     EpisodeTask,
     Setup,
     cell_of,
-    cells,
     episode_seeds,
     run_cell,
 )
@@ -30,8 +31,8 @@ TINY = Setup(
 
 def tasks(method="cma_es", targets=1, repeats=2, setup=TINY):
     scene = read_scene("free")
-    every = cells(["free"], ["hold", "free"], [method], range(targets), range(repeats))
-    return [EpisodeTask(cell, scene, 0.05, setup) for cell in every]
+    every = itertools.product(["hold", "free"], range(targets), range(repeats))
+    return [EpisodeTask(Cell("free", goal, method, *seeds), scene, 0.05, setup) for goal, *seeds in every]
 
 
 def figures(record):
