@@ -107,25 +107,21 @@ def floor(scene: Scene, contact_stiffness: float, search: Search, seed: int) -> 
         aside = 0.0 if share == 1.0 else search.aside
         near = [last + 0.3 * random.standard_normal((search.seeds // 2, arm.n))]
         seeds = np.concatenate([last[None], *near, random.uniform(arm.lower, arm.upper, (search.seeds // 2, arm.n))])
-        best: list[tuple[float, int, Array]] = []
+        best: list[Station] = []
         for generation in range(search.generations + 1):
-            width = aside * 0.8**generation
-            for parent in [seeds] if not generation else [posture for _, _, posture in best[: search.kept]]:
-                if generation:
-                    tip = link_frames(arm, parent)[1][-1]
-                    spread = 0.2 * 0.8**generation
-                    parent = parent + spread * random.standard_normal((search.children, arm.n))
-                else:
-                    tip = begin + share * way
-                offset = across @ (tip - begin) + random.uniform(-width, width, 2)
+            narrow = 0.8**generation
+            spread = 0.2 * narrow * random.standard_normal((len(best), search.children, arm.n))
+            parents = [each.posture + more for each, more in zip(best, spread, strict=True)] or [seeds]
+            for group in parents:
+                tip = link_frames(arm, group[0])[1][-1] if best else begin
+                offset = across @ (tip - begin) + narrow * aside * random.uniform(-1.0, 1.0, 2)
                 position = begin + share * way + np.clip(offset, -aside, aside) @ across
-                for posture in solve_ik(arm, position, rotation, parent, search.margin):
-                    best.append((contact.force(posture), len(best), posture))
-            best.sort()
-            del best[4 * search.kept :]
-            if not best or best[0][0] == 0.0:
+                postures = solve_ik(arm, position, rotation, group, search.margin)
+                best += [Station(float(share), contact.force(posture), posture) for posture in postures]
+            best = sorted(best, key=lambda each: each.force)[: search.kept]
+            if best and best[0].force == 0.0:
                 break
         if best:
-            last = best[0][2]
-            found.append(Station(float(share), best[0][0], last))
+            last = best[0].posture
+            found.append(best[0])
     return found

@@ -58,4 +58,4 @@ def test_an_unfinished_run_is_reported_as_far_as_it_is(tmp_path, monkeypatch, ca
 
 def test_parts_that_there_are_not_are_refused(tmp_path, capsys):
     assert contact_reach("bench", "page", "--out", tmp_path, "--parts", "table1") == 2
-    assert "--parts 'table1' is unknown; expected some of clutter, shipped" in capsys.readouterr().err
+    assert "--parts 'table1' is unknown; expected some of clutter, tuning, shipped" in capsys.readouterr().err
