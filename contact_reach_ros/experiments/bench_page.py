@@ -64,7 +64,14 @@ PARTS = (
     ),
     Part(
         "weights",
-        Sweep("contact_weight", _WEIGHTS, methods=(*_PAIR, "cma_es"), seed=_TUNING, others=_AS_IN_THE_NODE),
+        Sweep(
+            "contact_weight",
+            _WEIGHTS,
+            scenes=("wall", "ball"),
+            methods=(*_PAIR, "cma_es"),
+            seed=_TUNING,
+            others=_AS_IN_THE_NODE,
+        ),
         10.0,
     ),
     Part(
