@@ -72,7 +72,7 @@ PARTS = (
             seed=_TUNING,
             others=_AS_IN_THE_NODE,
         ),
-        10.0,
+        12.0,
     ),
     Part(
         "nodes",

@@ -26,7 +26,7 @@ from contact_reach_ros.experiments.recorded_runs import RecordedRuns, RecordingP
 from contact_reach_ros.experiments.rollout_times import measure_rollouts, typical
 from contact_reach_ros.experiments.scaling import measure_scaling, plot_scaling
 from contact_reach_ros.experiments.solver_limit import limit_table, measure_limit
-from contact_reach_ros.experiments.workers import local_workers, run_all
+from contact_reach_ros.experiments.workers import run_each
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
 from contact_reach_ros.world.files import read_scene
@@ -190,9 +190,8 @@ def _torques(bench: PlannerBench, scene: SceneFile) -> Report:
         for method in (paper.METHOD, paper.JOINT_TORQUE)
     ]
     # With one thread for linear algebra, as workers have: several, spinning, take ten times as long.
-    with local_workers(1) as client:
-        found = {task.cell.method: record for task, record in run_all(client, run_cell, tasks)}
-    references, torques = (found[task.cell.method]["timing"] for task in tasks)
+    timing = {record["method"]: record["timing"] for record in run_each(run_cell, tasks, 1)}
+    references, torques = timing[paper.METHOD], timing[paper.JOINT_TORQUE]
     return {
         "torque_planning_ratio": torques["plan_s"] / references["plan_s"],
         "torque_planning": {"references": references, "torques": torques},
