@@ -7,7 +7,6 @@ writes their pictures to the file that is its argument.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import pickle
 import subprocess
@@ -64,27 +63,6 @@ def render(views: Sequence[View], backend: str) -> list[Picture]:
 
     Raises `RenderingError` if this OpenGL does not work here; the message names the reason and what to install.
     """
-    layers = iter(_render_layers([layer for view in views for layer in _layers(view)], backend))
-    return [_overlay(next(layers), [(next(layers), ghost.opacity) for ghost in view.ghosts]) for view in views]
-
-
-def _layers(view: View) -> list[View]:
-    """The view without ghosts, then once with each of them drawn as solid."""
-    return [
-        dataclasses.replace(view, shapes=[*view.shapes, *shapes], ghosts=())
-        for shapes in [(), *(ghost.shapes for ghost in view.ghosts)]
-    ]
-
-
-def _overlay(picture: Picture, ghosts: Sequence[tuple[Picture, float]]) -> Picture:
-    mixed = picture.astype(float)
-    for with_ghost, opacity in ghosts:
-        mixed += opacity * (with_ghost.astype(float) - picture)
-    return np.clip(np.rint(mixed), 0, 255).astype(np.uint8)
-
-
-def _render_layers(views: Sequence[View], backend: str) -> list[Picture]:
-    """Render views without ghosts in a child process."""
     source = Path(__file__).parents[2]
     paths = [str(source), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(paths)}

@@ -10,14 +10,6 @@ from contact_reach_ros.drawing.shapes import Cylinder, Shape
 
 
 @dataclass(frozen=True, eq=False)
-class Ghost:
-    """Shapes that are blended in as one, whether they overlap or not, with an opacity in (0, 1]."""
-
-    shapes: Sequence[Shape]
-    opacity: float
-
-
-@dataclass(frozen=True, eq=False)
 class View:
     """Shapes and the camera that sees them.
 
@@ -29,11 +21,8 @@ class View:
         Camera; also sets the size of the picture.
     floor
         Floor below all shapes.
-    ghosts
-        Ghosts, hidden by the shapes in front of them, but not by each other.
     """
 
     shapes: Sequence[Shape]
     camera: Camera
     floor: Cylinder | None = None
-    ghosts: Sequence[Ghost] = ()

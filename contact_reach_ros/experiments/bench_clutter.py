@@ -22,13 +22,6 @@ from contact_reach_ros.experiments.statistics import Estimate, estimate, share
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.world.spheres import MAX_SPHERES
 
-QUICK: dict[str, Any] = {
-    "scenes": 6,
-    "seed": 0,
-    "methods": ("contact_reach", "reference_posture", "collision_free", "reactive"),
-}
-"""What --quick runs."""
-
 _EQUAL = 0.1
 """Peak forces that differ by less count as equal, N; the faster method is then the better one."""
 
@@ -69,6 +62,35 @@ class Clutter:
         if self.timeout is not None and not self.timeout > 0.0:
             raise SettingsError(f"--timeout {self.timeout:g}: expected a positive time in s")
 
+    @property
+    def seeds(self) -> range:
+        """Of the scenes."""
+        return range(self.seed, self.seed + self.scenes)
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All episodes, scene by scene, so that an unfinished run has whole scenes."""
+        return [Cell(clutter_name(seed), "hold", method, seed) for seed in self.seeds for method in self.methods]
+
+    @property
+    def command(self) -> str:
+        """The command line of the run, without options that do not change its results."""
+        words = ["contact-reach", "bench", "clutter", "--preset", self.preset]
+        words += ["--scenes", str(self.scenes), "--seed", str(self.seed)]
+        if self.methods != Clutter.methods:
+            words += ["--methods", *self.methods]
+        if self.timeout is not None:
+            words += ["--timeout", f"{self.timeout:g}"]
+        return shlex.join(words)
+
+    def evaluate(self, report: Report) -> None:
+        """Add the summary of those scenes that every method has run in."""
+        found: dict[str, list[Record]] = {}
+        for entry in report["episodes"]:
+            found.setdefault(entry["scene"], []).append(entry)
+        whole = [entry for entries in found.values() if len(entries) == len(self.methods) for entry in entries]
+        report.update(summary(whole, self.methods))
+
 
 def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) -> Report:
     """Run the episodes, print the table in Markdown, and write JSON.
@@ -80,27 +102,14 @@ def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) 
     """
     changes: dict[str, Any] = {} if bench.timeout is None else {"timeout": bench.timeout}
     setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, **changes)
-    seeds, arm = range(bench.seed, bench.seed + bench.scenes), load_arm(setup.arm)
-    scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in seeds}
-    # Scene by scene, so that a run that is interrupted has whole scenes.
-    grid = [Cell(clutter_name(seed), "hold", method, seed, 0) for seed in seeds for method in bench.methods]
-    description = {"command": command(bench), "seeds": [seeds[0], seeds[-1]]}
-    report = run_grid("clutter", description, setup, scenes, grid, running)
-    report.update(summary(report["episodes"], bench.methods))
+    arm = load_arm(setup.arm)
+    scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in bench.seeds}
+    description = {"command": bench.command, "seeds": [bench.seeds[0], bench.seeds[-1]]}
+    report = run_grid("clutter", description, setup, scenes, bench.cells, running)
+    bench.evaluate(report)
     finish(report, running.file)
     print(clutter_table(report))
     return report
-
-
-def command(bench: Clutter) -> str:
-    """The command line of a run, without options that do not change its results."""
-    words = ["contact-reach", "bench", "clutter", "--preset", bench.preset]
-    words += ["--scenes", str(bench.scenes), "--seed", str(bench.seed)]
-    if bench.methods != Clutter.methods:
-        words += ["--methods", *bench.methods]
-    if bench.timeout is not None:
-        words += ["--timeout", f"{bench.timeout:g}"]
-    return shlex.join(words)
 
 
 def summary(episodes: Sequence[Record], methods: Sequence[str]) -> dict[str, Any]:

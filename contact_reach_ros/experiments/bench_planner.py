@@ -19,15 +19,14 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.episode import EpisodeOptions
-from contact_reach_ros.experiments.grid import Setup
-from contact_reach_ros.experiments.latency import LatencyTask, measure_latencies
+from contact_reach_ros.experiments.grid import Cell, EpisodeTask, Setup, run_cell
 from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.output import Report, percentiles, say, write_report
 from contact_reach_ros.experiments.recorded_runs import RecordedRuns, RecordingPlanner, record_runs
 from contact_reach_ros.experiments.rollout_times import measure_rollouts, typical
 from contact_reach_ros.experiments.scaling import measure_scaling, plot_scaling
 from contact_reach_ros.experiments.solver_limit import limit_table, measure_limit
-from contact_reach_ros.experiments.workers import local_workers
+from contact_reach_ros.experiments.workers import run_each
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
 from contact_reach_ros.world.files import read_scene
@@ -40,6 +39,9 @@ TARGETS: dict[str, dict[str, float]] = {
     "wall": {"solve_ms": 80.0, "step_ms": 15.0, "rollout_us_per_substep": 1.5},
 }
 """What the planner should reach on one core with the paper's budget: at least for the speed-up, else at most."""
+
+_CLOSED_LOOP_S, _LATENCY_S = 4.0, 0.1
+"""Length of the runs in which torques and references are planned, and time of each plan there, s."""
 
 PAPER_TORQUE_RATIO = paper.WALL_PLANNING_TIME[paper.JOINT_TORQUE] / paper.WALL_PLANNING_TIME[paper.METHOD]
 """Section V-B: planning joint torques against planning references, wall scene."""
@@ -182,13 +184,16 @@ def _cold_starts(planner: RecordingPlanner, runs: RecordedRuns, count: int) -> R
 
 def _torques(bench: PlannerBench, scene: SceneFile) -> Report:
     """Planning joint torques against planning references, each in a closed loop of its own as for Table I."""
-    setup = Setup(planning=bench.settings, budget=load_budget())
-    tasks = [LatencyTask(scene, method, bench.seed, setup) for method in (paper.METHOD, paper.JOINT_TORQUE)]
+    setup = Setup(planning=bench.settings, budget=load_budget(), timeout=_CLOSED_LOOP_S)
+    tasks = [
+        EpisodeTask(Cell(scene.name, "hold", method, bench.seed), scene, _LATENCY_S, setup)
+        for method in (paper.METHOD, paper.JOINT_TORQUE)
+    ]
     # With one thread for linear algebra, as workers have: several, spinning, take ten times as long.
-    with local_workers(1) as client:
-        references, torques = (found for _, found in measure_latencies(client, tasks))
+    timing = {record["method"]: record["timing"] for record in run_each(run_cell, tasks, 1)}
+    references, torques = timing[paper.METHOD], timing[paper.JOINT_TORQUE]
     return {
-        "torque_planning_ratio": torques["cpu_median_s"] / references["cpu_median_s"],
+        "torque_planning_ratio": torques["plan_s"] / references["plan_s"],
         "torque_planning": {"references": references, "torques": torques},
     }
 

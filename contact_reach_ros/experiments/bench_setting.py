@@ -2,160 +2,170 @@
 
 from __future__ import annotations
 
-import dataclasses
-import time
+import itertools
+import shlex
 from collections.abc import Mapping, Sequence
-from itertools import product
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import yaml
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.methods import make_method
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.experiments.episode_result import EpisodeResult
-from contact_reach_ros.experiments.grid import episode_seeds
-from contact_reach_ros.experiments.machine import machine
-from contact_reach_ros.experiments.metrics import measure
-from contact_reach_ros.experiments.output import say, write_report
+from contact_reach_ros.experiments.grid import Cell, Record, Setup
+from contact_reach_ros.experiments.grid_run import Running, finish, run_grid
+from contact_reach_ros.experiments.output import Report, table
 from contact_reach_ros.experiments.paper import METHOD
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.spheres import sphere_capacity
 
 LATENCY = "latency"
 """Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""
 
+_SLOWER = 1.1
+"""The best value presses least among those that settle most often and are at most this much slower than the fastest."""
 
-_COLOURS = (BLUE, VERMILION, GREEN, ORANGE)
 
+@dataclass(frozen=True)
+class Sweep:
+    """What is run.
 
-def bench_setting(
-    name: str,
-    values: Sequence[Any],
-    scenes: Sequence[str] = ("ball", "wall"),
-    methods: Sequence[str] = (METHOD,),
-    targets: int = 10,
-    seed: int = 0,
-    others: Sequence[str] = (),
-    spheres: int | None = None,
-    file: Path | None = None,
-    plot: Path | None = None,
-) -> dict[str, Any]:
-    """Run episodes, print a table in Markdown and write JSON to `file`.
-
-    Parameters
+    Attributes
     ----------
-    name
-        Of a field of `PlanningSettings`, or `LATENCY`.
-    values
-        That it takes.
-    scenes
-        Names or YAML files.
-    methods
-        Some of `METHODS`.
+    name, values
+        Of a field of `PlanningSettings`, or `LATENCY`, and what it takes.
+    scenes, methods
+        Names or YAML files, and some of `METHODS`.
     targets, seed
         Number of seeds of each scene, and the first.
     others
         Other settings, as in population=32; the same for each value.
     spheres
         Number of spheres that plans take into account; by default that of the scene.
-    plot
-        Picture of time and peak force over the values.
 
     Raises
     ------
     SettingsError
         If the setting is unknown or a value is out of range.
     """
-    variants = [_variant({**_assignments(others), name: value}) for value in values]
-    arm, permitted = load_arm(), load_budget().permitted_force
-    report: dict[str, Any] = {"setting": name, "targets": targets, "machine": machine(), "scenes": {}}
-    print(f"| scene | method | {name} | settled | time / limit | peak force, N | mean force, N | over the budget, ms |")
-    print("|---|---|---|---|---|---|---|---|", flush=True)
-    for scene_name in scenes:
-        scene_file = read_scene(scene_name)
-        concrete = {target: make_scene(scene_file, arm, target) for target in range(seed, seed + targets)}
-        rows = report["scenes"][scene_file.name] = []
-        for method_name, (value, (settings, options)) in product(methods, zip(values, variants, strict=True)):
-            capacity = sphere_capacity(scene_file) if spheres is None else spheres
-            method = make_method(arm, method_name, capacity, permitted, 0, settings)
-            method.warm_up(say)
-            begin = time.perf_counter()
-            results = [_episode(target, scene, method, options) for target, scene in concrete.items()]
-            row = {"method": method_name, "value": value}
-            row |= _summary(settings, list(concrete.values()), results, permitted)
-            row["wall_s"] = time.perf_counter() - begin
-            rows.append(row)
-            ratio, force = row["time_ratio"], row["largest_force"]
-            print(
-                f"| {scene_file.name} | {method_name} | {value} | {row['reached']}/{targets} "
-                f"| {ratio['mean']:.2f} ± {ratio['sd']:.2f} | {force['mean']:.1f} ± {force['sd']:.1f} "
-                f"| {row['mean_force']:.2f} | {row['over_budget_ms']:.0f} |",
-                flush=True,
-            )
-            write_report(report, file)
-    took = ", ".join(
-        f"{scene} {row['value']} {row['wall_s'] / targets:.0f} s"
-        for scene, rows in report["scenes"].items()
-        for row in rows
-    )
-    print(f"\nTime of an episode: {took}")
-    if plot is not None:
-        _plot(report, plot)
+
+    name: str
+    values: tuple[Any, ...]
+    scenes: tuple[str, ...] = ("ball", "wall")
+    methods: tuple[str, ...] = (METHOD,)
+    targets: int = 10
+    seed: int = 0
+    others: tuple[str, ...] = ()
+    spheres: int | None = None
+
+    @property
+    def variants(self) -> dict[str, Setup]:
+        """The setup of each value, by its name."""
+        common = _assignments(self.others)
+        return {str(value): _setup({**common, self.name: value}, self.spheres) for value in self.values}
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All episodes, target by target, so that an unfinished run compares values on the same targets."""
+        targets = range(self.seed, self.seed + self.targets)
+        scenes = [read_scene(name).name for name in self.scenes]
+        every = itertools.product(targets, scenes, self.methods, map(str, self.values))
+        return [Cell(scene, "hold", method, target, 0, value) for target, scene, method, value in every]
+
+    @property
+    def command(self) -> str:
+        """The command line of the run."""
+        words = ["contact-reach", "bench", "setting", self.name, *map(str, self.values)]
+        for name, values in (("scene", self.scenes), ("methods", self.methods), ("with", self.others)):
+            words += [f"--{name}", *values] if values else []
+        words += ["--targets", str(self.targets), "--seed", str(self.seed)]
+        return shlex.join(words + ([] if self.spheres is None else ["--spheres", str(self.spheres)]))
+
+    def evaluate(self, report: Report) -> None:
+        """Add the rows of the table to a report with episodes."""
+        report["scenes"] = summary(report["episodes"], self.values)
+
+
+def bench_setting(sweep: Sweep, running: Running) -> Report:
+    """Run episodes, print a table in Markdown and write JSON.
+
+    Raises
+    ------
+    SettingsError
+        As `Sweep`, or if the run to be resumed has other settings.
+    """
+    variants = sweep.variants
+    scenes = {scene.name: scene for scene in map(read_scene, sweep.scenes)}
+    description = {"command": sweep.command, "setting": sweep.name, "targets": sweep.targets}
+    setup = next(iter(variants.values()))
+    report = run_grid("setting", description, setup, scenes, sweep.cells, running, variants=variants)
+    sweep.evaluate(report)
+    finish(report, running.file)
+    print(setting_table(report))
     return report
 
 
-def _plot(report: dict[str, Any], file: Path) -> None:
-    """Draw settling time and peak force over the values, evenly spaced, one row of charts for each scene."""
-    figure = Figure((9.0, 1.0 + 2.6 * len(report["scenes"])), layout="constrained")
-    grid = figure.subplots(len(report["scenes"]), 2, squeeze=False)
-    for (scene, rows), line in zip(report["scenes"].items(), grid, strict=True):
-        for axes, figure_name, label in zip(
-            line, ("largest_force", "time_ratio"), ("peak force, N", "time to settle / limit"), strict=True
-        ):
-            for method, colour in zip(dict.fromkeys(row["method"] for row in rows), _COLOURS, strict=False):
-                own = [row for row in rows if row["method"] == method]
-                means = [row[figure_name]["mean"] for row in own]
-                bars = axes.errorbar(
-                    range(len(own)),
-                    means,
-                    [row[figure_name]["sd"] for row in own],
-                    color=colour,
-                    capsize=3,
-                    label=method,
-                )
-                bars[0].set_marker("o")
-                if figure_name == "time_ratio":
-                    continue
-                for place, row in enumerate(own):
-                    if row["reached"] < report["targets"]:
-                        text = f"{row['reached']}/{report['targets']}"
-                        axes.annotate(text, (place, means[place]), (4, 4), textcoords="offset points", color=colour)
-            axes.set(title=scene, xlabel=report["setting"], ylabel=label)
-            axes.set_xticks(range(len(own)), [f"{row['value']:g}" for row in own])
-            axes.set_ylim(bottom=0.0)
-            axes.grid(alpha=0.3)
-        line[0].legend()
-    FigureCanvasAgg(figure).print_png(file)
+def summary(episodes: Sequence[Record], values: Sequence[Any]) -> dict[str, list[dict[str, Any]]]:
+    """A row for each method and value that has episodes, by scene."""
+    own: dict[tuple[str, str, str], list[Record]] = {}
+    for entry in episodes:
+        own.setdefault((entry["scene"], entry["method"], entry["variant"]), []).append(entry)
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for scene, method in dict.fromkeys((scene, method) for scene, method, _ in own):
+        for value in values:
+            entries = own.get((scene, method, str(value)))
+            if entries:
+                rows.setdefault(scene, []).append({"method": method, "value": value, **_row(entries)})
+    return rows
 
 
-def _episode(target: int, scene: Scene, method: Method, options: EpisodeOptions) -> EpisodeResult:
-    """With random numbers of its own, as in Table I: episodes with the same ones would all be lucky, or none."""
-    solver_seed, noise_seed = episode_seeds(target, 0)
-    method.reseed(solver_seed)
-    return run_episode(scene, method, dataclasses.replace(options, noise_seed=noise_seed))
+def _row(entries: Sequence[Record]) -> dict[str, Any]:
+    def found(figure: str) -> dict[str, float]:
+        values = [entry[figure] for entry in entries if entry[figure] is not None]
+        if not values:
+            return {"mean": float("nan"), "sd": float("nan")}
+        return {"mean": float(np.mean(values)), "sd": float(np.std(values))}
+
+    return {
+        "targets": len(entries),
+        "reached": sum(entry["reached"] for entry in entries),
+        "time_ratio": found("time_ratio"),
+        "largest_force": found("max_contact_force"),
+        "mean_force": found("mean_contact_force")["mean"],
+        "over_budget_ms": 1e3 * found("over_budget")["mean"],
+    }
+
+
+def best(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """The value that presses least, of those that settle most often and are hardly slower than the fastest of them."""
+    most = max(row["reached"] / row["targets"] for row in rows)
+    surest = [row for row in rows if row["reached"] / row["targets"] == most and row["reached"]]
+    if not surest:
+        return None
+    fastest = min(row["time_ratio"]["mean"] for row in surest)
+    quick = [row for row in surest if row["time_ratio"]["mean"] <= _SLOWER * fastest]
+    return min(quick, key=lambda row: row["largest_force"]["mean"])["value"]
+
+
+def setting_table(report: Report) -> str:
+    """The rows, and each method's best value."""
+    name = report["setting"]
+    headings = ["scene", "method", name, "settled", "time / limit", "peak force, N", "mean force, N"]
+    lines, chosen = [], []
+    for scene, rows in report["scenes"].items():
+        for row in rows:
+            ratio, force = row["time_ratio"], row["largest_force"]
+            figures = [f"{row['reached']}/{row['targets']}", f"{ratio['mean']:.2f} ± {ratio['sd']:.2f}"]
+            figures += [f"{force['mean']:.1f} ± {force['sd']:.1f}", f"{row['mean_force']:.2f}"]
+            figures.append(f"{row['over_budget_ms']:.0f}")
+            lines.append([scene, row["method"], str(row["value"]), *figures])
+        for method in dict.fromkeys(row["method"] for row in rows):
+            value = best([row for row in rows if row["method"] == method])
+            chosen.append(f"{method} in {scene} {'never settles' if value is None else value}")
+    made = table([*headings, "over the budget, ms"], lines)
+    return f"{made}\n\nBest {name}: {', '.join(chosen)}."
 
 
 def _assignments(pairs: Sequence[str]) -> dict[str, Any]:
@@ -167,35 +177,12 @@ def _assignments(pairs: Sequence[str]) -> dict[str, Any]:
     return {name: yaml.safe_load(value) for name, _, value in split}
 
 
-def _variant(values: Mapping[str, Any]) -> tuple[PlanningSettings, EpisodeOptions]:
+def _setup(values: Mapping[str, Any], spheres: int | None) -> Setup:
     """Settings with these values, and without a deadline, so that results do not depend on the machine."""
-    planning = {"deadline": 0.0, **values}
-    options = EpisodeOptions(budget=load_budget(), until_settled=True)
+    planning, replanning = {"deadline": 0.0, **values}, ReplanningSettings()
     if LATENCY in planning:
         # As in Table I, the next plan is begun when the last one is ready.
         latency = float(planning.pop(LATENCY))
-        options = dataclasses.replace(options, latency=latency, period=latency)
-    return PlanningSettings.from_mapping(planning, "bench setting"), options
-
-
-def _summary(
-    settings: PlanningSettings, scenes: Sequence[Scene], results: Sequence[EpisodeResult], permitted: float
-) -> dict[str, Any]:
-    measured = [
-        measure(result, scene.target, settings, ImpedanceSettings(), permitted)
-        for scene, result in zip(scenes, results, strict=True)
-    ]
-    ratios = [metrics.time_ratio for metrics in measured if metrics.time_ratio is not None]
-    return {
-        "reached": len(ratios),
-        "time_ratio": _mean_and_deviation(ratios),
-        "largest_force": _mean_and_deviation([metrics.max_contact_force for metrics in measured]),
-        "mean_force": float(np.mean([result.contact_forces.mean() for result in results])),
-        "over_budget_ms": 1e3 * float(np.mean([metrics.over_budget for metrics in measured])),
-    }
-
-
-def _mean_and_deviation(values: Sequence[float]) -> dict[str, float]:
-    if not values:
-        return {"mean": float("nan"), "sd": float("nan")}
-    return {"mean": float(np.mean(values)), "sd": float(np.std(values))}
+        replanning = ReplanningSettings(period=latency, latency=latency)
+    settings = PlanningSettings.from_mapping(planning, "bench setting")
+    return Setup(planning=settings, budget=load_budget(), replanning=replanning, capacity=spheres)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.methods import METHODS
 from contact_reach_ros.experiments.claims import Results, claims
-from contact_reach_ros.experiments.grid import GOALS, Setup, cells
+from contact_reach_ros.experiments.grid import GOALS, Cell, Setup
 from contact_reach_ros.experiments.grid_run import Running, finish, run_grid
 from contact_reach_ros.experiments.output import Report, read_report
 from contact_reach_ros.experiments.table1_report import tables
@@ -73,6 +74,41 @@ class Table1:
         if self.latency is not None and not 0.001 <= self.latency <= 1.0:
             raise SettingsError(f"--latency {self.latency:g}: expected 0.001 to 1 s")
 
+    @property
+    def scene_files(self) -> dict[str, SceneFile]:
+        """Scenes by the names of their files; raises `SettingsError` if two files have one."""
+        scenes: dict[str, SceneFile] = {}
+        for name in self.scenes:
+            scene = read_scene(name)
+            if scene.name in scenes and scenes[scene.name] != scene:
+                raise SettingsError(f"--scenes: two files are named '{scene.name}'; rename one of them")
+            scenes[scene.name] = scene
+        return scenes
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All episodes, target by target, so that an unfinished run compares methods on the same targets."""
+        targets = range(self.seed, self.seed + self.targets)
+        every = itertools.product(targets, range(self.repeats), self.scene_files, self.goals, self.methods)
+        return [Cell(scene, goal, method, target, repeat) for target, repeat, scene, goal, method in every]
+
+    @property
+    def command(self) -> str:
+        """The command line of the run, without options that do not change its results."""
+        words = ["contact-reach", "bench", "table1", "--preset", self.preset]
+        for name in ("scenes", "goals", "methods"):
+            if getattr(self, name) != getattr(Table1, name):
+                words += [f"--{name}", *(Path(value).name for value in getattr(self, name))]
+        for name in ("arm", "task", "targets", "repeats", "seed", "timeout", "latency"):
+            value = getattr(self, name)
+            if value != getattr(Table1, name):
+                words += [f"--{name}", value if isinstance(value, str) else f"{value:g}"]
+        return shlex.join(words)
+
+    def evaluate(self, report: Report) -> None:
+        """Add the claims to a report with episodes."""
+        report["claims"] = claims(Results(report["episodes"]), list(self.scene_files), self.goals)
+
 
 def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) -> Report:
     """Run the episodes, print tables and claims in Markdown, and write JSON.
@@ -86,11 +122,9 @@ def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) ->
     """
     changes: dict[str, Any] = {} if bench.timeout is None else {"timeout": bench.timeout}
     setup = setup or Setup.of(bench.preset, load_budget(), bench.arm, bench.task, **changes)
-    scenes = _read_scenes(bench)
-    targets = range(bench.seed, bench.seed + bench.targets)
-    grid = cells(scenes, bench.goals, bench.methods, targets, range(bench.repeats))
+    scenes = bench.scene_files
     description = {
-        "command": command(bench),
+        "command": bench.command,
         "grid": {
             "scenes": list(scenes),
             "goals": list(bench.goals),
@@ -100,8 +134,8 @@ def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) ->
             "seed": bench.seed,
         },
     }
-    report = run_grid("table1", description, setup, scenes, grid, running, bench.latency)
-    report["claims"] = claims(Results(report["episodes"]), list(scenes), bench.goals)
+    report = run_grid("table1", description, setup, scenes, bench.cells, running, bench.latency)
+    bench.evaluate(report)
     finish(report, running.file)
     print(tables(report))
     return report
@@ -118,27 +152,3 @@ def report_table1(file: Path) -> Report:
     report = read_report(file, "table1")
     print(tables(report))
     return report
-
-
-def _read_scenes(bench: Table1) -> dict[str, SceneFile]:
-    scenes: dict[str, SceneFile] = {}
-    for name in bench.scenes:
-        scene = read_scene(name)
-        if scene.name in scenes and scenes[scene.name] != scene:
-            raise SettingsError(f"--scenes: two files are named '{scene.name}'; rename one of them")
-        scenes[scene.name] = scene
-    return scenes
-
-
-def command(bench: Table1) -> str:
-    """The command line of a run, without options that do not change its results."""
-    words = ["contact-reach", "bench", "table1", "--preset", bench.preset]
-    standard = Table1()
-    for name in ("scenes", "goals", "methods"):
-        if getattr(bench, name) != getattr(standard, name):
-            words += [f"--{name}", *(Path(value).name for value in getattr(bench, name))]
-    for name in ("arm", "task", "targets", "repeats", "seed", "timeout", "latency"):
-        value = getattr(bench, name)
-        if value != getattr(standard, name):
-            words += [f"--{name}", value if isinstance(value, str) else f"{value:g}"]
-    return shlex.join(words)

@@ -99,14 +99,13 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     )
     model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: names or files (default: free ball)")
     model.add_argument("--plans", type=int, help="with --against: plans per scene (default: 12)")
-    setting = add("setting", _plain("bench_setting"), "whole episodes for each value of one of the planner's settings")
+    setting = add("setting", _setting, "whole episodes for each value of one of the planner's settings")
     setting.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
     setting.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
     setting.add_argument("--scene", dest="scenes", nargs="+", help="names or YAML files (default: ball wall)")
     setting.add_argument("--methods", nargs="+", metavar="METHOD", help="as for table1 (default: contact_reach)")
     setting.add_argument("--targets", type=int, help="episodes per scene, method and value (default: 10)")
     setting.add_argument("--seed", type=int, help="of the first target (default: 0)")
-    setting.add_argument("--plot", type=Path, metavar="FILE", help="draw time and force over the values")
     setting.add_argument(
         "--with", dest="others", nargs="+", metavar="NAME=VALUE", help="other settings, the same for each value"
     )
@@ -150,28 +149,35 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     clutter.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
     clutter.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: seven)")
     clutter.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")
-    clutter.add_argument("--quick", action="store_true", help="few scenes and methods, in at most ten minutes")
     for grid in (table1, clutter):
         grid.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
+    for grid in (setting, table1, clutter):
         grid.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
         grid.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
-    for spread in (faults, stops, smoothness, table1, clutter):
+    floor = add("floor", _plain("bench_floor"), "the least force with which the arm can get through a scene")
+    floor.add_argument("--scene", help="a name or a YAML file (default: wall)")
+    floor.add_argument("--targets", type=int, help="how many (default: 5)")
+    floor.add_argument("--seed", type=int, help="of the first target (default: 20)")
+    page = add("page", _page, "all tables and figures of docs/results.md, in one run that can be interrupted")
+    page.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the runs; goes on with them")
+    page.add_argument("--parts", nargs="+", metavar="PART", help="only these, by the names that --dry-run lists")
+    page.add_argument("--quick", action="store_true", help="everything in small, in at most ten minutes")
+    page.add_argument("--dry-run", action="store_true", help="run nothing, list the parts and what they take")
+    page.add_argument("--report-only", action="store_true", help="run nothing, report what is there")
+    page.add_argument("--write", type=Path, metavar="FILE", help="replace tables in this page, and figures beside it")
+    for spread in (faults, stops, smoothness, setting, table1, clutter, floor, page):
         spread.add_argument(
             "--workers", type=int, metavar="W", help="processes on this machine (default: one per core)"
         )
         spread.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run it instead")
-    fig4 = add("fig4", _fig4, "the paper's Fig. 4: where the arm goes with each method, as a picture")
-    fig4.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
     fig5 = add("fig5", _fig5, "the paper's Fig. 5: contact force over time, with pictures of the arm")
     fig5.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
-    for figure, methods, output in (
-        (fig4, "contact_reach reference_posture rrt_star", "docs/fig4.png"),
-        (fig5, "contact_reach reference_posture", "docs/fig5.png"),
-    ):
-        figure.add_argument("--methods", nargs="+", metavar="METHOD", help=f"as for table1 (default: {methods})")
-        figure.add_argument("--seed", type=int, help="of the target and what stands around (default: 0)")
-        figure.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
-        figure.add_argument("--output", type=Path, help=f"the picture (default: {output})")
+    fig5.add_argument(
+        "--methods", nargs="+", metavar="METHOD", help="as for table1 (default: contact_reach reference_posture)"
+    )
+    fig5.add_argument("--seed", type=int, help="of the target and what stands around (default: 0)")
+    fig5.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
+    fig5.add_argument("--output", type=Path, help="the picture (default: docs/fig5.png)")
     solver = add("solver", _plain("bench_solver"), "Algorithm 1 against plain CMA-ES and many gradient steps")
     solver.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
     solver.add_argument("--seeds", type=int, help="states to start from (default: 20)")
@@ -247,14 +253,31 @@ def _table1(report_only: bool = False, beside: Sequence[Path] = (), plot: Path |
         plot_table1([report, *(read_report(file, "table1") for file in beside)], plot)
 
 
-def _clutter(quick: bool = False, plot: Path | None = None, **options: Any) -> None:
-    from contact_reach_ros.experiments.bench_clutter import QUICK, Clutter, bench_clutter
+def _clutter(plot: Path | None = None, **options: Any) -> None:
+    from contact_reach_ros.experiments.bench_clutter import Clutter, bench_clutter
     from contact_reach_ros.experiments.pictures import plot_clutter
 
     running, options = _running(options)
-    report = bench_clutter(Clutter(**{**(QUICK if quick else {}), **_tuples(options)}), running)
+    report = bench_clutter(Clutter(**_tuples(options)), running)
     if plot is not None:
         plot_clutter(report, plot)
+
+
+def _setting(others: Sequence[str] = (), scenes: Sequence[str] = (), plot: Path | None = None, **options: Any) -> None:
+    from contact_reach_ros.experiments.bench_setting import Sweep, bench_setting
+    from contact_reach_ros.experiments.pictures import plot_setting
+
+    running, options = _running(options)
+    given = {name: value for name, value in (("others", others), ("scenes", scenes)) if value}
+    report = bench_setting(Sweep(**_tuples({**options, **given})), running)
+    if plot is not None:
+        plot_setting(report, plot)
+
+
+def _page(parts: Sequence[str] = (), **options: Any) -> None:
+    from contact_reach_ros.experiments.bench_page import bench_page
+
+    bench_page(parts=parts, **options)
 
 
 def _running(options: dict[str, Any]) -> tuple[Running, dict[str, Any]]:
@@ -265,12 +288,6 @@ def _running(options: dict[str, Any]) -> tuple[Running, dict[str, Any]]:
     return Running(**{name: options[name] for name in own if name in options}), {
         name: value for name, value in options.items() if name not in own
     }
-
-
-def _fig4(output: Path = Path("docs/fig4.png"), file: Path | None = None, **options: Any) -> None:
-    from contact_reach_ros.experiments.bench_fig4 import Fig4, bench_fig4
-
-    bench_fig4(Fig4(**_tuples(options)), output, file)
 
 
 def _fig5(output: Path = Path("docs/fig5.png"), file: Path | None = None, **options: Any) -> None:

@@ -19,6 +19,7 @@ from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
@@ -43,6 +44,9 @@ from contact_reach_ros.world.task import FREE, HOLD, REST_SPEED, Goal
 
 SETTLE_TIME = 0.2
 """Time for which the tip has to stay near the goal, no faster than `REST_SPEED`, to have settled, s."""
+
+STILL = 0.05
+"""rad: an arm none of whose joints has covered more in all of `EpisodeOptions.patience` is going nowhere."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,9 @@ class EpisodeOptions:
         Time to go on after the goal was reached or the arm was stopped, s.
     until_settled
         Whether a goal counts as reached only when the tip has stayed there, at rest, for `SETTLE_TIME`.
+    patience
+        Time after which an arm that has stayed where it is, within `STILL`, is lost and the episode ends, s; 0 for
+        never.
     faults
         What goes wrong, counted from the moment the goal is given.
     watchdog
@@ -87,8 +94,10 @@ class EpisodeOptions:
     noise_seed: int | None = None
     linger: float = 0.0
     until_settled: bool = False
+    patience: float = 0.0
     faults: Schedule = ()
     budget: ContactBudget = field(default_factory=ContactBudget)
+    observer: ObserverSettings = field(default_factory=ObserverSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     joints: JointSettings = field(default_factory=JointSettings)
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
@@ -132,6 +141,7 @@ class _EpisodeStack(Stack):
             scene,
             replanning=options.replanning,
             controller=method.controller(scene.arm, method.settings, period),
+            observer=options.observer,
             unexpected_contact=options.unexpected_contact,
             budget=options.budget,
             planner=method.planner,
@@ -207,10 +217,15 @@ def run_episode(
     stack = _EpisodeStack(scene, method, options)
     plant = stack.simulated.plant
     settle_ticks, linger_ticks = round(options.settle / TICK), round(options.linger / TICK)
-    positions, joints, forces, residuals, distances, plans = [], [], [], [], [], []
+    joints: list[Array] = []
+    positions, forces, residuals, distances, plans = [], [], [], [], []
     start_position = plant.tip_position
     duration, settled, at_rest, has_goal, has_ended = float("nan"), float("nan"), 0, False, False
     end_tick = settle_ticks + round(options.timeout / TICK)
+
+    def is_lost() -> bool:
+        ticks = round(options.patience / TICK)
+        return 0 < ticks <= len(joints) and not len(joints) % 500 and float(np.ptp(joints[-ticks:], 0).max()) < STILL
 
     def after_tick() -> None:
         nonlocal duration, settled, at_rest, has_ended, end_tick
@@ -231,7 +246,7 @@ def run_episode(
                 if at_rest == round(SETTLE_TIME / TICK) and not np.isfinite(settled) and not stack.stop_reason:
                     settled = len(positions) * TICK
         done = settled if options.until_settled else duration
-        if not has_ended and (np.isfinite(done) or stack.stop_reason):
+        if not has_ended and (np.isfinite(done) or stack.stop_reason or is_lost()):
             has_ended, end_tick = True, plant.steps + linger_ticks
 
     stack.simulated.after_tick = after_tick

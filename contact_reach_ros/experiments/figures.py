@@ -1,4 +1,4 @@
-"""Common parts of the paper's figures: episodes with what pictures need of them, options, files."""
+"""What the paper's figure needs beside its drawing: episodes with what pictures need of them, options, files."""
 
 from __future__ import annotations
 
@@ -76,11 +76,6 @@ class WatchedEpisode:
     result: EpisodeResult
     obstacles: Array
     contacts: list[Contacts]
-
-    @property
-    def last_obstacles(self) -> Array:
-        """(K, 3) where the obstacles are at the end, m."""
-        return self.obstacles[-1] if len(self.obstacles) else rest_positions(self.scene)
 
     @property
     def peak_force(self) -> float:

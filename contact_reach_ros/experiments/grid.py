@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 import threading
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,9 +18,11 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.methods import PATH_METHODS, PLANLESS, make_method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.experiments.identified import identified, of_arm
 from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
 from contact_reach_ros.experiments.paper import JOINT_TORQUE
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
@@ -40,6 +40,9 @@ Record = dict[str, Any]
 
 PATH_PATIENCE = 4
 """Factor on the time limit of methods that follow a path: it may be long, but it ends at the goal."""
+
+PATIENCE = 5.0
+"""s: an arm whose joints have stayed where they are for so long is lost, and its episode over."""
 
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
 
@@ -70,13 +73,16 @@ class Cell:
         Seed of the scene: its target and where its obstacles are.
     repeat
         Seeds solver and sensor noise together with the target; the scene does not depend on it.
+    variant
+        Name of its setup, in runs that compare several.
     """
 
     scene: str
     goal: str
     method: str
     target: int
-    repeat: int
+    repeat: int = 0
+    variant: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,8 +99,9 @@ class Setup:
     budget: ContactBudget = field(default_factory=ContactBudget)
     replanning: ReplanningSettings | None = None
     """Of methods whose plans take time; None to begin each plan when the last one takes effect."""
-    capacity: int = 0
-    """Least number of spheres that planners take, so that scenes with different numbers share a program."""
+    capacity: int | None = None
+    """Number of spheres that planners take, so that scenes with different numbers share a program; by default the
+    scene's."""
     timeout: float = 20.0
     """Time to reach the goal, s, for methods that follow no path."""
 
@@ -130,6 +137,7 @@ class Setup:
             timeout=self.timeout * (PATH_PATIENCE if method in PATH_METHODS else 1),
             hold_orientation=goal == "hold",
             until_settled=True,
+            patience=PATIENCE,
             budget=self.budget,
             noise_seed=noise_seed,
             # Nothing but the plan keeps torques that are applied as they are from moving the arm too fast.
@@ -148,13 +156,6 @@ class EpisodeTask:
     setup: Setup
 
 
-def cells(
-    scenes: Iterable[str], goals: Iterable[str], methods: Iterable[str], targets: Iterable[int], repeats: Iterable[int]
-) -> list[Cell]:
-    """All combinations."""
-    return [Cell(*values) for values in itertools.product(scenes, goals, methods, targets, repeats)]
-
-
 def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
     """Seeds of solver and sensor noise, the same for every scene, goal and method."""
     solver, noise = np.random.SeedSequence((target, repeat)).generate_state(2)
@@ -163,23 +164,27 @@ def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
 
 def run_cell(task: EpisodeTask) -> Record:
     """Run an episode; one that cannot run is recorded as failed, with the reason."""
-    begin = time.perf_counter()
     try:
         with episode_lock:
-            scene = concrete_scene(task.scene, load_arm(task.setup.arm), task.cell.target)
+            arm = load_arm(task.setup.arm)
+            scene = concrete_scene(task.scene, arm, task.cell.target)
             method = prepared(task.cell.method, task.scene, task.setup)
             solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
             method.reseed(solver_seed)
-            result = run_episode(
-                scene, method, task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
-            )
+            options = task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
+            momentum = identified(arm, of_arm(scene.mismatch))
+            options = dataclasses.replace(options, observer=ObserverSettings(momentum=momentum))
+            wall, cpu = time.perf_counter(), time.process_time()
+            result = run_episode(scene, method, options)
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     except ContactReachError as error:
         return failed(task.cell, reason(error))
     gains, permitted_force = task.setup.controller.impedance, task.setup.budget.permitted_force
     metrics = measure(result, scene.target, task.setup.planning, gains, permitted_force)
     times = [plan.solve_s for plan in result.plans]
     timing = {
-        "wall_s": time.perf_counter() - begin,
+        "wall_s": wall,
+        "cpu_s": cpu,
         "first_plan_s": times[0] if times else None,
         "plan_s": float(np.median(times)) if times else None,
     }
@@ -200,7 +205,7 @@ def failed(cell: Cell, message: str) -> Record:
 
 def cell_of(record: Record) -> Cell:
     """The cell of a record."""
-    return Cell(*(record[field.name] for field in dataclasses.fields(Cell)))
+    return Cell(*(record.get(field.name, field.default) for field in dataclasses.fields(Cell)))
 
 
 @functools.lru_cache(maxsize=16)
@@ -214,7 +219,7 @@ def prepared(method: str, file: SceneFile, setup: Setup) -> Method:
     return _prepared(
         load_arm(setup.arm),
         method,
-        max(sphere_capacity(file), setup.capacity),
+        sphere_capacity(file) if setup.capacity is None else setup.capacity,
         setup.budget.permitted_force,
         setup.planning,
         setup.controller,

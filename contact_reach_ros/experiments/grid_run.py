@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,12 +50,15 @@ class Running:
         Processes on this machine; one per core if None.
     scheduler
         Address of a Dask scheduler whose workers run the episodes instead.
+    client
+        Workers that are there already, with the programs that they have compiled.
     """
 
     file: Path | None = None
     resume: bool = False
     workers: int | None = None
     scheduler: str | None = None
+    client: Client | None = None
 
     def __post_init__(self) -> None:
         if self.resume and self.file is None:
@@ -71,6 +75,7 @@ def run_grid(
     grid: Sequence[Cell],
     running: Running,
     latency: float | None = None,
+    variants: Mapping[str, Setup] | None = None,
 ) -> Report:
     """Run the cells that are not done; returns a report with settings and all episodes, without writing it.
 
@@ -80,6 +85,8 @@ def run_grid(
         Name of the bench, and what else its report says about the run.
     latency
         Of all plans, s, instead of the setup's.
+    variants
+        Setups of the cells that name one of them; the others have `setup`.
 
     Raises
     ------
@@ -88,8 +95,8 @@ def run_grid(
     SceneError
         If a scene cannot be made.
     """
-    file = running.file
-    header = _header(bench, description, setup, scenes, latency)
+    file, variants = running.file, variants or {}
+    header = _header(bench, description, setup, scenes, latency, variants)
     done = _earlier(bench, file, header) if file is not None and running.resume else {}
     if file is not None and not running.resume and partial_of(file).exists():
         raise SettingsError(
@@ -112,8 +119,12 @@ def run_grid(
 
     if todo:
         partial = None if file is None else partial_of(file)
-        tasks = [EpisodeTask(cell, scenes[cell.scene], latency or setup.latency(cell.method), setup) for cell in todo]
-        with workers(running.workers, running.scheduler) as client:
+        tasks = []
+        for cell in todo:
+            each = variants.get(cell.variant, setup)
+            tasks.append(EpisodeTask(cell, scenes[cell.scene], latency or each.latency(cell.method), each))
+        own = nullcontext(running.client) if running.client else workers(running.workers, running.scheduler)
+        with own as client:
             write_report(report(), partial)
             try:
                 for _ in _run(client, tasks, done):
@@ -140,7 +151,12 @@ def partial_of(file: Path) -> Path:
 
 
 def _header(
-    bench: str, description: Report, setup: Setup, scenes: Mapping[str, SceneFile], latency: float | None
+    bench: str,
+    description: Report,
+    setup: Setup,
+    scenes: Mapping[str, SceneFile],
+    latency: float | None,
+    variants: Mapping[str, Setup],
 ) -> Report:
     """Everything known before the run, in the types that JSON returns."""
     options = setup.options(paper.METHOD, GOALS[0], latency=0.1)
@@ -155,6 +171,7 @@ def _header(
             "sensors": dataclasses.asdict(options.sensors),
             "joints": dataclasses.asdict(options.joints),
             "scenes": {name: dataclasses.asdict(scene) for name, scene in scenes.items()},
+            "variants": {name: dataclasses.asdict(each) for name, each in variants.items()},
         },
         "machine": machine(),
     }
@@ -202,7 +219,8 @@ def _run(client: Client, tasks: list[EpisodeTask], done: dict[Cell, Record]) -> 
 
 def _line(record: Record) -> str:
     cell = cell_of(record)
-    start = f"{cell.scene}, {cell.goal}, {cell.method}, target {cell.target}, repeat {cell.repeat}:"
+    parts = (cell.variant, cell.scene, cell.goal, cell.method, f"target {cell.target}, repeat {cell.repeat}:")
+    start = ", ".join(part for part in parts if part)
     if record["reached"]:
         return f"{start} {record['time']:.2f} s, {record['max_contact_force']:.2f} N"
     return f"{start} not reached, {record['stop_reason'] or record['failure'] or 'out of time'}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
@@ -17,15 +18,34 @@ from contact_reach_ros.identification.identify import BOTH, LINKS, TOOL, Identif
 from contact_reach_ros.identification.output import describe
 from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
 from contact_reach_ros.simulation.plant import TICK
-from contact_reach_ros.world.scene import MismatchSettings
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
 PUSH = 50.0
 """N, on links at mid-arm."""
 RECORDED_S = 90.0
 _SEEDS = (10_001, 10_002, 10_003)
 """Of the recorded motions: none that free motion is measured with."""
+
+
+def of_arm(mismatch: MismatchSettings) -> MismatchSettings:
+    """The part of a mismatch that is the arm's own, without that of obstacles."""
+    foam = {name: getattr(NO_MISMATCH, name) for name in ("foam_variation", "foam_factor", "placement_error")}
+    return dataclasses.replace(mismatch, **foam)
+
+
+@functools.lru_cache(maxsize=4)
+def identified(arm: Arm, mismatch: MismatchSettings) -> MomentumSettings:
+    """The observer's settings after `contact-reach identify` on an arm that differs from its model.
+
+    What it then sees of external torque is contact, and what no identification finds. An arm as in its model keeps the
+    defaults.
+    """
+    if mismatch == NO_MISMATCH:
+        return MomentumSettings()
+    motion = record(arm, mismatch, _SEEDS[0])
+    return identify(arm, NO_TOOL, ObserverSettings(), ContactBudget().resolve(arm), [motion], LINKS).momentum
 
 
 def compare(

@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from contact_reach_ros.drawing.palette import BLUE
+from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.claims import Results
 from contact_reach_ros.experiments.output import Report
 from contact_reach_ros.experiments.statistics import Estimate, estimate
 
 _OURS, _OTHER = BLUE, "#aaaaaa"
+_COLOURS = (BLUE, VERMILION, GREEN, ORANGE)
 
 
 def plot_clutter(report: Report, file: Path) -> None:
@@ -62,6 +63,32 @@ def plot_table1(reports: Sequence[Report], file: Path) -> None:
             axes.set_xlim(left=0.0)
         line[0].set_yticks(range(len(names)), names, fontsize=7)
         line[1].set_yticks(range(len(names)), [""] * len(names))
+    FigureCanvasAgg(figure).print_png(file)
+
+
+def plot_setting(report: Report, file: Path) -> None:
+    """Draw peak force and settling time over the values, evenly spaced, one row of charts for each scene."""
+    figure = Figure((9.0, 1.0 + 2.6 * len(report["scenes"])), layout="constrained")
+    grid = figure.subplots(len(report["scenes"]), 2, squeeze=False)
+    for (scene, rows), line in zip(report["scenes"].items(), grid, strict=True):
+        values = [f"{value:g}" for value in dict.fromkeys(row["value"] for row in rows)]
+        for axes, name, label in zip(
+            line, ("largest_force", "time_ratio"), ("peak force, N", "time to settle / limit"), strict=True
+        ):
+            for method, colour in zip(dict.fromkeys(row["method"] for row in rows), _COLOURS, strict=False):
+                own = [row for row in rows if row["method"] == method]
+                places = [values.index(f"{row['value']:g}") for row in own]
+                means, spreads = ([row[name][key] for row in own] for key in ("mean", "sd"))
+                axes.errorbar(places, means, spreads, color=colour, capsize=3, label=method, marker="o")
+                for place, mean, row in zip(places, means, own, strict=True):
+                    if name == "largest_force" and row["reached"] < row["targets"]:
+                        text = f"{row['reached']}/{row['targets']}"
+                        axes.annotate(text, (place, mean), (4, 4), textcoords="offset points", color=colour)
+            axes.set(title=scene, xlabel=report["setting"], ylabel=label)
+            axes.set_xticks(range(len(values)), values)
+            axes.set_ylim(bottom=0.0)
+            axes.grid(alpha=0.3)
+        line[0].legend()
     FigureCanvasAgg(figure).print_png(file)
 
 

@@ -51,11 +51,9 @@ def test_plans_come_from_a_closed_loop_that_the_planner_can_predict(measured):
 
 
 def test_torques_and_references_are_planned_in_closed_loops(measured):
-    planning = measured["free"]["torque_planning"]
-    assert planning["references"]["plans"] > 3
-    assert planning["torques"]["plans"] > 3
-    ratio = planning["torques"]["cpu_median_s"] / planning["references"]["cpu_median_s"]
-    assert measured["free"]["torque_planning_ratio"] == pytest.approx(ratio)
+    references, torques = (measured["free"]["torque_planning"][name]["plan_s"] for name in ("references", "torques"))
+    assert measured["free"]["torque_planning_ratio"] == pytest.approx(torques / references)
+    assert references > 0.0
 
 
 def test_unknown_scene_is_refused(capsys):

@@ -1,14 +1,11 @@
 """Episodes for each value of a setting."""
 
-import dataclasses
 import json
 
 import pytest
 from contact_reach_command import contact_reach
 
-from contact_reach_ros.experiments import bench_setting
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.grid import episode_seeds
+from contact_reach_ros.experiments.bench_setting import Sweep, best
 
 
 def run(*arguments: str) -> int:
@@ -28,23 +25,29 @@ def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
     assert "| free | contact_reach | 0.04 | 1/1 |" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(monkeypatch):
-    seeds: list[tuple[int, int | None]] = []
-    episode = bench_setting.run_episode
+def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value():
+    sweep = Sweep("latency", (0.04, 0.1), ("free",), targets=2)
+    cells = sweep.cells
+    assert [(cell.target, cell.repeat, cell.variant) for cell in cells] == [
+        (0, 0, "0.04"), (0, 0, "0.1"), (1, 0, "0.04"), (1, 0, "0.1"),
+    ]  # fmt: skip
+    assert [setup.latency("contact_reach") for setup in sweep.variants.values()] == [0.04, 0.1]
 
-    def reseed(method, seed):
-        seeds.append((seed, None))
-        method.planner.reseed(seed)
 
-    def run_episode(scene, method, options):
-        seeds[-1] = (seeds[-1][0], options.noise_seed)
-        return episode(scene, method, dataclasses.replace(options, timeout=0.1))
+def row(value, reached, ratio, force):
+    return {
+        "value": value,
+        "targets": 4,
+        "reached": reached,
+        "time_ratio": {"mean": ratio},
+        "largest_force": {"mean": force},
+    }
 
-    monkeypatch.setattr(Method, "reseed", reseed)
-    monkeypatch.setattr(bench_setting, "run_episode", run_episode)
-    assert run("latency", "0.04", "0.1", "--scene", "free", "--targets", "2") == 0
-    assert seeds[:2] == seeds[2:] == [episode_seeds(0, 0), episode_seeds(1, 0)]
+
+def test_the_best_value_presses_least_among_those_that_are_sure_and_quick():
+    rows = [row(0, 4, 1.1, 8.0), row(0.01, 4, 1.2, 1.2), row(0.05, 4, 1.9, 1.0), row(5, 0, float("nan"), 0.0)]
+    assert best(rows) == 0.01
+    assert best(rows[3:]) is None
 
 
 @pytest.mark.parametrize(

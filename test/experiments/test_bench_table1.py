@@ -16,7 +16,7 @@ from test_grid import TINY, figures
 from test_workers import ended
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1, command
+from contact_reach_ros.experiments.bench_table1 import Table1, bench_table1
 from contact_reach_ros.experiments.grid_run import Running, partial_of
 from contact_reach_ros.experiments.output import read_report
 
@@ -127,11 +127,11 @@ def test_tables_are_printed_from_the_file_alone(finished, capsys):
 
 
 def test_the_command_is_what_made_the_page():
-    assert command(BENCH).startswith(
+    assert BENCH.command.startswith(
         "contact-reach bench table1 --preset shipped --scenes free --goals hold --methods cma_es --targets 2"
     )
-    assert "--scenes" not in command(Table1())
-    assert os.sep + "tmp" not in command(Table1(scenes=("/tmp/own.yaml",)))
+    assert "--scenes" not in Table1().command
+    assert os.sep + "tmp" not in Table1(scenes=("/tmp/own.yaml",)).command
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,23 @@ def test_an_episode_until_rest_goes_on_until_the_tip_has_stayed_there_slowly():
     assert before > 0.01 or np.linalg.norm(resting.positions[-202] - scene.target) > 0.02
 
 
+def test_an_arm_that_stays_where_it_is_is_lost_and_one_that_moves_is_not():
+    scene = make_scene(read_scene("free"), ARM, 1)
+
+    def ticks(patience, goes):
+        planner = StraightPlanner(scene)
+        if not goes:
+            planner.path = planner.path[:1]
+        # Nothing is near enough to be a goal that is reached.
+        options = EpisodeOptions(settle=0.6, timeout=2.5, success=1e-6, patience=patience)
+        result = run_episode(scene, Method(planner, ControllerSettings()), options)
+        assert not result.reached
+        return len(result.positions)
+
+    assert ticks(0.5, goes=False) == pytest.approx(500, abs=2)
+    assert ticks(0.5, goes=True) == ticks(0.0, goes=False) == 2500
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("patience", [0.0, 0.5])
 def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):

@@ -12,14 +12,12 @@ from test_episode import StraightPlanner
 from test_grid import TINY
 
 from contact_reach_ros.drawing.offscreen import find_backend
-from contact_reach_ros.errors import RenderingError, SettingsError
+from contact_reach_ros.errors import RenderingError
 from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.methods import PATH_METHODS
-from contact_reach_ros.experiments.bench_fig4 import Fig4, bench_fig4
 from contact_reach_ros.experiments.bench_fig5 import TOUCHED, Fig5, bench_fig5
 from contact_reach_ros.experiments.episode import run_episode
 from contact_reach_ros.experiments.figures import watch_episode
-from contact_reach_ros.experiments.grid import concrete_scene, prepared
+from contact_reach_ros.experiments.grid import concrete_scene
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
@@ -39,16 +37,14 @@ class Straight(StraightPlanner):
         pass
 
 
-def straight_or_collision_free(method, file, setup):
-    if method in PATH_METHODS:
-        return prepared(method, file, setup)
+def straight(method, file, setup):
     return Method(Straight(concrete_scene(file, ARM, 0)), setup.controller)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def planners():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("contact_reach_ros.experiments.figures.prepared", straight_or_collision_free)
+        patch.setattr("contact_reach_ros.experiments.figures.prepared", straight)
         yield
 
 
@@ -89,7 +85,7 @@ def test_a_watched_episode_is_the_same_and_aligned():
         np.add.at(sums, contacts.links, contacts.forces)
         np.testing.assert_allclose(np.linalg.norm(sums, axis=1), alone.link_forces[tick], rtol=0, atol=1e-9)
     assert watched.peak_force == alone.contact_forces.max() > 0.5
-    moved = np.linalg.norm(watched.last_obstacles - rest_positions(scene), axis=1)
+    moved = np.linalg.norm(watched.obstacles[-1] - rest_positions(scene), axis=1)
     assert moved.max() > 0.01
 
 
@@ -119,27 +115,6 @@ def test_files_of_fig5_hold_what_is_returned(fig5):
     assert is_small_and_wide(picture)
 
 
-def test_fig4_names_the_method_that_finds_no_path(renderer, tmp_path, capsys):
-    picture, file = tmp_path / "fig4.png", tmp_path / "fig4.json"
-    bench = Fig4(methods=("reference_posture", "rrt_star"), scenes=("free", "wall"), latency=LATENCY)
-    short = dataclasses.replace(SETUP, timeout=1.5)
-    report = bench_fig4(bench, picture, file, short)
-    assert json.loads(file.read_text())["episodes"] == report["episodes"]
-    assert is_small_and_wide(picture)
-    wall = report["episodes"]["wall"]["rrt_star"]
-    assert not wall["reached"]
-    assert "no collision-free" in wall["failure"]
-    # It has longer than the others.
-    free = report["episodes"]["free"]["rrt_star"]
-    assert free["reached"] and short.timeout < free["time"]
-    printed = capsys.readouterr()
-    assert "| wall | rrt_star | no path found |" in printed.out
-    assert f"| free | rrt_star | {free['time']:.2f} s, 0.0 N |" in printed.out
-    assert report["renderer"] == renderer
-    assert f"pictures by {renderer}" in printed.err
-
-
-@pytest.mark.parametrize("figure", ["fig4", "fig5"])
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -150,18 +125,12 @@ def test_fig4_names_the_method_that_finds_no_path(renderer, tmp_path, capsys):
         (["--latency", "0"], "--latency 0: expected 0.001 to 1 s"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(figure, arguments, message, capsys):
-    assert contact_reach("bench", figure, *arguments) == 2
+def test_what_cannot_be_drawn_is_refused(arguments, message, capsys):
+    assert contact_reach("bench", "fig5", *arguments) == 2
     assert message in capsys.readouterr().err
-
-
-def test_scenes_are_checked(tmp_path):
-    with pytest.raises(SettingsError, match="--scenes free free: expected different names"):
-        bench_fig4(Fig4(scenes=("free", "free")), tmp_path / "fig4.png", None, SETUP)
 
 
 def test_a_picture_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
-    bench = Fig4(methods=("rrt_star",), scenes=("wall",), latency=LATENCY)
-    with pytest.raises(RenderingError, match=r"fig4\.png: cannot be written"):
-        bench_fig4(bench, tmp_path / "file" / "fig4.png", None, SETUP)
+    with pytest.raises(RenderingError, match=r"fig5\.png: cannot be written"):
+        bench_fig5(Fig5(methods=METHODS[:1], latency=LATENCY), tmp_path / "file" / "fig5.png", None, SETUP)

@@ -1,20 +1,20 @@
 """Episodes of the grid: the same wherever and in whatever order they are run."""
 
 import dataclasses
+import itertools
 
 import pytest
 
 from contact_reach_ros.experiments import grid
 from contact_reach_ros.experiments.grid import (
     DEADLINE_STEPS,
+    Cell,
     EpisodeTask,
     Setup,
     cell_of,
-    cells,
     episode_seeds,
     run_cell,
 )
-from contact_reach_ros.experiments.latency import MIN_LATENCY, LatencyTask, measure_latency, rounded_up
 from contact_reach_ros.experiments.workers import local_workers, run_all
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -30,8 +30,8 @@ TINY = Setup(
 
 def tasks(method="cma_es", targets=1, repeats=2, setup=TINY):
     scene = read_scene("free")
-    every = cells(["free"], ["hold", "free"], [method], range(targets), range(repeats))
-    return [EpisodeTask(cell, scene, 0.05, setup) for cell in every]
+    every = itertools.product(["hold", "free"], range(targets), range(repeats))
+    return [EpisodeTask(Cell("free", goal, method, *seeds), scene, 0.05, setup) for goal, *seeds in every]
 
 
 def figures(record):
@@ -85,18 +85,6 @@ def test_a_method_is_prepared_once(here, monkeypatch):
 
     monkeypatch.setattr(grid, "make_method", again)
     assert [figures(run_cell(task)) for task in tasks()[:1]] == [figures(here[0])]
-
-
-def test_latency_is_the_median_of_plans_in_whole_ticks(here):
-    found = measure_latency(LatencyTask(read_scene("free"), "cma_es", 0, TINY))
-    assert found["plans"] > 3
-    assert found["cpu_median_s"] > 0.0
-    assert found["latency_s"] >= MIN_LATENCY
-    assert found["latency_s"] >= min(found["median_s"], found["cpu_median_s"])
-
-
-def test_latencies_are_rounded_up_to_ticks():
-    assert [rounded_up(seconds) for seconds in (0.0, 0.0301, 0.03, 0.6)] == [0.01, 0.031, 0.03, 0.6]
 
 
 def test_a_preset_is_run_without_the_wall_clock_and_with_the_time_of_its_plans():
