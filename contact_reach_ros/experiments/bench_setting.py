@@ -14,7 +14,7 @@ import yaml
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
 from contact_reach_ros.errors import SettingsError
@@ -50,6 +50,7 @@ def bench_setting(
     seed: int = 0,
     others: Sequence[str] = (),
     spheres: int | None = None,
+    arm: str = DEFAULT_ARM,
     file: Path | None = None,
     plot: Path | None = None,
 ) -> dict[str, Any]:
@@ -71,6 +72,8 @@ def bench_setting(
         Other settings, as in population=32; the same for each value.
     spheres
         Number of spheres that plans take into account; by default that of the scene.
+    arm
+        Name of an arm, or path of its file.
     plot
         Picture of time and peak force over the values.
 
@@ -80,17 +83,23 @@ def bench_setting(
         If the setting is unknown or a value is out of range.
     """
     variants = [_variant({**_assignments(others), name: value}) for value in values]
-    arm, permitted = load_arm(), load_budget().permitted_force
-    report: dict[str, Any] = {"setting": name, "targets": targets, "machine": machine(), "scenes": {}}
+    moved, permitted = load_arm(arm), load_budget().permitted_force
+    report: dict[str, Any] = {
+        "setting": name,
+        "arm": moved.name,
+        "targets": targets,
+        "machine": machine(),
+        "scenes": {},
+    }
     print(f"| scene | method | {name} | settled | time / limit | peak force, N | mean force, N | over the budget, ms |")
     print("|---|---|---|---|---|---|---|---|", flush=True)
     for scene_name in scenes:
         scene_file = read_scene(scene_name)
-        concrete = {target: make_scene(scene_file, arm, target) for target in range(seed, seed + targets)}
+        concrete = {target: make_scene(scene_file, moved, target) for target in range(seed, seed + targets)}
         rows = report["scenes"][scene_file.name] = []
         for method_name, (value, (settings, options)) in product(methods, zip(values, variants, strict=True)):
             capacity = sphere_capacity(scene_file) if spheres is None else spheres
-            method = make_method(arm, method_name, capacity, permitted, 0, settings)
+            method = make_method(moved, method_name, capacity, permitted, 0, settings)
             method.warm_up(say)
             begin = time.perf_counter()
             results = [_episode(target, scene, method, options) for target, scene in concrete.items()]

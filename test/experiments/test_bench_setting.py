@@ -55,6 +55,7 @@ def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value(m
         (["max_steps", "many"], "max_steps"),
         (["max_steps", "1", "--with", "population"], "expected NAME=VALUE"),
         (["max_steps", "1", "--with", "populatoin=3"], "populatoin"),
+        (["max_steps", "1", "--arm", "kuka"], "kuka"),
     ],
 )
 def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):
