@@ -96,7 +96,8 @@ def bench_smoothness(
 ) -> Report:
     """Reach the goals of `seeds` seeds from `seed` on, with each ramp of the references, s, and print a table.
 
-    `arm`: its name, or the path of its file. `workers`: processes on this machine, by default one per core; or `scheduler`: the address of a Dask scheduler.
+    `arm`: its name, or the path of its file. `workers`: processes on this machine, by default one per core; or
+    `scheduler`: the address of a Dask scheduler.
 
     Raises
     ------
