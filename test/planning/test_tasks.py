@@ -17,13 +17,16 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames, tip_positions
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.action_space import ReferenceSpace
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.terms import term_weights
-from contact_reach_ros.stack import make_planner
+from contact_reach_ros.stack import Stack, make_planner
+from contact_reach_ros.world.generate import load_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 from contact_reach_ros.world.task import Goal
@@ -130,3 +133,16 @@ def test_a_task_of_position_and_axis_plans_for_the_axis_alone(arm):
         assert away < (0.2 if name == "across" else 0.01)
     assert costs["about"] == pytest.approx(costs["none"], abs=1e-4)
     assert costs["across"] > 0.01
+
+
+@pytest.mark.slow
+def test_a_goal_settles_with_its_axis_and_the_tip_turns_about_it():
+    scene = load_scene("free", arm=load_arm("ur10"), seed=1)
+    gains = ImpedanceSettings(task=AXIS.task)
+    stack = Stack(scene, planning=SMALL, controller=ControllerSettings(impedance=gains))
+    start = link_frames(scene.arm, scene.start)[0][-1]
+    result = stack.run(Goal(scene.target), until_settled=True)
+    assert result.settled
+    rotation = link_frames(scene.arm, stack.state.q)[0][-1]
+    assert np.linalg.norm(rotation[:, 2] - start[:, 2]) < 0.05
+    assert np.linalg.norm(rotation[:, 0] - start[:, 0]) > 0.05
