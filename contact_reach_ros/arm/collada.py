@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -72,7 +72,7 @@ def _rotation(values: Array) -> Array:
     return place
 
 
-_TRANSFORMS = {
+_TRANSFORMS: dict[str, Callable[[Array], Array]] = {
     "matrix": lambda values: values.reshape(4, 4),
     "translate": _translation,
     "rotate": _rotation,
