@@ -68,16 +68,7 @@ class ImpedanceLaw:
         posture_error
             Δq = q − q_d, (n,), rad.
         error
-<<<<<<< HEAD
-            Δx, (6,), from `pose_error`.
-=======
             Δx, (6,), from `pose_error` for the task of the settings.
-
-        Raises
-        ------
-        FloatingPointError
-            If the mass matrix is not positive definite.
->>>>>>> b1d2530 (Law (1) can control position and the direction of one axis; capsules are shown over the geometry; COLLADA, continuous joints and a base named world)
         """
         factor, regular = kernels.factorise(model.mass_matrix, 0.0)
         if not regular:

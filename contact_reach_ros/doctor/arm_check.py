@@ -47,16 +47,8 @@ def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
         What `load_arm` takes.
     table
         File to write the arm's table to; none is written by default.
-<<<<<<< HEAD
-=======
     view
         Serve a page that shows the capsules over the collision geometry, until Ctrl-C.
-
-    Raises
-    ------
-    SettingsError
-        If the description is refused; the message names link or joint, and the key that mends it.
->>>>>>> b1d2530 (Law (1) can control position and the direction of one axis; capsules are shown over the geometry; COLLADA, continuous joints and a base named world)
     """
     console = Console()
     if name.endswith(ENDINGS):
