@@ -31,6 +31,6 @@ def read_arm_file(file: Path) -> Reading:
         return read_arm(file, options)
     content = read_yaml(file)
     if _OF_TABLES in content:
-        return Reading(arm_of_table(content, str(file)), {}, [])
+        return Reading(arm_of_table(content, str(file)), {}, [], [])
     options = converted(content, ArmOptions, str(file))
     return read_arm(file.parent / options.urdf if options.urdf else file.with_suffix(".urdf"), options)

@@ -67,14 +67,15 @@ def home(arm: Arm) -> tuple[float, ...]:
     Each of these counts, none is required, except that the arm does not touch itself.
     """
     margin = np.minimum(_HOME_MARGIN, 0.2 * (arm.upper - arm.lower))
-    lower, upper = np.maximum(arm.lower + margin, -np.pi), np.minimum(arm.upper - margin, np.pi)
+    middle = 0.5 * (arm.lower + arm.upper)
+    lower, upper = np.maximum(arm.lower + margin, middle - np.pi), np.minimum(arm.upper - margin, middle + np.pi)
     q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, arm.n))
     axes, origins = link_frames_of_many(arm, q)
     tip, out = origins[-1].T, (origins[-1].T - np.array(arm.shoulder)) / arm.reach
     ahead = np.hypot(tip[:, 0], tip[:, 1]) / arm.reach
     wrong = 2.0 * np.abs(np.arctan2(tip[:, 1], tip[:, 0])) + 2.0 * np.abs(ahead - 0.65) + 2.0 * np.abs(out[:, 2])
     down = -axes[-2, 2, 2] if arm.tip_offset[2] >= 0.0 else axes[-2, 2, 2]
-    wrong += np.arccos(np.clip(down, -1.0, 1.0)) + 0.5 * np.abs(q).mean(axis=1)
+    wrong += np.arccos(np.clip(down, -1.0, 1.0)) + 0.5 * np.abs(q - middle).mean(axis=1)
     wrong -= 2.0 * np.minimum(origins[1:-1, 2].mean(axis=0) / arm.reach, 0.5)
     wrong += 10.0 * np.maximum(0.15 - origins[1:, 2].min(axis=0) / arm.reach, 0.0)
     few = wrong.argsort()[: _POSTURES // 200]

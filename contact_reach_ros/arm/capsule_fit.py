@@ -85,19 +85,19 @@ def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
 def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
     if np.linalg.norm(end - start) < _SHORTEST:
         end = start + np.array([0.0, 0.0, _SHORTEST])
-    hull = _hull(balls)
+    around = hull(balls)
     bare = Fit(start, end, radius, math.nan, math.nan)
-    if hull is None:
+    if around is None:
         return bare
     surface = trimesh.creation.capsule(float(np.linalg.norm(end - start)), radius, count=(24, 24))
     turned = np.asarray(surface.vertices) @ _frame(end - start).T
     middle = 0.5 * (start + end) + turned - turned.mean(axis=0)
-    points = trimesh.sample.sample_surface(hull, _SAMPLES, seed=0)[0]
+    points = trimesh.sample.sample_surface(around, _SAMPLES, seed=0)[0]
     overhang = float(cKDTree(points).query(middle)[0].max())
-    return Fit(start, end, radius, bare.volume / float(hull.volume), overhang)
+    return Fit(start, end, radius, bare.volume / float(around.volume), overhang)
 
 
-def _hull(balls: Array) -> trimesh.Trimesh | None:
+def hull(balls: Array) -> trimesh.Trimesh | None:
     """Convex hull of the balls as a mesh, None if they are flat."""
     unit = np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
     points = [ball[:3] + ball[3] * unit if ball[3] > 0.0 else ball[None, :3] for ball in balls]

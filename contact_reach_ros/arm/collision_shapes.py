@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull, QhullError
 
+from contact_reach_ros.arm.collada import collada_points
 from contact_reach_ros.arm.urdf_tree import Shape
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
@@ -53,13 +55,18 @@ def _mesh_vertices(shape: Shape, urdf: Path, packages: Mapping[str, str], where:
     if path is None:
         raise SettingsError(f"{where}: mesh '{shape.file}' is not found; {mend}")
     try:
-        mesh = trimesh.load_mesh(path)
-        vertices = np.asarray(mesh.vertices)
+        is_collada = path.suffix.lower() == ".dae"
+        vertices = collada_points(path) if is_collada else np.asarray(trimesh.load_mesh(path).vertices)
     except Exception as error:  # trimesh's readers raise whatever their formats lead to
         raise SettingsError(f"{where}: mesh '{path}' cannot be read ({error}); {mend}") from error
     if len(vertices) < 4 or not np.isfinite(vertices).all():
         raise SettingsError(f"{where}: mesh '{path}' holds {len(vertices)} usable vertices; {mend}")
-    return np.unique(np.asarray(mesh.convex_hull.vertices), axis=0) * np.array(shape.size)
+    try:
+        outer = vertices[ConvexHull(vertices).vertices]
+    except QhullError:
+        # A flat one: all of it is outside.
+        outer = vertices
+    return np.unique(outer, axis=0) * np.array(shape.size)
 
 
 def _mesh_file(name: str, urdf: Path, packages: Mapping[str, str]) -> Path | None:

@@ -22,7 +22,7 @@ _SEEDS = 64
 with six joints all but one."""
 
 
-def is_attainable(arm: Arm, position: Array, rotation: Array | None, q: Array) -> bool:
+def is_attainable(arm: Arm, position: Array, rotation: Array | None, q: Array, only_axis: bool = False) -> bool:
     """Whether some posture within the joint limits has the flange at a pose, as for `solve_ik`.
 
     `q`: the present posture (n,), rad. It takes about 10 ms, and 0.1 s where there is none.
@@ -30,11 +30,17 @@ def is_attainable(arm: Arm, position: Array, rotation: Array | None, q: Array) -
     # The same seeds each time: so is the answer.
     drawn = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_SEEDS, arm.n))
     seeds = np.concatenate([[q, arm.home], drawn])
-    return len(solve_ik(arm, position, rotation, seeds, 0.0, first=True)) > 0
+    return len(solve_ik(arm, position, rotation, seeds, 0.0, only_axis, first=True)) > 0
 
 
 def solve_ik(
-    arm: Arm, position: Array, rotation: Array | None, seeds: Array, margin: float, first: bool = False
+    arm: Arm,
+    position: Array,
+    rotation: Array | None,
+    seeds: Array,
+    margin: float,
+    only_axis: bool = False,
+    first: bool = False,
 ) -> Array:
     """Find postures (N', n), rad, with the flange at a pose, to 0.1 mm and 1 mrad, by damped least squares.
 
@@ -48,13 +54,15 @@ def solve_ik(
         (N, n) starting points of the iterations, rad.
     margin
         Distance that the joints keep from their limits, rad.
+    only_axis
+        Find only the direction of the flange's z axis.
     first
         Return as soon as there is one.
     """
     lower, upper = arm.lower + margin, arm.upper - margin
     q = np.clip(seeds, lower, upper)
     for _ in range(_STEPS):
-        error, jacobian = _errors(arm, position, rotation, q)
+        error, jacobian = _errors(arm, position, rotation, q, only_axis)
         if first and _is_there(error).any():
             break
         gram = jacobian @ jacobian.transpose(0, 2, 1)
@@ -63,23 +71,35 @@ def solve_ik(
         gram += (_DAMPING**2 * size)[:, None, None] * np.eye(error.shape[1]) + 1e-9 * np.eye(error.shape[1])
         step = np.einsum("nij,ni->nj", jacobian, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
         q = np.clip(q - np.clip(step, -_LONGEST_STEP, _LONGEST_STEP), lower, upper)
-    error, _ = _errors(arm, position, rotation, q)
+    error, _ = _errors(arm, position, rotation, q, only_axis)
     return q[_is_there(error)]
 
 
 def _is_there(error: Array) -> Array:
-    """Which of the pose errors (N, 6), or (N, 3), are small enough, (N,)."""
+    """Which of the pose errors (N, 6), (N, 5) or (N, 3) are small enough, (N,)."""
     found: Array = np.linalg.norm(error[:, :3], axis=1) < _POSITION_TOLERANCE
     return found & (np.linalg.norm(error[:, 3:], axis=1) < _ROTATION_TOLERANCE)
 
 
-def _errors(arm: Arm, position: Array, rotation: Array | None, q: Array) -> tuple[Array, Array]:
-    """Pose errors (N, 6) and Jacobians (N, 6, n), or the first three rows where the orientation is free."""
+def _errors(arm: Arm, position: Array, rotation: Array | None, q: Array, only_axis: bool) -> tuple[Array, Array]:
+    """Pose errors (N, 6) and Jacobians (N, 6, n), or the first three rows where the orientation is free.
+
+    Of the z axis alone there are two rows instead of the last three: about the flange's x and y axes.
+    """
     frames, origins = link_frames_of_many(arm, q)
     axes = frames[:-1, 2]
     linear = np.cross(axes, origins[-1] - origins[:-1], axis=1).transpose(2, 1, 0)
     offset = origins[-1].T - position
     if rotation is None:
         return offset, linear
-    turn = Rotation.from_matrix(frames[-1].transpose(2, 1, 0) @ rotation.T).as_rotvec()
-    return np.concatenate([offset, turn], axis=1), np.concatenate([linear, axes.transpose(2, 1, 0)], axis=1)
+    angular = axes.transpose(2, 1, 0)
+    if only_axis:
+        x, y, z = frames[-1].transpose(0, 2, 1)
+        across = np.stack([x, y], axis=1)
+        turn = np.cross(rotation[:, 2], z)
+        sine, cosine = np.linalg.norm(turn, axis=1), z @ rotation[:, 2]
+        turn *= (np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))[:, None]
+        turn, angular = np.einsum("nik,nk->ni", across, turn), across @ angular
+    else:
+        turn = Rotation.from_matrix(frames[-1].transpose(2, 1, 0) @ rotation.T).as_rotvec()
+    return np.concatenate([offset, turn], axis=1), np.concatenate([linear, angular], axis=1)

@@ -43,6 +43,8 @@ class LinkCapsules(NamedTuple):
     """Those that were fitted, by link."""
     bare: list[str]
     """Moving links without collision geometry, which have none."""
+    geometry: list[list[Array]]
+    """What they were fitted to: of the base and each link, the balls (N, 4) of each shape in the link's frame, m."""
 
 
 def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequence[Part], first: Joint) -> LinkCapsules:
@@ -66,10 +68,10 @@ def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequen
         If a mesh cannot be read, or the base or all moving links have neither collision geometry nor given capsules.
     """
     given = [_given(options, number, part) for number, part in enumerate(parts)]
-    shapes = [
-        _balls(tree, file, options, part) if own is None else np.zeros((0, 4))
-        for own, part in zip(given, parts, strict=True)
+    geometry = [
+        _balls(tree, file, options, part) if own is None else [] for own, part in zip(given, parts, strict=True)
     ]
+    shapes = [np.concatenate([np.zeros((0, 4)), *balls]) for balls in geometry]
     fits: dict[str, Fit] = {}
     begin, base = 1, given[0][0] if given[0] else None
     if base is None:
@@ -101,7 +103,7 @@ def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequen
         raise SettingsError(
             f"{file}: no moving link has collision geometry; expected some in the URDF, or some under capsules"
         )
-    return LinkCapsules(base, tuple(capsules), fits, bare)
+    return LinkCapsules(base, tuple(capsules), fits, bare, geometry)
 
 
 def vector(values: Array) -> Vector3:
@@ -123,15 +125,15 @@ def _given(options: ArmOptions, number: int, part: Part) -> list[Capsule] | None
     return found
 
 
-def _balls(tree: UrdfTree, file: Path, options: ArmOptions, part: Part) -> Array:
+def _balls(tree: UrdfTree, file: Path, options: ArmOptions, part: Part) -> list[Array]:
     """The collision shapes of a part as balls (N, 4), in its turned frame."""
-    found = [np.zeros((0, 4))]
+    found = []
     for name, place in part.places.items():
         to_part = part.turn.T @ place
         for shape in tree.links[name].shapes:
             balls = shape_balls(shape, file, options.packages, f"{file}: link '{name}'")
             found.append(_moved(balls, to_part[:3, :3], to_part[:3, 3]))
-    return np.concatenate(found)
+    return found
 
 
 def _swept(first: Joint, balls: Array) -> Array:

@@ -13,6 +13,8 @@ ROBOT_CONTACT_TYPE = 1
 OBSTACLE_CONTACT_TYPE = 2
 """Contact type with which robot and obstacles touch each other, and neither itself, except for listed pairs."""
 
+_WORLD = "world"
+"""Name that MuJoCo keeps for the world itself, and that URDFs like to give to the base."""
 TIP_SITE = "flange"
 """Name of the site at the tip, which the last link carries."""
 VELOCITY_LIMITS = "velocity_limits"
@@ -78,7 +80,7 @@ def build_mjcf(
     # Brax reads only models with the Euler integrator; the plant sets step and integrator itself.
     SubElement(root, "option", timestep="0.001", integrator="Euler")
     world = SubElement(root, "worldbody")
-    body = SubElement(world, "body", name=arm.base_frame)
+    body = SubElement(world, "body", name=arm.base_frame if arm.base_frame != _WORLD else f"{_WORLD}_base")
     body.append(_capsule(arm.base_capsule, _capsule_name(arm.base_capsule.link, 0)))
     inertias = arm.inertias(inertia_set)
     for number, (joint, link, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):

@@ -22,6 +22,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
 MAX_JOINTS = 7
+_TURN = round(2.0 * math.pi, 4)
 _ROUNDING = 1e-10
 
 
@@ -33,6 +34,8 @@ class Reading(NamedTuple):
     """The capsules that were fitted, by link."""
     assumed: list[str]
     """What neither the URDF nor the options say, in words."""
+    geometry: list[list[Array]]
+    """What the capsules were fitted to, see `LinkCapsules`."""
 
 
 def read_arm(file: Path, options: ArmOptions | None = None) -> Reading:
@@ -98,7 +101,7 @@ class _Reader:
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
         )
-        return Reading(self._completed(arm), found.fits, self.assumed)
+        return Reading(self._completed(arm), found.fits, self.assumed, found.geometry)
 
     def _completed(self, arm: Arm) -> Arm:
         """The arm with shoulder, reach, home and thresholds."""
@@ -135,14 +138,21 @@ class _Reader:
                 raise SettingsError(f"{self.file}: {key}: {what} '{name}' does not exist; known: {', '.join(known)}")
 
     def _only_tip(self, base: str) -> str:
-        leaves = [link for link in self.tree.links if not self.tree.below(link) and self.tree.chain(base, link)]
-        if len(leaves) != 1:
-            raise SettingsError(
-                f"{self.file}: {len(leaves)} links end a chain of joints: {', '.join(leaves)}; expected the one that "
-                "is to reach the goals under tip"
-            )
-        self.assumed.append(f"tip: {leaves[0]}, the last link")
-        return leaves[0]
+        """The only link that ends a chain of joints, or the only one of them that is a mere frame."""
+        ends = [link for link in self.tree.links if not self.tree.below(link) and self._turns(base, link)]
+        frames = [link for link in ends if not self.tree.links[link].shapes]
+        for found, what in ((ends, "the last link"), (frames, "the only frame at the end of a chain of joints")):
+            if len(found) == 1:
+                self.assumed.append(f"tip: {found[0]}, {what}")
+                return found[0]
+        raise SettingsError(
+            f"{self.file}: {len(ends)} links end a chain of joints: {', '.join(ends)}; expected the one that is to "
+            "reach the goals under tip"
+        )
+
+    def _turns(self, base: str, tip: str) -> bool:
+        """Whether any joint turns between two links."""
+        return any(joint.kind in TURNING for joint in self.tree.chain(base, tip) or [])
 
     def _moving(self, base: str, tip: str) -> list[UrdfJoint]:
         """The joints between base and tip that move."""
@@ -204,11 +214,13 @@ class _Reader:
 
     def _joint(self, joint: UrdfJoint, place: Array, armature: float) -> Joint:
         limits = {**joint.limits, **self.options.limits.get(joint.name, {})}
+        if joint.kind == "continuous" and not {"lower", "upper"} & set(limits):
+            self.assumed.append(f"limits: {joint.name}, which is continuous, turns once to either side")
+            limits |= {"lower": -_TURN, "upper": _TURN}
         for key in ("lower", "upper", "velocity", "effort"):
             if key not in limits:
-                kind = f" (its type is {joint.kind})" if key in ("lower", "upper") else ""
                 raise SettingsError(
-                    f"{self.file}: joint '{joint.name}' has no {key} limit{kind}; expected one in the URDF, or under "
+                    f"{self.file}: joint '{joint.name}' has no {key} limit; expected one in the URDF, or under "
                     f"limits ({{{joint.name}: {{{key}: ...}}}})"
                 )
         if not limits["lower"] < limits["upper"]:

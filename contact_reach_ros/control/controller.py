@@ -16,7 +16,7 @@ from contact_reach_ros.control.kernels import Constant, stopping_torque, trackin
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.own_watch import OwnWatch, Watcher
 from contact_reach_ros.control.references import ReferenceQueue, References, blend
-from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import check_gains, lightness, stable_damping
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError
@@ -442,8 +442,7 @@ class Controller:
         limits, model = self.settings.supervision, self.model
         if reference is not self._target:
             distance = math.dist(reference.position.tolist(), model.position.tolist())
-            cosine = 0.5 * (float(np.vdot(reference.rotation, model.rotation)) - 1.0)
-            angle = math.acos(min(max(cosine, -1.0), 1.0)) if self.settings.impedance.rows > 3 else 0.0
+            angle = _turn(reference.rotation, model.rotation, self.settings.impedance.task)
         else:
             # Of the last tick: it has been computed anyway.
             x, y, z, *turn = self.error.tolist()
@@ -473,3 +472,14 @@ class Controller:
         if held_for < supervision.hold_blend:
             return blend(self._blend_from, self._hold, held_for / supervision.hold_blend)
         return self._hold
+
+
+def _turn(reference: Array, rotation: Array, task: str) -> float:
+    """Angle between two orientations (3, 3), as far as law (1) controls it, rad."""
+    if task == POSITION:
+        return 0.0
+    if task == AXIS:
+        cosine = float(reference[:, 2] @ rotation[:, 2])
+    else:
+        cosine = 0.5 * (float(np.vdot(reference, rotation)) - 1.0)
+    return math.acos(min(max(cosine, -1.0), 1.0))

@@ -50,6 +50,9 @@ class Constant(IntEnum):
     TASK_ROWS = 17
 
 
+_POSITION_ROWS, _AXIS_ROWS = 3, 5
+"""`TASK_ROWS` of translation alone, and of translation and the direction of the tip's z axis."""
+
 _JERK_SHARE = 0.3
 """Share of the jerk that a joint's own torque can produce that is relied upon to end its acceleration in time.
 
@@ -165,8 +168,41 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 @_compiled()
-def pose_error(position: Array, rotation: Array, reference_position: Array, reference_rotation: Array) -> Array:
-    """Δx = x ⊖ x_d, (6,): translation in m, then the rotation vector of R R_dᵀ in rad."""
+def axis_turn(rotation: Array, reference_rotation: Array) -> Array:
+    """Rotation vector, (3,), rad, of the shortest turn from the second rotation's z axis to that of the first."""
+    turn, square, cosine = np.empty(3), 0.0, 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turn[i] = reference_rotation[j, 2] * rotation[k, 2] - reference_rotation[k, 2] * rotation[j, 2]
+        square += turn[i] ** 2
+        cosine += reference_rotation[i, 2] * rotation[i, 2]
+    sine = np.sqrt(square)
+    # Half a turn leads from one to the other about any axis in between, as about x.
+    is_opposite = sine < 1e-8 and cosine < 0.0
+    share = np.arctan2(sine, cosine) / sine if sine > 1e-8 else 1.0
+    for i in range(3):
+        turn[i] = np.pi * rotation[i, 0] if is_opposite else share * turn[i]
+    return turn
+
+
+@_compiled()
+def pose_error(
+    position: Array, rotation: Array, reference_position: Array, reference_rotation: Array, task_rows: int
+) -> Array:
+    """Δx = x ⊖ x_d, (6,): translation in m, then a rotation vector in rad.
+
+    That of R R_dᵀ, or what of it law (1) controls: of five rows `axis_turn`, of three nothing.
+    """
+    error = np.zeros(6)
+    for i in range(3):
+        error[i] = position[i] - reference_position[i]
+    if task_rows == _POSITION_ROWS:
+        return error
+    if task_rows == _AXIS_ROWS:
+        vector = axis_turn(rotation, reference_rotation)
+        for i in range(3):
+            error[3 + i] = vector[i]
+        return error
     turn = np.empty((3, 3))
     for row in range(3):
         for column in range(3):
@@ -175,11 +211,28 @@ def pose_error(position: Array, rotation: Array, reference_position: Array, refe
                 total += rotation[row, k] * reference_rotation[column, k]
             turn[row, column] = total
     vector = rotation_vector(turn)
-    error = np.empty(6)
     for i in range(3):
-        error[i] = position[i] - reference_position[i]
         error[3 + i] = vector[i]
     return error
+
+
+@_compiled()
+def controlled(vectors: Array, rotation: Array, task_rows: int) -> Array:
+    """The rows (m, N) of task-space vectors (6, N) that law (1) controls.
+
+    Of five, the last two are the angular part along the tip's x and y axes, which turn its z axis; `rotation` is the
+    tip's. That these axes move adds nothing to the drift: ω × x has no part along ω.
+    """
+    found = np.empty((task_rows, vectors.shape[1]))
+    for column in range(vectors.shape[1]):
+        for row in range(task_rows):
+            found[row, column] = vectors[row, column]
+            if task_rows == _AXIS_ROWS and row > 2:
+                total = 0.0
+                for k in range(3):
+                    total += rotation[k, row - 3] * vectors[3 + k, column]
+                found[row, column] = total
+    return found
 
 
 @_compiled(_RESULT, _VECTOR, _VECTOR, float64)
@@ -518,12 +571,17 @@ def tracking_torque(
     previous, period
         The last torque sent (n,), N m, and the time since then, s.
     error
-        (6,), overwritten with Δx; zero in the rows that law (1) leaves alone.
+        (6,), overwritten with Δx as `pose_error` gives it.
     """
-    n, rows = len(v), int(constants[Constant.TASK_ROWS, 0])
-    deviation = pose_error(position, rotation, reference_position, reference_rotation)
-    for i in range(len(deviation)):
-        error[i] = deviation[i] if i < rows else 0.0
+    n, task_rows = len(v), int(constants[Constant.TASK_ROWS, 0])
+    deviation = pose_error(position, rotation, reference_position, reference_rotation, task_rows)
+    vectors = np.empty((6, n + 3))
+    for i in range(6):
+        error[i] = deviation[i]
+        for k in range(n):
+            vectors[i, k] = jacobian[i, k]
+        vectors[i, n], vectors[i, n + 1], vectors[i, n + 2] = twist[i], drift[i], deviation[i]
+    rows = controlled(vectors, rotation, task_rows)
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
         return np.full(n, np.nan)
@@ -534,7 +592,7 @@ def tracking_torque(
     brake = null_brake(constants, v, mass_matrix)
     for i in range(n):
         joint_torque[i] += brake[i]
-    torque = law_torque(constants, factor, jacobian[:rows], twist[:rows], drift[:rows], deviation[:rows], joint_torque)
+    torque = law_torque(constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], joint_torque)
     repulsion = repulsion_torque(constants, q, v)
     for i in range(n):
         torque[i] += repulsion[i]

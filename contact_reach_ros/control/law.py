@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import POSE, TASK_ROWS, ImpedanceSettings
 
 
 @dataclass(frozen=True)
@@ -31,9 +33,13 @@ class Reference:
     posture: Array
 
 
-def pose_error(position: Array, rotation: Array, reference: Reference) -> Array:
-    """Δx = x ⊖ x_d, (6,): translation in m, then the rotation vector of R R_dᵀ in rad, both in base axes."""
-    return kernels.pose_error(position, rotation, reference.position, reference.rotation)
+def pose_error(position: Array, rotation: Array, reference: Reference, task: str = POSE) -> Array:
+    """Δx = x ⊖ x_d, (6,): translation in m, then the rotation vector of R R_dᵀ in rad, both in base axes.
+
+    Where `task` is another, the rotation vector is that of what law (1) controls: of the turn of the tip's z axis, or
+    zero.
+    """
+    return kernels.pose_error(position, rotation, reference.position, reference.rotation, TASK_ROWS[task])
 
 
 class ImpedanceLaw:
@@ -62,19 +68,14 @@ class ImpedanceLaw:
         posture_error
             Δq = q − q_d, (n,), rad.
         error
-            Δx, (6,), from `pose_error`.
+            Δx, (6,), from `pose_error` for the task of the settings.
         """
         factor, regular = kernels.factorise(model.mass_matrix, 0.0)
         if not regular:
             raise FloatingPointError("the mass matrix is not positive definite: the state is not finite")
         posture_torque = kernels.posture_torque(self._constants, posture_error, v)
-        rows = self.settings.rows
+        vectors = np.column_stack([model.jacobian, model.twist, model.drift, error])
+        rows = kernels.controlled(vectors, model.rotation, self.settings.rows)
         return kernels.law_torque(
-            self._constants,
-            factor,
-            model.jacobian[:rows],
-            model.twist[:rows],
-            model.drift[:rows],
-            error[:rows],
-            posture_torque,
+            self._constants, factor, rows[:, :-3], rows[:, -3], rows[:, -2], rows[:, -1], posture_torque
         )

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from contact_reach_ros.settings import Sections, Settings, setting
 
-POSE = "pose"
-TASK_ROWS = {POSE: 6, "position": 3}
-"""Rows of Δx that law (1) controls, by the setting `task`: translation and rotation, or translation alone."""
+POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
+TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
+"""Rows that law (1) controls, by the setting `task`: translation and rotation, translation and the direction of the
+tip's z axis, or translation alone."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class ImpedanceSettings(Settings):
 
     @property
     def rows(self) -> int:
-        """Number m of rows of Δx that law (1) controls, from the first."""
+        """Number m of rows that law (1) controls."""
         return TASK_ROWS[self.task]
 
 

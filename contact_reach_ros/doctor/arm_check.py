@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,16 @@ from contact_reach_ros.arm.capsules import shape_name, shapes
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arms import ENDINGS, load_arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import PERIOD
 from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.viewer.access import serve
+from contact_reach_ros.viewer.fit import show_fit
+from contact_reach_ros.viewer.settings import ViewerSettings
 from contact_reach_ros.world.scene import Scene
 
 _SETTLING, _MOTION = 0.8, 2.0
@@ -31,7 +36,7 @@ _CLOSE = 0.01
 """Distance from where it began at which the tip counts as back, m."""
 
 
-def check_arm(name: str, table: Path | None = None) -> int:
+def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
     """Print what there is, what was assumed, and how the arm moves; returns 0 only if it moves as it should.
 
     Raises `SettingsError` if the description is refused; the message names link or joint, and the key that mends it.
@@ -42,12 +47,14 @@ def check_arm(name: str, table: Path | None = None) -> int:
         What `load_arm` takes.
     table
         File to write the arm's table to; none is written by default.
+    view
+        Serve a page that shows the capsules over the collision geometry, until Ctrl-C.
     """
     console = Console()
     if name.endswith(ENDINGS):
-        arm, fits, assumed = read_arm_file(Path(name))
+        arm, fits, assumed, geometry = read_arm_file(Path(name))
     else:
-        arm, fits, assumed = load_arm(name), {}, []
+        arm, fits, assumed, geometry = load_arm(name), {}, [], []
     console.print(
         f"arm '{arm.name}': {arm.n} joints from {arm.base_frame} to {arm.tip_frame}, reach {arm.reach:g} m around "
         f"{list(arm.shoulder)} m"
@@ -69,7 +76,22 @@ def check_arm(name: str, table: Path | None = None) -> int:
     console.print(
         problem or f"moved by {1000 * _AMPLITUDE:.0f} mm and back in {_MOTION:g} s of simulation", markup=False
     )
+    if view:
+        _serve(arm, geometry, console)
     return 1 if problem else 0
+
+
+def _serve(arm: Arm, geometry: Sequence[Sequence[Array]], console: Console) -> None:
+    settings = ViewerSettings()
+    server = serve(settings.port, arm.name)
+    try:
+        show_fit(server, arm, geometry)
+        console.print(f"capsules over the collision geometry: {settings.page_address(settings.port)}, until Ctrl-C")
+        server.sleep_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
 
 
 def _joints(arm: Arm) -> Table:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.episode import EpisodeOptions
@@ -69,6 +69,8 @@ class PlannerBench:
         Recorded states to plan from scratch.
     settings
         The planner's; without a deadline, so that each plan ends by its own stop rule.
+    arm
+        Name of an arm, or path of its file.
     """
 
     scenes: tuple[str, ...]
@@ -79,6 +81,7 @@ class PlannerBench:
     repetitions: int = 3
     cold_plans: int = 20
     settings: PlanningSettings = dataclasses.field(default_factory=lambda: PlanningSettings(deadline=0.0))
+    arm: str = DEFAULT_ARM
     limit: bool = False
     """Whether to measure how near a solver step comes to what the core can do, and nothing else."""
 
@@ -103,9 +106,11 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
         report[read_scene(name).name] = _bench_scene(bench, name)
     if plot is not None:
         say("growth with k, H and nodes")
-        report["scaling"] = measure_scaling(load_arm(), settings, ImpedanceSettings(), load_budget().permitted_force)
+        report["scaling"] = measure_scaling(
+            load_arm(bench.arm), settings, ImpedanceSettings(), load_budget().permitted_force
+        )
         plot_scaling(report["scaling"], plot)
-    report["machine"] = {**machine(), "seed": bench.seed}
+    report["machine"] = {**machine(), "seed": bench.seed, "arm": bench.arm}
     names = [read_scene(name).name for name in bench.scenes]
     print(limit_table(report, names) if bench.limit else _table(report, names))
     write_report(report, file)
@@ -115,7 +120,7 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
 def _bench_scene(bench: PlannerBench, name: str) -> Report:
     scene_file, options, settings = read_scene(name), EpisodeOptions(budget=load_budget()), bench.settings
     gains, permitted_force = ImpedanceSettings(), options.budget.permitted_force
-    planner = RecordingPlanner(load_arm(), settings, gains, permitted_force, sphere_capacity(scene_file))
+    planner = RecordingPlanner(load_arm(bench.arm), settings, gains, permitted_force, sphere_capacity(scene_file))
     planner.warm_up(say)
     if bench.limit:
         runs = record_runs(planner, scene_file, 1, bench.seed, options)
@@ -184,7 +189,7 @@ def _cold_starts(planner: RecordingPlanner, runs: RecordedRuns, count: int) -> R
 
 def _torques(bench: PlannerBench, scene: SceneFile) -> Report:
     """Planning joint torques against planning references, each in a closed loop of its own as for Table I."""
-    setup = Setup(planning=bench.settings, budget=load_budget(), timeout=_CLOSED_LOOP_S)
+    setup = Setup(arm=bench.arm, planning=bench.settings, budget=load_budget(), timeout=_CLOSED_LOOP_S)
     tasks = [
         EpisodeTask(Cell(scene.name, "hold", method, bench.seed), scene, _LATENCY_S, setup)
         for method in (paper.METHOD, paper.JOINT_TORQUE)

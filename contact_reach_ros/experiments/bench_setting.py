@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.grid import Cell, Record, Setup
 from contact_reach_ros.experiments.grid_run import Running, finish, run_grid
@@ -44,6 +45,8 @@ class Sweep:
         Other settings, as in population=32; the same for each value.
     spheres
         Number of spheres that plans take into account; by default that of the scene.
+    arm
+        Name of an arm, or path of its file.
 
     Raises
     ------
@@ -59,12 +62,13 @@ class Sweep:
     seed: int = 0
     others: tuple[str, ...] = ()
     spheres: int | None = None
+    arm: str = DEFAULT_ARM
 
     @property
     def variants(self) -> dict[str, Setup]:
         """The setup of each value, by its name."""
         common = _assignments(self.others)
-        return {str(value): _setup({**common, self.name: value}, self.spheres) for value in self.values}
+        return {str(value): self._setup({**common, self.name: value}) for value in self.values}
 
     @property
     def cells(self) -> list[Cell]:
@@ -80,8 +84,20 @@ class Sweep:
         words = ["contact-reach", "bench", "setting", self.name, *map(str, self.values)]
         for name, values in (("scene", self.scenes), ("methods", self.methods), ("with", self.others)):
             words += [f"--{name}", *values] if values else []
-        words += ["--targets", str(self.targets), "--seed", str(self.seed)]
+        words += ["--targets", str(self.targets), "--seed", str(self.seed), "--arm", self.arm]
         return shlex.join(words + ([] if self.spheres is None else ["--spheres", str(self.spheres)]))
+
+    def _setup(self, values: Mapping[str, Any]) -> Setup:
+        """Settings with these values, and without a deadline, so that results do not depend on the machine."""
+        planning, replanning = {"deadline": 0.0, **values}, ReplanningSettings()
+        if LATENCY in planning:
+            # As in Table I, the next plan is begun when the last one is ready.
+            latency = float(planning.pop(LATENCY))
+            replanning = ReplanningSettings(period=latency, latency=latency)
+        settings = PlanningSettings.from_mapping(planning, "bench setting")
+        return Setup(
+            arm=self.arm, planning=settings, budget=load_budget(), replanning=replanning, capacity=self.spheres
+        )
 
     def evaluate(self, report: Report) -> None:
         """Add the rows of the table to a report with episodes."""
@@ -175,14 +191,3 @@ def _assignments(pairs: Sequence[str]) -> dict[str, Any]:
     if wrong:
         raise SettingsError(f"--with {' '.join(wrong)}: expected NAME=VALUE, as in population=32")
     return {name: yaml.safe_load(value) for name, _, value in split}
-
-
-def _setup(values: Mapping[str, Any], spheres: int | None) -> Setup:
-    """Settings with these values, and without a deadline, so that results do not depend on the machine."""
-    planning, replanning = {"deadline": 0.0, **values}, ReplanningSettings()
-    if LATENCY in planning:
-        # As in Table I, the next plan is begun when the last one is ready.
-        latency = float(planning.pop(LATENCY))
-        replanning = ReplanningSettings(period=latency, latency=latency)
-    settings = PlanningSettings.from_mapping(planning, "bench setting")
-    return Setup(planning=settings, budget=load_budget(), replanning=replanning, capacity=spheres)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
@@ -42,6 +42,8 @@ class Case(NamedTuple):
     seed: int
     ramp: float
     """`ImpedanceSettings.reference_ramp`, s."""
+    arm: str = DEFAULT_ARM
+    """Name of an arm, or path of its file."""
 
 
 def jerk_rms(position: Array) -> float:
@@ -53,7 +55,7 @@ def jerk_rms(position: Array) -> float:
 
 def run_smoothness(case: Case) -> Report:
     """Reach a scene's goal once."""
-    arm = load_arm()
+    arm = load_arm(case.arm)
     scene = make_scene(read_scene(case.scene), arm, case.seed)
     robot = SimulatedRobot(scene, noise_seed=case.seed)
     settings = ControllerSettings(impedance=ImpedanceSettings(reference_ramp=case.ramp))
@@ -87,13 +89,15 @@ def bench_smoothness(
     seeds: int = 10,
     seed: int = 0,
     ramps: Sequence[float] = (0.0, ImpedanceSettings().reference_ramp),
+    arm: str = DEFAULT_ARM,
     workers: int | None = None,
     scheduler: str | None = None,
     file: Path | None = None,
 ) -> Report:
     """Reach the goals of `seeds` seeds from `seed` on, with each ramp of the references, s, and print a table.
 
-    `workers`: processes on this machine, by default one per core; or `scheduler`: the address of a Dask scheduler.
+    `arm`: its name, or the path of its file. `workers`: processes on this machine, by default one per core; or
+    `scheduler`: the address of a Dask scheduler.
 
     Raises
     ------
@@ -104,7 +108,9 @@ def bench_smoothness(
         raise SettingsError(f"--seeds {seeds}: expected at least 1")
     for ramp in ramps:
         ImpedanceSettings(reference_ramp=ramp)
-    cases = [Case(scene, number, ramp) for scene in scenes for ramp in ramps for number in range(seed, seed + seeds)]
+    cases = [
+        Case(scene, number, ramp, arm) for scene in scenes for ramp in ramps for number in range(seed, seed + seeds)
+    ]
     records: list[Report] = []
     for record in run_each(run_smoothness, cases, workers, scheduler):
         records.append(record)

@@ -46,7 +46,7 @@ class Table1:
     arm
         Name of an arm, or path of its file.
     task
-        What law (1) controls: 'pose' or 'position'.
+        What law (1) controls: one of `TASK_ROWS`.
     """
 
     preset: str = "shipped"

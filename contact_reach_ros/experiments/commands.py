@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.settings import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import BRAX_PIPELINES
@@ -133,7 +134,6 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--goals", nargs="+", metavar="GOAL", help="hold the orientation, or leave it free (default: both)"
     )
     table1.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/baselines.md (default: four)")
-    table1.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
     table1.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: pose)")
     table1.add_argument("--targets", type=int, help="targets per scene (default: 70)")
     table1.add_argument("--repeats", type=int, help="episodes per target (default: 1)")
@@ -154,6 +154,10 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     for grid in (setting, table1, clutter):
         grid.add_argument("--resume", action="store_true", help="go on with the run of --json FILE")
         grid.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
+    for any_arm in (planner, setting, smoothness, table1):
+        any_arm.add_argument(
+            "--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)"
+        )
     floor = add("floor", _plain("bench_floor"), "the least force with which the arm can get through a scene")
     floor.add_argument("--scene", help="a name or a YAML file (default: wall)")
     floor.add_argument("--targets", type=int, help="how many (default: 5)")
@@ -210,6 +214,7 @@ def _planner(
     seed: int = 0,
     quick: bool = False,
     limit: bool = False,
+    arm: str = DEFAULT_ARM,
     file: Path | None = None,
     plot: Path | None = None,
     **options: Any,
@@ -219,7 +224,7 @@ def _planner(
 
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
-    bench = dataclasses.replace(bench, limit=limit)
+    bench = dataclasses.replace(bench, limit=limit, arm=arm)
     bench_planner(bench, file, plot)
 
 

@@ -140,7 +140,9 @@ class ContactReach(PipelineEnv):
             # Nothing was in force before the first knot.
             lead = jnp.where(state.info["knots"] == 0, action[:3], lead)
         arm, duration = objective.system.arm, self._knot_duration
-        context = Context(arm, duration, self._problem, action[None, :, None], rollout, lead[:, None])
+        context = Context(
+            arm, duration, self._problem, action[None, :, None], rollout, lead[:, None], objective.system.gains.task
+        )
         terms = {name: values[0] for name, values in weighted_terms(context).items()}
         position = tip.position[:, 0]
         distance = jnp.linalg.norm(position - self._problem.goal_position[:, 0])

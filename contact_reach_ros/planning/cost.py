@@ -127,7 +127,9 @@ class Objective:
     def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
         """The weighted terms (B,) that add up to the cost, each summed over the horizon."""
         duration = self.system.timestep * self.substeps
-        return weighted_terms(Context(self.system.arm, duration, problem, actions, rollout))
+        return weighted_terms(
+            Context(self.system.arm, duration, problem, actions, rollout, task=self.system.gains.task)
+        )
 
     def latch(self, q: jax.Array, v: jax.Array, pose: Pose, action: jax.Array) -> Reference:
         """The reference that an action (6 + n, B) stands for at joint angles `q` (n, B) and speeds `v`.
@@ -137,7 +139,7 @@ class Objective:
         if self.ramp:
             q = q + 0.5 * self.ramp * v
             pose = pipeline.tip_pose(self.system, pipeline.init(self.system, q, v))
-        reference = pipeline.latch(q, pose, action)
+        reference = pipeline.latch(self.system, q, pose, action)
         if self.posture is None:
             return reference
         return reference._replace(posture=_spread(self.posture, action.shape[-1]))

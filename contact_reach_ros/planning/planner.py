@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -11,7 +12,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.settings import POSE
+from contact_reach_ros.control.settings import AXIS, POSE, POSITION
 from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
@@ -119,7 +120,7 @@ class Planner:
             is not known where the obstacles are, whose errors are raised by default; also for a goal that is withdrawn
             because the joint states paused.
         task
-            What law (1) controls, see `ImpedanceSettings`; the orientation of goals counts with 'pose' only.
+            What law (1) controls, see `ImpedanceSettings`; only so much of the orientation of goals counts.
         """
         self.core = core
         self._task = task
@@ -275,7 +276,7 @@ class Planner:
             self._note("goals", InputError(f"{self._progress.state.reason}: the goal is withdrawn"))
 
     def resolve(self, goal: Task, state: JointState) -> Target:
-        """The pose to plan for, without the orientation where law (1) leaves it to the null space.
+        """The pose to plan for, without what of the orientation law (1) leaves to the null space.
 
         Raises
         ------
@@ -283,8 +284,10 @@ class Planner:
             If the goal cannot be reached, see `Task.resolve` and `check_goal`.
         """
         target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1])
-        if self._task != POSE:
+        if self._task == POSITION:
             target = Target(target.position)
+        elif self._task == AXIS:
+            target = dataclasses.replace(target, only_axis=target.rotation is not None)
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from contact_reach_ros.control.settings import AXIS, POSE
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -47,6 +48,8 @@ class Context:
     rollout: Rollout
     lead: jax.Array | None = None
     """(3, B) lead of x_d before the first knot, m; None for that of the problem's reference before."""
+    task: str = POSE
+    """What law (1) controls."""
 
     @property
     def position(self) -> jax.Array:
@@ -139,9 +142,13 @@ def contact(context: Context) -> jax.Array:
 
 @term
 def orientation(context: Context) -> jax.Array:
-    """Rotation error to the goal, rad: ‖R − R_g‖ / √2 = 2 sin(angle / 2), which still grows at 180°."""
+    """Rotation error to the goal, rad: ‖R − R_g‖ / √2 = 2 sin(angle / 2), which still grows at 180°.
+
+    Where law (1) controls no more, it is that of the z axis: ‖z − z_g‖.
+    """
     error = jnp.moveaxis(context.rollout.pose.rotation[1:] - context.problem.goal_rotation, (1, 2), (0, 1))
-    return jnp.sqrt(0.5 * (error**2).sum(axis=(0, 1)) + ROUNDING**2) - ROUNDING
+    square = (error[:, 2] ** 2).sum(axis=0) if context.task == AXIS else 0.5 * (error**2).sum(axis=(0, 1))
+    return jnp.sqrt(square + ROUNDING**2) - ROUNDING
 
 
 @term

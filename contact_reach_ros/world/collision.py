@@ -96,7 +96,7 @@ def check_goal(arm: Arm, goal: Target, environment: Environment, q: Array) -> No
         With what is in the way, and what to change.
     """
     check_hand(arm, goal, environment)
-    if not is_attainable(arm, goal.position, goal.rotation, q):
+    if not is_attainable(arm, goal.position, goal.rotation, q, goal.only_axis):
         held = goal.rotation is not None
         remedy = "choose another position, or another orientation" if held else "choose another position"
         raise InputError(
@@ -108,7 +108,7 @@ def check_goal(arm: Arm, goal: Target, environment: Environment, q: Array) -> No
 def check_hand(arm: Arm, goal: Target, environment: Environment) -> None:
     """Refuse a goal at which the hand would be in a rigid body or in the arm's base.
 
-    The hand is what the last link carries or, where the goal leaves the orientation free, the ball around the flange
+    The hand is what the last link carries or, where the goal leaves a rotation free, the ball around the flange
     that this fills in every orientation.
 
     Raises
@@ -144,7 +144,7 @@ def _hand(arm: Arm, goal: Target) -> tuple[Array, Array, Array]:
     radii = np.array([0.0, *(capsule.radius for capsule in capsules)])
     # What every orientation has in common.
     radii[0] = max(0.0, (radii - segment_distances((starts, ends), (tip, tip)))[1:].max(initial=0.0))
-    if goal.rotation is None:
+    if goal.rotation is None or goal.only_axis:
         return goal.position[None], goal.position[None], radii[:1]
     turn = tip_turn(arm)
     # Of the last link, whose frame the capsules are in.

@@ -58,7 +58,8 @@ def fitted(file: SceneFile, arm: Arm) -> SceneFile:
                 "gets from target.start_position into the targets' box; give target.start, minimum and maximum for it"
             )
         scaled = found
-    obstacles = tuple(_scaled(each, factor).suited_to(arm) for each in file.obstacles)
+    start = scaled.start_of(arm)
+    obstacles = tuple(_scaled(each, factor).suited_to(arm, start) for each in file.obstacles)
     return dataclasses.replace(file, target=scaled, obstacles=obstacles)
 
 

@@ -31,6 +31,8 @@ class Target:
     """(3,), m."""
     rotation: Array | None = None
     """(3, 3), or None to leave the orientation free."""
+    only_axis: bool = False
+    """Whether only the direction of its z axis counts, about which the flange may be turned as it likes."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", checked_array("goal position", self.position, (3,)))
@@ -43,15 +45,16 @@ class Target:
             object.__setattr__(self, "rotation", rotation)
 
     def angle(self, rotation: Array) -> float:
-        """Angle from an orientation (3, 3) to the target's, rad; 0 where any will do."""
+        """Angle from an orientation (3, 3) to the target's, or between the z axes, rad; 0 where any will do."""
         if self.rotation is None:
             return 0.0
-        # ‖R - R'‖ / √2 is 2 sin(angle / 2).
-        return 2.0 * math.asin(min(1.0, float(np.linalg.norm(self.rotation - rotation)) / math.sqrt(8.0)))
+        # ‖R - R'‖ / √2 is 2 sin(angle / 2), and so is ‖z - z'‖.
+        error, most = (self.rotation - rotation)[:, 2 if self.only_axis else slice(None)], 2.0 * math.sqrt(2.0)
+        return 2.0 * math.asin(min(1.0, float(np.linalg.norm(error)) / (2.0 if self.only_axis else most)))
 
     def same_as(self, other: Target | None) -> bool:
         """Whether both ask for the same pose, to 1 mm and 10 mrad, so that plans for one are a start for the other."""
-        if other is None or (self.rotation is None) != (other.rotation is None):
+        if other is None or (self.rotation is None) != (other.rotation is None) or self.only_axis != other.only_axis:
             return False
         turned = 0.0 if other.rotation is None else self.angle(other.rotation)
         return turned <= _SAME_ROTATION and math.dist(self.position, other.position) <= _SAME_POSITION

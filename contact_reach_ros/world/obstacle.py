@@ -152,8 +152,11 @@ class ObstacleSettings(Settings, ABC):
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The obstacles around `center` (3,), m, base frame."""
 
-    def suited_to(self, arm: Arm) -> Self:
-        """These settings for an arm that they were scaled for, with what does not depend on its reach alone."""
+    def suited_to(self, arm: Arm, start: Array) -> Self:
+        """These settings for an arm that they were scaled for, with what does not depend on its reach alone.
+
+        `start`: its posture at the start, (n,), rad.
+        """
         return self
 
     def place(self, arm: Arm, path: Array, random: np.random.Generator) -> Array | None:

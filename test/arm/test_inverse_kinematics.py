@@ -46,5 +46,17 @@ def test_solutions_cover_the_redundancy():
     assert np.ptp(elbows, axis=0).max() > 0.2
 
 
+def test_of_one_axis_the_rotation_about_it_is_free():
+    found = solve_ik(ARM, POSITION, ROTATIONS[-1], seeds(100), 0.1, only_axis=True)
+    assert len(found) > 50
+    poses = [link_frames(ARM, q) for q in found]
+    for rotations, origins in poses:
+        assert np.linalg.norm(origins[-1] - POSITION) < 1e-4
+        np.testing.assert_allclose(rotations[-1][:, 2], ROTATIONS[-1][:, 2], rtol=0, atol=2e-3)
+    along_x = [rotations[-1][:, 0] @ ROTATIONS[-1][:, 0] for rotations, _ in poses]
+    assert min(along_x) < -0.9
+    assert max(along_x) > 0.9
+
+
 def test_out_of_reach_there_are_none():
     assert len(solve_ik(ARM, np.array([1.5, 0.0, 0.3]), None, seeds(50), 0.1)) == 0

@@ -15,6 +15,7 @@ from contact_reach_ros.arm.arm import Arm, Inertia
 from contact_reach_ros.arm.arm_file import read_arm_file
 from contact_reach_ros.arm.arm_options import ArmOptions
 from contact_reach_ros.arm.assumptions import defaults
+from contact_reach_ros.arm.capsule_fit import frame_about
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.arm.model import RobotModel
@@ -22,6 +23,7 @@ from contact_reach_ros.arm.table import arm_of_table, table_of, table_text
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arm.urdf_reader import read_arm
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.transfer.model import arm_model
 
 ODD = ArmOptions(base="stand", tip="tool", fixed={"finger_joint": 0.4})
 FINGER = {"finger_joint": 0.4}
@@ -151,6 +153,21 @@ def test_options_lie_beside_the_urdf_and_either_path_leads_to_the_arm(tmp_path):
     assert arms[0].home[1] == 0.1 and arms[0].reach == 0.5
 
 
+def test_of_several_ends_the_tip_is_the_one_without_a_body(tmp_path):
+    text = odd_arm(finger=link("finger", 0.2, ball(0.01)), mark='<link name="mark"/>')
+    text = text.replace("</robot>", joint("marked", "world", "mark", kind="fixed", extra="") + "</robot>")
+    reading = read_arm(written(tmp_path, text), dataclasses.replace(ODD, tip=None))
+    assert reading.arm.tip_frame == "tool"
+    assert "tip: tool, the only frame" in "\n".join(reading.assumed)
+
+
+def test_a_base_may_have_the_name_that_mujoco_keeps_for_itself(tmp_path):
+    arm = read_arm(written(tmp_path, odd_arm()), dataclasses.replace(ODD, base="world")).arm
+    assert arm.base_frame == "world"
+    model = mujoco.MjModel.from_xml_string(build_mjcf(arm))
+    assert model.nv == arm.n and arm_model(arm).n == arm.n
+
+
 def test_what_was_assumed_is_listed(tmp_path):
     reading = read_arm(written(tmp_path, odd_arm()), ArmOptions(base="stand", tip="tool"))
     text = "\n".join(reading.assumed)
@@ -172,6 +189,12 @@ def test_limits_and_inertias_can_be_given(tmp_path):
     assert (arm.joints[0].lower, arm.joints[0].upper) == (-2.5, 1.0)
     assert arm.inertias()[4].mass == 2.0
     assert math.dist(arm.inertias()[4].center, (0, 0, 0)) == pytest.approx(0.1)
+
+
+def test_a_continuous_joint_turns_once_to_either_side(tmp_path):
+    reading = read_arm(written(tmp_path, odd_arm(joint_5=joint("joint_5", "part_4", "part_5", kind="continuous"))), ODD)
+    assert (reading.arm.joints[4].lower, reading.arm.joints[4].upper) == (-6.2832, 6.2832)
+    assert "joint_5, which is continuous" in "\n".join(reading.assumed)
 
 
 def test_joints_of_the_chain_can_be_held(tmp_path):
@@ -209,11 +232,6 @@ BROKEN = {
         {"joint_5": joint("joint_5", "part_4", "part_5", extra="")},
         ODD,
         r"joint 'joint_5' has no lower limit.*under limits \(\{joint_5: \{lower",
-    ),
-    "continuous": (
-        {"joint_5": joint("joint_5", "part_4", "part_5", kind="continuous")},
-        ODD,
-        r"joint 'joint_5' has no lower limit \(its type is continuous\)",
     ),
     "no effort": (
         {"joint_5": joint("joint_5", "part_4", "part_5", extra=LIMIT.replace('"60"', '"0"'))},
@@ -268,6 +286,32 @@ def test_what_is_no_arm_is_refused_with_name_and_key(case, tmp_path):
     with pytest.raises(SettingsError, match=expected) as raised:
         read_arm(file, options)
     assert str(raised.value).startswith(str(file))
+
+
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><unit name="millimeter" meter="0.001"/><up_axis>Y_UP</up_axis></asset>
+  <library_geometries><geometry id="block"><mesh>
+    <source id="places"><float_array id="numbers" count="24">{points}</float_array></source>
+    <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="all"><node>
+    <translate>0 0 50</translate><rotate>0 0 1 90</rotate>
+    <node><scale>1 1 2</scale><instance_geometry url="#block"/></node>
+  </node></visual_scene></library_visual_scenes>
+</COLLADA>"""
+
+
+def test_collada_meshes_count_in_metres_and_where_their_nodes_place_them(tmp_path):
+    corners = [(x, y, z) for x in (-60, 60) for y in (-20, 20) for z in (-10, 10)]
+    written(tmp_path, COLLADA.format(points=" ".join(f"{x} {y} {z}" for x, y, z in corners)), "y.dae")
+    mesh = '<collision><geometry><mesh filename="y.dae"/></geometry></collision>'
+    balls = read_arm(written(tmp_path, odd_arm(part_2=link("part_2", extra=mesh))), ODD).geometry[2][0]
+    # The frame of part 2 turns about y: its own is turned.
+    turn = frame_about(np.array([0.0, 1.0, 0.0]))
+    points = balls[:, :3] @ turn.T
+    np.testing.assert_allclose(points.min(axis=0), [-0.02, -0.06, 0.03], atol=1e-9)
+    np.testing.assert_allclose(points.max(axis=0), [0.02, 0.06, 0.07], atol=1e-9)
 
 
 def test_a_mesh_that_is_none_is_refused(tmp_path):

@@ -86,6 +86,45 @@ def test_task_of_positions_controls_three_rows_and_leaves_the_rest_to_law_two(ar
         np.testing.assert_array_equal(torques[0], law.torque(model, v, postures[0], error * [1, 1, 1, 9, 9, 9]))
 
 
+@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
+def test_task_of_position_and_axis_turns_the_axis_as_asked_and_leaves_the_rotation_about_it_to_law_two(arm):
+    model, random = RobotModel(arm), np.random.default_rng(4)
+    settings = ImpedanceSettings(task="position_and_axis")
+    law = ImpedanceLaw(arm, settings)
+    for _ in range(50):
+        q, v = random.uniform(arm.lower, arm.upper), random.normal(0.0, 0.5, arm.n)
+        model.update(q, v)
+        x, y, z = model.rotation.T
+        rows = np.concatenate([model.jacobian[:3], [x, y] @ model.jacobian[3:]])
+        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < settings.singularity_floor:
+            continue
+        # However the reference is turned about its axis.
+        about, tilt = pin.exp3(random.uniform(-3.0, 3.0) * z), pin.exp3(random.uniform(-0.5, 0.5, 3))
+        reference = Reference(model.position - 0.1, tilt @ about @ model.rotation, q)
+        error = pose_error(model.position, model.rotation, reference, settings.task)
+        np.testing.assert_allclose(pin.exp3(error[3:]) @ reference.rotation[:, 2], z, rtol=0, atol=1e-9)
+        assert abs(error[3:] @ z) < 1e-9
+        torques = [law.torque(model, v, posture, error) for posture in random.uniform(-1.0, 1.0, (2, arm.n))]
+        accelerations = [np.linalg.solve(model.mass_matrix, torque) for torque in torques]
+        wanted = -settings.task_stiffness * error - settings.task_damping * model.twist
+        for acceleration in accelerations:
+            # ω × ż is what turns the axis although nothing accelerates.
+            twist = model.jacobian @ acceleration + model.drift
+            np.testing.assert_allclose(twist[:3], wanted[:3], rtol=0, atol=1e-8)
+            np.testing.assert_allclose(np.cross(twist[3:], z), np.cross(wanted[3:], z), rtol=0, atol=1e-8)
+        assert abs(z @ model.jacobian[3:] @ (accelerations[1] - accelerations[0])) > 0.01
+
+
+@pytest.mark.parametrize("short_of_half_a_turn", [0.0, 1e-9, 1e-4, 1.0])
+def test_the_error_of_the_axis_is_right_up_to_half_a_turn(short_of_half_a_turn):
+    rotation = pin.exp3(np.array([0.4, -1.0, 0.3]))
+    turn = (np.pi - short_of_half_a_turn) * rotation[:, 1]
+    reference = Reference(np.zeros(3), pin.exp3(-turn) @ rotation, np.zeros(ARM.n))
+    error = pose_error(np.zeros(3), rotation, reference, "position_and_axis")[3:]
+    assert np.linalg.norm(error) == pytest.approx(np.pi - short_of_half_a_turn, abs=1e-6)
+    np.testing.assert_allclose(pin.exp3(error) @ reference.rotation[:, 2], rotation[:, 2], rtol=0, atol=1e-6)
+
+
 def test_law_is_the_sum_of_the_papers_terms():
     model, law = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS)
     reference = reference_at(model, HOME)

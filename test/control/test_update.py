@@ -7,11 +7,13 @@ import pytest
 from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, references_of
 
 from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm.kinematics import rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.references import References
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.stop_reasons import Verdict
@@ -335,8 +337,12 @@ class TestBounds:
     """References that are too far from the arm are not followed."""
 
     @pytest.fixture
-    def holding(self) -> Controller:
-        controller = Controller(ARM, ControllerSettings())
+    def task(self) -> str:
+        return "pose"
+
+    @pytest.fixture
+    def holding(self, task) -> Controller:
+        controller = Controller(ARM, ControllerSettings(impedance=ImpedanceSettings(task=task)))
         for tick in range(1, 10):
             controller.hear(Verdict(), tick * TICK_NS)
             update(controller, state(tick))
@@ -364,6 +370,13 @@ class TestBounds:
         position, rotation = RobotModel(ARM).tip_pose(HOME)
         turn = np.array([[math.cos(1.0), -math.sin(1.0), 0.0], [math.sin(1.0), math.cos(1.0), 0.0], [0.0, 0.0, 1.0]])
         assert "x_d is turned by 1.00 rad" in self.offered(holding, Reference(position, turn @ rotation, HOME))
+
+    @pytest.mark.parametrize("task", ["position_and_axis"])
+    @pytest.mark.parametrize(("axis", "dropped"), [([0.0, 0.0, 1.0], False), ([1.0, 0.0, 0.0], True)])
+    def test_only_the_axis_counts_where_law_one_controls_no_more(self, holding, axis, dropped):
+        position, rotation = RobotModel(ARM).tip_pose(HOME)
+        found = self.offered(holding, Reference(position, rotation @ rotation_about(axis, 1.0), HOME))
+        assert ("x_d is turned by 1.00 rad" in found) == dropped
 
     @pytest.mark.parametrize("joint", range(ARM.n))
     def test_so_is_a_posture_and_the_joint_is_named(self, holding, joint):

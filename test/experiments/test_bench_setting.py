@@ -58,6 +58,7 @@ def test_the_best_value_presses_least_among_those_that_are_sure_and_quick():
         (["max_steps", "many"], "max_steps"),
         (["max_steps", "1", "--with", "population"], "expected NAME=VALUE"),
         (["max_steps", "1", "--with", "populatoin=3"], "populatoin"),
+        (["max_steps", "1", "--arm", "kuka"], "kuka"),
     ],
 )
 def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):

@@ -36,6 +36,17 @@ def test_goals_are_compared_with_their_orientation():
     assert not free.same_as(held)
     assert not held.same_as(Target(np.ones(3), rotation_about((0, 0, 1), 0.1)))
     assert not free.same_as(None)
+    assert not held.same_as(Target(np.ones(3), np.eye(3), only_axis=True))
+
+
+def test_the_angle_from_a_goal_is_that_of_what_counts():
+    about, across = rotation_about((0, 0, 1), 0.7), rotation_about((0, 1, 0), 0.4)
+    whole, axis = Target(np.ones(3), np.eye(3)), Target(np.ones(3), np.eye(3), only_axis=True)
+    assert whole.angle(about) == pytest.approx(0.7)
+    assert axis.angle(about) == 0.0
+    assert axis.angle(across @ about) == pytest.approx(0.4)
+    assert axis.angle(rotation_about((1, 0, 0), np.pi)) == pytest.approx(np.pi)
+    assert Target(np.ones(3)).angle(across) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What law (1) controls, pose or position, with six joints and with seven: model, variables and plans follow it."""
+"""What law (1) controls, with six joints and with seven: model, variables and plans follow it."""
 
 import dataclasses
 
@@ -14,27 +14,34 @@ from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.arm.kinematics import link_frames, tip_positions
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.action_space import ReferenceSpace
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.terms import term_weights
-from contact_reach_ros.stack import make_planner
+from contact_reach_ros.stack import Stack, make_planner
+from contact_reach_ros.world.generate import load_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 from contact_reach_ros.world.task import Goal
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
-POSE, POSITION = ImpedanceSettings(reference_ramp=0.0), ImpedanceSettings(task="position", reference_ramp=0.0)
+POSE, AXIS, POSITION = (
+    ImpedanceSettings(task=task, reference_ramp=0.0) for task in ("pose", "position_and_axis", "position")
+)
 CASES = {
     "six joints, pose": (SIX_AXIS, POSE, 6),
+    "six joints, position and axis": (SIX_AXIS, AXIS, 5 + 6),
     "six joints, position": (SIX_AXIS, POSITION, 3 + 6),
     "seven joints, pose": (ARM, POSE, 6 + 7),
+    "seven joints, position and axis": (ARM, AXIS, 5 + 7),
     "seven joints, position": (ARM, POSITION, 3 + 7),
 }
 LANES = 4
@@ -48,10 +55,12 @@ def simulate(arm: Arm, gains: ImpedanceSettings, q: np.ndarray, actions: np.ndar
     law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
     for action in actions:
         position, rotation = model.tip_pose(data.qpos)
-        knot = Reference(position + action[:3], pin.exp3(action[3:6]) @ rotation, data.qpos + action[6:])
+        # The two rotations that turn one axis are in the tip's axes.
+        turn = rotation @ action[3:6] if gains.task == AXIS.task else action[3:6]
+        knot = Reference(position + action[:3], pin.exp3(turn) @ rotation, data.qpos + action[6:])
         for _ in range(100):
             model.update(data.qpos, data.qvel)
-            error = pose_error(model.position, model.rotation, knot)
+            error = pose_error(model.position, model.rotation, knot, gains.task)
             data.qfrc_applied[:] = law.torque(model, data.qvel, data.qpos - knot.posture, error) + model.bias
             mujoco.mj_step(plant, data)
     return data.qpos.copy()
@@ -100,5 +109,40 @@ def test_a_task_of_positions_takes_no_heed_of_the_orientation():
     assert np.abs(plan.postures - home).max() > 0.0
     state = JointState(0, home, rest, None)
     assert planner.resolve(Goal(position), state).rotation is None
+    with_axis = make_planner(SIX_AXIS, 0, planning=settings, impedance=AXIS)
+    assert with_axis.resolve(Goal(position), state).only_axis
+    assert not with_axis.resolve(Goal(position, "free"), state).only_axis
     with_pose = make_planner(SIX_AXIS, 0, planning=settings, impedance=POSE)
     assert with_pose.resolve(Goal(position), state).rotation is not None
+
+
+@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
+def test_a_task_of_position_and_axis_plans_for_the_axis_alone(arm):
+    core = make_planner(arm, 0, planning=dataclasses.replace(SMALL, deadline=0.0), impedance=AXIS).core
+    assert isinstance(core, RecedingHorizonPlanner)
+    home, rest = np.array(arm.home), np.zeros(arm.n)
+    position, rotation = RobotModel(arm).tip_pose(home)
+    costs = {}
+    for name, turn in {"none": np.zeros(3), "about": [0.0, 0.0, 1.0], "across": [0.3, 0.0, 0.0]}.items():
+        goal = Target(position, rotation @ pin.exp3(np.array(turn)), only_axis=True)
+        core.reset()
+        plan = core.plan(home, rest, 0, 10_000_000, goal, Spheres.none())
+        costs[name] = plan.cost_terms["orientation"]
+        away = np.linalg.norm(link_frames(arm, plan.predicted_q[-1])[0][-1][:, 2] - goal.rotation[:, 2])
+        # It turns as far in 0.3 s as the bounds permit.
+        assert away < (0.2 if name == "across" else 0.01)
+    assert costs["about"] == pytest.approx(costs["none"], abs=1e-4)
+    assert costs["across"] > 0.01
+
+
+@pytest.mark.slow
+def test_a_goal_settles_with_its_axis_and_the_tip_turns_about_it():
+    scene = load_scene("free", arm=load_arm("ur10"), seed=1)
+    gains = ImpedanceSettings(task=AXIS.task)
+    stack = Stack(scene, planning=SMALL, controller=ControllerSettings(impedance=gains))
+    start = link_frames(scene.arm, scene.start)[0][-1]
+    result = stack.run(Goal(scene.target), until_settled=True)
+    assert result.settled
+    rotation = link_frames(scene.arm, stack.state.q)[0][-1]
+    assert np.linalg.norm(rotation[:, 2] - start[:, 2]) < 0.05
+    assert np.linalg.norm(rotation[:, 0] - start[:, 0]) > 0.05

@@ -14,6 +14,7 @@ from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.fitting import fitted
 from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.generate import load_scene, make_scene
+from contact_reach_ros.world.overlap import capsule_segments
 
 OTHERS = [name for name in ARMS if name != ARM.name]
 
@@ -45,6 +46,21 @@ def test_targets_are_where_the_arm_gets_with_the_orientation_held(name, arm):
         path = free_path(RobotModel(scene.arm), scene.start, scene.target)
         assert path is not None
         assert np.linalg.norm(scene.target - link_frames(scene.arm, scene.start)[1][-1]) > 0.19 * scene.arm.reach
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa7"])
+def test_the_gap_of_the_walls_is_as_narrow_as_the_hand_is_high(name):
+    arm = load_arm(name)
+    scene = fitted(read_scene("wall"), arm)
+    starts, ends = capsule_segments(arm, scene.target.start_of(arm))
+    height = max(
+        abs(above[2] - below[2]) + first.radius + second.radius
+        for above, first in zip([*starts, *ends], arm.capsules * 2, strict=True)
+        for below, second in zip([*starts, *ends], arm.capsules * 2, strict=True)
+        if min(first.link, second.link) >= arm.n - 1
+    )
+    # Of the iiwa 14 it is 0.15 m for 0.16 m.
+    assert scene.obstacles[0].gap / height == pytest.approx(0.15 / 0.16, abs=0.005)
 
 
 @pytest.mark.slow

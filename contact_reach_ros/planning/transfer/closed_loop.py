@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import AXIS, POSE, ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact
 from contact_reach_ros.planning.transfer.dynamics import Dynamics
 from contact_reach_ros.planning.transfer.kinematics import Frames
@@ -69,7 +69,7 @@ def joint_acceleration(
         Forces on the arm, or None in free space.
     """
     rows = gains.rows
-    jacobian = dynamics.jacobian[:rows]
+    jacobian = controlled(gains, frames, dynamics.jacobian)
     # The implicit midpoint rule for the gains: (1 + dt Kd / 2 + dt² Kp / 4) a = −Kp Δx − Kd ẋ + (contact) in task
     # space, and the same with Kqd and Kqp in joint space. It lets 25 ms steps cope with Kd = 100 and the wrist's small
     # inertia. The contact has its share in `a`: otherwise contact would be twice too soft.
@@ -80,8 +80,9 @@ def joint_acceleration(
     twist = jacobian[:, 0] * v[0]
     for joint in range(1, n):
         twist = twist + jacobian[:, joint] * v[joint]
-    error = pose_error(frames, reference)[:rows]
-    desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift[:rows]) / implicit
+    error = controlled(gains, frames, pose_error(frames, reference, gains.task))
+    drift = controlled(gains, frames, drift)
+    desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift) / implicit
     null_torque = -gains.null_stiffness * (q - reference.posture) - gains.null_damping * v
     torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
 
@@ -115,13 +116,25 @@ def driven_acceleration(dynamics: Dynamics, torque: jax.Array) -> jax.Array:
     return jnp.stack(acceleration)
 
 
-def pose_error(frames: Frames, reference: Reference) -> jax.Array:
-    """Δx = x ⊖ x_d, (6, B): translation in m, then the rotation vector of R R_dᵀ in rad, both in base axes.
+def controlled(gains: ImpedanceSettings, frames: Frames, vectors: jax.Array) -> jax.Array:
+    """The rows (m, ..., B) of task-space vectors (6, ..., B) that law (1) controls, as in `kernels.controlled`."""
+    if gains.task != AXIS:
+        return vectors[: gains.rows]
+    x, y, _ = frames.flange_axes
+    return jnp.concatenate([vectors[:3], jnp.stack([dot(x, vectors[3:]), dot(y, vectors[3:])])])
 
-    The rotation vector comes from the sine of its angle by a series, good to 0.1 mrad up to 0.5 rad.
+
+def pose_error(frames: Frames, reference: Reference, task: str = POSE) -> jax.Array:
+    """Δx = x ⊖ x_d, (6, B): translation in m, then a rotation vector in rad, both in base axes.
+
+    It is that of R R_dᵀ or, where law (1) controls no more, of the turn of the tip's z axis. It comes from the sine of
+    its angle by a series, good to 0.1 mrad up to 0.5 rad.
     """
     desired, (x, y, z) = reference.rotation, frames.flange_axes
-    sine = 0.5 * (cross(desired[:, 0], x) + cross(desired[:, 1], y) + cross(desired[:, 2], z))
+    if task == AXIS:
+        sine = cross(desired[:, 2], z)
+    else:
+        sine = 0.5 * (cross(desired[:, 0], x) + cross(desired[:, 1], y) + cross(desired[:, 2], z))
     square = dot(sine, sine)
     rotation = sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0 + square * (15.0 / 336.0))))
     return jnp.concatenate([frames.flange - reference.position, rotation])

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
 from contact_reach_ros.planning.transfer.closed_loop import N_TASK, Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep, rotate
+from contact_reach_ros.planning.transfer.lanes import dot, make_keep, rotate
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 MAX_JOINT_SPEED = 10.0
@@ -79,14 +79,19 @@ def tip_pose(sys: System, state: State) -> Pose:
     return Pose(frames.flange, frames.flange_rotation)
 
 
-def latch(q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
+def latch(sys: System, q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
     """The reference that an action {Δx, Δq} (6 + n, B) stands for when it takes effect at `q` (n, B): x_d = x ⊕ Δx.
 
     `pose` is the flange's at `q`. Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad.
+    Where law (1) controls the direction of the flange's z axis only, the rotation vector is in the flange's axes, and
+    its last component stays zero.
     """
+    turn = action[3:N_TASK]
+    if sys.gains.task == AXIS:
+        turn = jnp.stack([dot(row, turn) for row in pose.rotation])
     return Reference(
         position=pose.position + action[:3],
-        rotation=rotate(action[3:N_TASK], pose.rotation),
+        rotation=rotate(turn, pose.rotation),
         posture=q + action[N_TASK:],
     )
 

@@ -15,6 +15,7 @@ from contact_reach_ros.world.kinds.lattice import Lattice
 from contact_reach_ros.world.kinds.limits import check_overlaps
 from contact_reach_ros.world.obstacle import Material, Obstacle, ObstacleSettings
 from contact_reach_ros.world.overlap import (
+    capsule_segments,
     on_hand,
     on_middle,
     overlap_depths,
@@ -27,7 +28,7 @@ _TRIES = 40
 _SPREAD = 0.01
 """How far the gap's centre may be above or below that of the passing hand, m."""
 _GAP_SHARE = 0.94
-"""Of the hand's greatest diameter: the gap for other arms than the one that a scene is for."""
+"""Of the hand's height at the start: the gap for other arms than the one that a scene is for."""
 _PATH_STEP = 5
 _SWIVELS = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
 
@@ -137,9 +138,11 @@ class WallSettings(ObstacleSettings):
         check_overlaps(self.KIND, self.min_overlap, self.max_overlap)
         self._lattice.check(self.KIND, "the two walls", self.material, copies=2)
 
-    def suited_to(self, arm: Arm) -> Self:
-        """With a gap that is as narrow for the arm's hand as 0.15 m is for the hand of the iiwa 14."""
-        return dataclasses.replace(self, gap=_GAP_SHARE * 2.0 * float(radii(arm)[on_hand(arm)].max()))
+    def suited_to(self, arm: Arm, start: Array) -> Self:
+        """With a gap that is as narrow for the arm's hand, as it is held, as 0.15 m is for that of the iiwa 14."""
+        hand = on_hand(arm)
+        heights, radius = np.array(capsule_segments(arm, start))[:, hand, 2], radii(arm)[hand]
+        return dataclasses.replace(self, gap=_GAP_SHARE * float((heights + radius).max() - (heights - radius).min()))
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The lower and the upper wall around a gap whose centre is at `center` (3,), m.

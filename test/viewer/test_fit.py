@@ -1,0 +1,36 @@
+"""The page that shows capsules over the collision geometry."""
+
+import numpy as np
+from arm_simulation import ARM
+
+from contact_reach_ros.arm.capsules import shape_radii, shape_segments, shapes
+from contact_reach_ros.arm.urdf import build_urdf
+from contact_reach_ros.arm.urdf_reader import read_arm
+from contact_reach_ros.viewer.access import serve
+from contact_reach_ros.viewer.fit import fit_parts, show_fit
+
+
+def test_geometry_is_drawn_inside_of_the_capsules_of_its_link(tmp_path):
+    file = tmp_path / "arm.urdf"
+    file.write_text(build_urdf(ARM))
+    arm, _, _, geometry = read_arm(file)
+    parts = fit_parts(arm, geometry)
+    assert {part.link for part in parts if not part.is_capsule} >= set(ARM.link_names[1:])
+    assert sum(part.is_capsule for part in parts) == len(shapes(arm))
+    starts, ends = shape_segments(arm, np.array([arm.home]))
+    for number, capsule in enumerate(part for part in parts if part.is_capsule):
+        start, axis, radius = starts[0, number], ends[0, number] - starts[0, number], shape_radii(arm)[number]
+
+        def away(points, start=start, axis=axis):
+            share = np.clip((points - start) @ axis / (axis @ axis), 0.0, 1.0)
+            return np.linalg.norm(points - start - share[:, None] * axis, axis=1)
+
+        np.testing.assert_allclose(away(capsule.mesh.vertices), radius, rtol=0.02)
+        inside = [part.mesh.vertices for part in parts if part.link == capsule.link and not part.is_capsule]
+        # The lattice of a cylinder stands out of the capsule between its spheres by a hundredth of the radius.
+        assert away(np.concatenate(inside)).max() < 1.02 * radius
+    server = serve(0, "test")
+    try:
+        show_fit(server, arm, geometry)
+    finally:
+        server.stop()
