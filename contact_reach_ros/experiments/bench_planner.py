@@ -18,6 +18,7 @@ import numpy as np
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments import paper
+from contact_reach_ros.experiments.candidate_numbers import candidates_table, measure_candidates
 from contact_reach_ros.experiments.episode import EpisodeOptions
 from contact_reach_ros.experiments.grid import Cell, EpisodeTask, Setup, run_cell
 from contact_reach_ros.experiments.machine import machine
@@ -62,7 +63,7 @@ class PlannerBench:
     seed
         Of the first run and of the solver.
     brax
-        Which of Brax's pipelines to compare with.
+        Pipelines of Brax to compare with.
     repetitions
         Of each timing.
     cold_plans
@@ -81,6 +82,8 @@ class PlannerBench:
     settings: PlanningSettings = dataclasses.field(default_factory=lambda: PlanningSettings(deadline=0.0))
     limit: bool = False
     """Whether to measure how near a solver step comes to what the core can do, and nothing else."""
+    candidates: tuple[int, ...] = ()
+    """Numbers of candidates of which to measure batches, and nothing else."""
 
     @classmethod
     def quick(cls, scenes: tuple[str, ...], seed: int) -> PlannerBench:
@@ -107,7 +110,10 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
         plot_scaling(report["scaling"], plot)
     report["machine"] = {**machine(), "seed": bench.seed}
     names = [read_scene(name).name for name in bench.scenes]
-    print(limit_table(report, names) if bench.limit else _table(report, names))
+    if bench.limit:
+        print(limit_table(report, names))
+    else:
+        print(candidates_table(report, names) if bench.candidates else _table(report, names))
     write_report(report, file)
     return report
 
@@ -122,6 +128,15 @@ def _bench_scene(bench: PlannerBench, name: str) -> Report:
         solve = typical(runs)
         say(f"{scene_file.name}: a solver step and its limit")
         return {"limit": measure_limit(planner.solver, solve.problem, solve.state)}
+    if bench.candidates:
+        solve, pipelines = (
+            typical(record_runs(planner, scene_file, 1, bench.seed, options)),
+            ("closed_loop", *bench.brax),
+        )
+        numbers, rounds = bench.candidates, bench.repetitions
+        return {
+            "candidates": measure_candidates(planner.arm, solve.problem, settings, gains, pipelines, numbers, rounds)
+        }
     say(f"{scene_file.name}: closed-loop runs")
     runs = record_runs(planner, scene_file, bench.plans, bench.seed, options, bench.episodes)
     report = _plan_times(runs)
