@@ -26,7 +26,7 @@ class PlanningSettings(Settings):
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
-        "transfer model: this package's, or Brax's own for comparison, which is at least 100 times slower",
+        "transfer model: this package's, or Brax's own for comparison, which is much slower",
         choices=PIPELINES,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
