@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
 
 def bench_referee(
     against: Sequence[str],
-    scenes: Sequence[str] = ("free", "ball"),
+    scenes: Sequence[str] = ("free", "ball", "wall"),
     plans: int = 12,
     seed: int = 0,
     file: Path | None = None,

@@ -80,11 +80,14 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--brax",
         nargs="*",
         choices=BRAX_PIPELINES,
-        help="Brax's pipelines to compare with; each takes a minute to compile (default: all)",
+        help="Brax's pipeline to compare with, which takes minutes; nothing for none (default: generalized)",
     )
     planner.add_argument("--quick", action="store_true", help="show that it runs, with a tiny budget")
     planner.add_argument(
         "--limit", action="store_true", help="instead, a solver step against what the core can do, part by part"
+    )
+    planner.add_argument(
+        "--candidates", type=int, nargs="+", metavar="K", help="instead, batches of so many candidates, ours and Brax's"
     )
     planner.add_argument(
         "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
@@ -96,9 +99,9 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--against",
         nargs="+",
         choices=BRAX_PIPELINES,
-        help="instead, roll out the plans of closed-loop runs with Brax's pipelines and with MuJoCo",
+        help="instead, roll out the plans of closed-loop runs with Brax's pipeline and with MuJoCo",
     )
-    model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: names or files (default: free ball)")
+    model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: scenes (default: free ball wall)")
     model.add_argument("--plans", type=int, help="with --against: plans per scene (default: 12)")
     setting = add("setting", _setting, "whole episodes for each value of one of the planner's settings")
     setting.add_argument("name", help="a parameter of section 'planning', as in contact_weight; or latency")
@@ -214,6 +217,7 @@ def _planner(
     seed: int = 0,
     quick: bool = False,
     limit: bool = False,
+    candidates: Sequence[int] = (),
     arm: str = DEFAULT_ARM,
     file: Path | None = None,
     plot: Path | None = None,
@@ -224,7 +228,7 @@ def _planner(
 
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
-    bench = dataclasses.replace(bench, limit=limit, arm=arm)
+    bench = dataclasses.replace(bench, limit=limit, candidates=tuple(candidates), arm=arm)
     bench_planner(bench, file, plot)
 
 

@@ -1,4 +1,4 @@
-"""What a batch of rollouts costs: in the planner's transfer model, in Brax's pipelines and in plain MuJoCo."""
+"""What a batch of rollouts costs: in the planner's transfer model, in Brax's pipeline and in plain MuJoCo."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MANY_SPHERES, _FEW_CANDIDATES = 4, 8
 def measure_rollouts(
     runs: RecordedRuns, settings: PlanningSettings, gains: ImpedanceSettings, pipelines: Sequence[str], rounds: int
 ) -> Report:
-    """Time of one batch of candidates in the planner's transfer model, in Brax's pipelines and in plain MuJoCo.
+    """Time of one batch of candidates in the planner's transfer model, in Brax's pipeline and in plain MuJoCo.
 
     All are measured in turns, `rounds` times, on a problem of the runs.
     """

@@ -204,6 +204,8 @@ class PlannerNode(ManagedNode):
         if planner.state is None:
             return topics.WAITING_FOR_STATE, values
         plan = planner.plan
+        if core is not None:
+            values["candidates"] = core.candidates
         if plan is not None:
             values |= {
                 "plan": plan.number,

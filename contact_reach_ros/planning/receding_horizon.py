@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import time
@@ -17,9 +18,10 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import plan_basis
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, scaled_cost
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
+from contact_reach_ros.planning.exhaustion import EXHAUSTION, with_fewer_candidates
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
@@ -100,7 +102,8 @@ class RecedingHorizonPlanner:
         if settings.sampling == "bounds":
             self._spread = np.full_like(self._space.bounds, settings.sigma)
         self._predictor = Predictor(self._space.objective.system, self._space.step)
-        self._solver = solver(scaled_cost(self._space), self.size, settings)
+        self._new_solver = functools.partial(solver, scaled_cost(self._space), self.size)
+        self._solver = self._new_solver(settings)
         self._evaluate = Program(functools.partial(_roll_out, self._space))
         self._plans: deque[Plan] = deque(maxlen=PLANS_KEPT)
         self._memory: Memory | None = None
@@ -116,9 +119,18 @@ class RecedingHorizonPlanner:
         ------
         SettingsError
             If the deadline is too short for one step of the solver on this machine.
+        PlanningError
+            If the device has too little memory and `least_population` does not permit as few candidates as it has
+            room for.
         """
-        with preparing():
-            self._warm_up(progress)
+        is_ready = False
+        while not is_ready:
+            try:
+                with preparing():
+                    self._warm_up(progress)
+                is_ready = True
+            except EXHAUSTION as error:
+                progress(f"planner: {self._use_less_memory(error)}")
 
     def _warm_up(self, progress: Callable[[str], None]) -> None:
         begin = time.perf_counter()
@@ -154,6 +166,7 @@ class RecedingHorizonPlanner:
     def reseed(self, seed: int) -> None:
         """Forget the plans made so far and draw other candidates from now on, as with that seed in the settings."""
         self.reset()
+        self._settings = dataclasses.replace(self._settings, seed=seed)
         self._solver.reseed(seed)
 
     @property
@@ -165,6 +178,11 @@ class RecedingHorizonPlanner:
     def size(self) -> int:
         """Number of variables that the solver searches."""
         return len(self._space.bounds)
+
+    @property
+    def candidates(self) -> int:
+        """Number of candidates in a step of the solver: k, or fewer where memory ran out."""
+        return self._settings.population
 
     @property
     def fresh_state(self) -> State:
@@ -223,8 +241,15 @@ class RecedingHorizonPlanner:
             If the state is not finite or of the wrong size, the times are out of order or too far apart, or no motion
             from this state has a finite cost.
         PlanningError
-            If even the best motion would bring the arm into a rigid body or into itself.
+            If even the best motion would bring the arm into a rigid body or into itself; or if the device ran out of
+            memory, after which further plans have half as many candidates if `least_population` permits that.
         """
+        try:
+            return self._plan(q, v, state_ns, effect_ns, goal, spheres)
+        except EXHAUSTION as error:
+            raise PlanningError(f"{self._use_less_memory(error)}; the plan in force runs out into a hold") from error
+
+    def _plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
         begin = time.perf_counter()
         q, v = self._joints("q", q), self._joints("v", v)
         self._check_times(state_ns, effect_ns)
@@ -256,6 +281,13 @@ class RecedingHorizonPlanner:
         self._memory = Memory(plan, goal, solution.best, solution.state, approach)
         self._last_state = (state_ns, q)
         return plan
+
+    def _use_less_memory(self, error: Exception) -> str:
+        """Compute with fewer candidates from now on, if the settings permit it; returns what happened."""
+        self._settings, text = with_fewer_candidates(self._settings, error)
+        steps, self._solver = self._solver.max_steps, self._new_solver(self._settings)
+        self._solver.max_steps = steps
+        return text
 
     def _approach_of(self, plan: Plan, goal: Target) -> Approach:
         """Progress towards the goal when the plan takes effect."""

@@ -9,7 +9,7 @@ from contact_reach_ros.planning.runtime import DEVICES
 from contact_reach_ros.planning.solver import SOLVERS
 from contact_reach_ros.settings import Settings, setting
 
-BRAX_PIPELINES = ("generalized", "positional", "spring")
+BRAX_PIPELINES = ("generalized",)
 PIPELINES = ("closed_loop", *BRAX_PIPELINES)
 BOUNDARY_PENALTIES = ("quadratic", "paper")
 SAMPLINGS = ("bounds", "paper")
@@ -26,7 +26,7 @@ class PlanningSettings(Settings):
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
-        "transfer model: this package's, or one of Brax's own for comparison, which are at least 100 times slower",
+        "transfer model: this package's, or Brax's own for comparison, which is much slower",
         choices=PIPELINES,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
@@ -127,6 +127,12 @@ class PlanningSettings(Settings):
     population: int = setting(200, "k: candidates per step", minimum=4, maximum=20000)
     elite: int = setting(50, "k_top: candidates averaged into the next mean", minimum=2, maximum=10000)
     line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=20000)
+    least_population: int = setting(
+        0,
+        "candidates down to which plans go on with half as many whenever the device runs out of memory; 0 for never",
+        minimum=0,
+        maximum=20000,
+    )
     sampling: str = setting(
         "bounds",
         "initial standard deviations: a share of γ, or 0.01 for every variable as in line 1 of Algorithm 1",

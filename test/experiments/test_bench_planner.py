@@ -59,3 +59,13 @@ def test_torques_and_references_are_planned_in_closed_loops(measured):
 def test_unknown_scene_is_refused(capsys):
     assert contact_reach("bench", "planner", "--quick", "--scene", "nowhere") == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_batches_are_measured_for_each_number_of_candidates(tmp_path, capsys):
+    file = tmp_path / "report.json"
+    command = ["bench", "planner", "--quick", "--scene", "free", "--candidates", "64", "8", "--json", file]
+    assert contact_reach(*command) == 0
+    measured = json.loads(file.read_text())["free"]["candidates"]
+    assert list(measured["batch_ms"]["closed_loop"]) == ["8", "64"]
+    assert all(value > 0.0 for value in measured["batch_ms"]["closed_loop"].values())
+    assert f"| free | {measured['device']} | closed_loop | 64 |" in capsys.readouterr().out

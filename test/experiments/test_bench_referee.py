@@ -27,7 +27,7 @@ def test_brax_and_mujoco_agree_with_the_plans(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--plans", "3"], ["--against", "spring", "--states", "3"], ["--against", "mujoco"]]
+    "arguments", [["--plans", "3"], ["--against", "generalized", "--states", "3"], ["--against", "mujoco"]]
 )
 def test_options_that_do_not_go_together_are_refused(arguments, capsys):
     with pytest.raises(SystemExit) as end:

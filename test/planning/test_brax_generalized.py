@@ -1,4 +1,4 @@
-"""Brax's own pipelines as the transfer function. They are slow to compile and to run: most of these tests are slow."""
+"""Brax's own pipeline as the transfer function."""
 
 import dataclasses
 
@@ -8,19 +8,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import ARM, HOME
-from planning_helpers import SMALL, make_problem, obstacles_of
+from planning_helpers import SMALL, obstacles_of
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.law import Reference as LawReference
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.objectives import make_objective
-from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
+from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective, law_torque
 from contact_reach_ros.planning.transfer.brax_spheres import network
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import arm_model
@@ -29,46 +29,26 @@ from contact_reach_ros.world.generate import load_scene
 from contact_reach_ros.world.spheres import Spheres
 from contact_reach_ros.world.task import Goal
 
-LANES = 8
-BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
-SHORT = dataclasses.replace(SMALL, horizon=1, substeps=4)
-
 
 def objective(pipeline: str) -> Objective:
-    return make_objective(ARM, dataclasses.replace(SHORT, pipeline=pipeline), ImpedanceSettings())
-
-
-def roll_out(objective: Objective, problem: Problem, actions: np.ndarray) -> tuple[Rollout, np.ndarray]:
-    def run(problem: Problem, actions: jax.Array) -> tuple[Rollout, jax.Array]:
-        return objective.roll_out(problem, actions), objective.cost(problem, actions)
-
-    problem = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), problem)
-    return jax.jit(run)(problem, jnp.asarray(actions, jnp.float32))
+    return make_objective(ARM, dataclasses.replace(SMALL, pipeline=pipeline), ImpedanceSettings())
 
 
 def test_setting_chooses_the_pipeline():
     assert not isinstance(objective("closed_loop"), BraxObjective)
-    for name in ("generalized", "positional", "spring"):
-        chosen = objective(name)
-        assert isinstance(chosen, BraxObjective)
-        assert chosen.pipeline == name
+    assert isinstance(objective("generalized"), BraxObjective)
 
 
-@pytest.mark.slow
-def test_spring_pipeline_moves_the_arm_as_the_closed_loop_does():
-    random = np.random.default_rng(0)
-    actions = random.uniform(-1.0, 1.0, (1, 13, LANES)) * BOUNDS[None, :, None]
-    problem = make_problem(HOME, np.array([0.5, 0.2, 0.4]), None)
-    ours, our_cost = roll_out(objective("closed_loop"), problem, actions)
-    theirs, their_cost = roll_out(objective("spring"), problem, actions)
-    moved = np.linalg.norm(np.diff(np.asarray(ours.pose.position), axis=0), axis=1)
-    assert moved.max() > 5e-3
-    np.testing.assert_allclose(theirs.pose.position, ours.pose.position, rtol=0, atol=1e-3)
-    np.testing.assert_allclose(theirs.pose.rotation, ours.pose.rotation, rtol=0, atol=0.02)
-    np.testing.assert_allclose(theirs.q, ours.q, rtol=0, atol=0.03)
-    np.testing.assert_allclose(theirs.reference.position, ours.reference.position, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(their_cost, our_cost, rtol=0, atol=5e-3)
-    assert float(theirs.link_force.max()) == 0.0
+@pytest.mark.parametrize(
+    "setting, message",
+    [
+        ({"pipeline": "spring"}, "pipeline = 'spring': expected .*closed_loop.*generalized"),
+        ({"device": "tpu"}, "device = 'tpu': expected .*auto.*cpu.*gpu"),
+    ],
+)
+def test_pipelines_and_devices_that_are_not_there_are_refused(setting, message):
+    with pytest.raises(SettingsError, match=message):
+        PlanningSettings(**setting)
 
 
 def test_torque_is_that_of_the_controller():

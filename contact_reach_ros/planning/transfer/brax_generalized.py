@@ -1,41 +1,37 @@
-"""The same problem rolled out by Brax's own pipelines, for comparison.
+"""The same problem rolled out by Brax's own pipeline in joint coordinates, `generalized`, for comparison.
 
 The arm and the obstacle spheres are bodies of a Brax system. In every step of Brax the laws (1)-(3) are computed from
-its state, as the 1 kHz controller would do it, and act on it as joint torques. The laws' model of the arm is the one
-that the pipeline simulates, so that C + g cancel as they do in (1); gravity, which the laws cancel on the arm and the
-springs carry on the spheres, is left out. The laws are computed for all candidates at once by this package's own fast
-code: the comparison is about the physics.
+its state, as the 1 kHz controller would do it, and act on it as joint torques. Gravity, which the laws cancel on the
+arm and the springs carry on the spheres, is left out. The laws are computed for all candidates at once by this
+package's own fast code: the comparison is about the physics.
 
-All pipelines have this in common: a sphere moves on three sliders. Springs, dampers and edges act on these as actuator
-forces. As in this package's own pipeline, spheres have no mass of their own; the body that Brax moves has the mass
-m = dt (damping + dt stiffness), with which Brax's explicit step becomes the implicit one of the sphere without mass.
-They differ in this:
+A sphere moves on three sliders. Springs, dampers and edges act on these as actuator forces. As in this package's own
+pipeline, spheres have no mass of their own; the body that Brax moves has the mass m = dt (damping + dt stiffness), with
+which Brax's explicit step becomes the implicit one of the sphere without mass. Contact is soft after MuJoCo's model,
+with the planner's stiffness. Its solver takes time with the square of the constraints, for each step and candidate:
+only the deepest contacts count, and joints have no stops, as in this package's own pipeline.
 
-- generalized: joint coordinates, soft contact after MuJoCo's model, with the planner's stiffness.
-- spring and positional: maximal coordinates, which need very short steps here. They know no armature; it is added to
-  the links' own inertia about the joint axis. Contact is hard, an impulse or a displacement, and has no stiffness to
-  set: only the spheres' springs give way.
+Brax returns no contact forces. Here a sphere's contact force is what its spring, damper and edges need for its motion,
+averaged over a step of this package's own pipeline; it is attributed to the nearest link.
 
-None of them returns contact forces. Here a sphere's contact force is what its spring, damper and edges need for its
-motion, averaged over a step of this package's own pipeline; it is attributed to the nearest link.
+Brax's other pipelines, spring and positional, are left out: they simulate in maximal coordinates, where a joint torque
+first turns one link alone. The laws' damping, made for the inertia of the whole arm, is then 18,000 1/s, which allows
+steps of 0.05 ms: 500 in one of this package's own.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
 from typing import Any, NamedTuple
 
 import brax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax import kinematics
 from brax.base import Actuator
 from brax.generalized import dynamics as brax_dynamics
-from brax.generalized.base import State as GeneralizedState
-from scipy.spatial.transform import Rotation
+from brax.generalized import pipeline
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import build_mjcf
@@ -51,15 +47,11 @@ from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep
 from contact_reach_ros.planning.transfer.model import ArmModel, load_system, read_arm
 from contact_reach_ros.planning.transfer.pipeline import Pose
 
-STEPS = {"generalized": 2, "positional": 500, "spring": 500}
-"""Steps of Brax per step of this package's own pipeline, 25 ms at the defaults: about the fewest that are stable.
+STEPS = 2
+"""Steps of Brax per step of this package's own pipeline, 25 ms at the defaults: about the fewest that are stable."""
 
-In maximal coordinates a joint torque first turns one link alone, and the joints' constraints pass it on in later steps.
-The laws' damping, made for the inertia of the whole arm, is then 18,000 1/s, which allows steps of 0.05 ms.
-"""
-
-_JOINT_STIFFNESS, _JOINT_DAMPING = 2e4, 50.0
-"""Of the joints in the spring pipeline, N/m and N s/m; Brax's default is ten times softer and undamped."""
+_CONTACTS = 2
+"""Of each sphere, on the average: those that are deepest among all. Without a bound each capsule adds one."""
 
 _IMPEDANCE = 0.9
 _FRICTION = 0.2
@@ -69,19 +61,15 @@ _CONTACT_DAMPING = 10.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BraxObjective(Objective):
-    """Cost (5) over one of Brax's own pipelines."""
+    """Cost (5) over Brax's own pipeline."""
 
-    pipeline: str
-    """generalized, positional or spring."""
-    steps: int
-    """Steps of Brax in one time step of `system`."""
     table: Arm
     """The arm whose MJCF Brax loads, with spheres."""
 
     @property
     def integration_steps(self) -> int:
         """Steps of Brax over the horizon."""
-        return super().integration_steps * self.steps
+        return super().integration_steps * STEPS
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run Brax under the actions (H, 6 + n, B), knot by knot."""
@@ -103,8 +91,8 @@ class BraxObjective(Objective):
                     state, force = world.step(carry[0], act)
                     return state, carry[1] + force
 
-                state, total = jax.lax.fori_loop(0, self.steps, step, (state, world.no_force(lanes)))
-                return state, world.link_force(state, total / self.steps)
+                state, total = jax.lax.fori_loop(0, STEPS, step, (state, world.no_force(lanes)))
+                return state, world.link_force(state, total / STEPS)
 
             state, link_force = jax.lax.scan(window, state, self.shares(), self.substeps)
             contact = jax.vmap(self.measure)(link_force)
@@ -126,9 +114,8 @@ class BraxObjective(Objective):
 
 
 class _World(NamedTuple):
-    """Arm and spheres in a Brax pipeline, all candidates side by side: Brax's arrays have them on the first axis."""
+    """Arm and spheres in Brax, all candidates side by side: Brax's arrays have them on the first axis."""
 
-    pipeline: Any
     system: brax.System
     arm: ArmModel
     """The arm that the laws use."""
@@ -142,16 +129,15 @@ class _World(NamedTuple):
     @classmethod
     def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
         count = 0 if obstacles is None else obstacles.radius.shape[0]
-        system, arm = _load(objective.pipeline, count, objective.table)
-        timestep = objective.system.timestep / objective.steps
+        system, arm = _load(count, objective.table)
+        timestep = objective.system.timestep / STEPS
         system = system.tree_replace({"opt.timestep": timestep})
         stiffness, mass = jnp.zeros((0, 0)), jnp.zeros(0)
         if obstacles is not None:
             stiffness, damping = network(obstacles)
             mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
             system = _with_spheres(system, obstacles, mass, objective.system.contact_stiffness)
-        pipeline = importlib.import_module(f"brax.{objective.pipeline}.pipeline")
-        return cls(pipeline, system, arm, objective.system.gains, obstacles, stiffness, mass)
+        return cls(system, arm, objective.system.gains, obstacles, stiffness, mass)
 
     def init(self, q: jax.Array, v: jax.Array) -> Any:
         """Brax's state at joint angles and speeds (n, B)."""
@@ -162,7 +148,7 @@ class _World(NamedTuple):
             displacement = jnp.broadcast_to(moved, (*moved.shape[:2], lanes)).T.reshape(lanes, -1)
         positions = jnp.concatenate([displacement, q.T], axis=1)
         velocities = jnp.concatenate([jnp.zeros_like(displacement), v.T], axis=1)
-        return jax.vmap(self.pipeline.init, in_axes=(None, 0, 0))(self.system, positions, velocities)
+        return jax.vmap(pipeline.init, in_axes=(None, 0, 0))(self.system, positions, velocities)
 
     def joints(self, state: Any) -> tuple[jax.Array, jax.Array]:
         """Joint angles and speeds (n, B)."""
@@ -181,13 +167,13 @@ class _World(NamedTuple):
     def step(self, state: Any, reference: Reference) -> tuple[Any, jax.Array]:
         """Advance Brax by one step under the laws; also returns the contact force (B, K, 3) on each sphere in it."""
         timestep = self.system.opt.timestep
-        bias = jax.vmap(lambda state: _bias(self.system, state))(state)[:, -self.arm.n :]
+        bias = jax.vmap(brax_dynamics.inverse, in_axes=(None, 0))(self.system, state)[:, -self.arm.n :]
         torque = law_torque(self.arm, self.gains, *self.joints(state), reference).T + bias
         displacement, velocity = self.spheres(state)
         held = -jnp.einsum("ij,bjk->bik", self.stiffness, displacement)
         force = held - self.mass[:, None] / timestep * velocity
         act = jnp.concatenate([force.reshape(len(torque), -1), torque], axis=1)
-        state = jax.vmap(self.pipeline.step, in_axes=(None, 0, 0))(self.system, state, act)
+        state = jax.vmap(pipeline.step, in_axes=(None, 0, 0))(self.system, state, act)
         _, velocity = self.spheres(state)
         return state, self.mass[:, None] / timestep * velocity - held
 
@@ -225,14 +211,6 @@ def law_torque(arm: ArmModel, gains: ImpedanceSettings, q: jax.Array, v: jax.Arr
     return jnp.stack(rows)
 
 
-def _bias(system: brax.System, state: Any) -> jax.Array:
-    """C of one candidate by Brax's own inverse dynamics, for all joints."""
-    if not isinstance(state, GeneralizedState):
-        x, xd = kinematics.forward(system, state.q, state.qd)
-        state = brax_dynamics.transform_com(system, GeneralizedState.init(state.q, state.qd, x, xd))
-    return brax_dynamics.inverse(system, state)
-
-
 def _gaps(arm: ArmModel, frames: Frames, obstacles: Obstacles) -> jax.Array:
     """Distance (C, K, B) of the spheres' surfaces from the capsules', m."""
     start, segment = (points[:, :, None] for points in capsule_segments(arm, frames))
@@ -243,40 +221,20 @@ def _gaps(arm: ArmModel, frames: Frames, obstacles: Obstacles) -> jax.Array:
 
 
 @functools.cache
-def _load(pipeline: str, count: int, arm: Arm) -> tuple[brax.System, ArmModel]:
-    """The system of a pipeline with `count` spheres, and the arm that the laws use."""
+def _load(count: int, arm: Arm) -> tuple[brax.System, ArmModel]:
+    """The system with `count` spheres, and the arm that the laws use."""
     bodies = [sphere_body(index) for index in range(count)]
-    system = load_system(build_mjcf(arm, obstacles=bodies))
+    contacts = {"max_contact_points": [_CONTACTS * count]} if count else {}
+    system = load_system(build_mjcf(arm, obstacles=bodies, fields=contacts))
     with jax.ensure_compile_time_eval():
         model = read_arm(system)
         every = np.arange(system.qd_size())
         unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
         ones, zeros = np.ones(len(every)), np.zeros(len(every))
         actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
-        system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
-        return (system, model) if pipeline == "generalized" else _in_maximal_coordinates(system, model)
-
-
-def _in_maximal_coordinates(system: brax.System, arm: ArmModel) -> tuple[brax.System, ArmModel]:
-    """Prepare a system for maximal coordinates: armature as link inertia about the joint axes, stiff joints."""
-    tensors = arm.inertia + arm.armature[:, None, None] * np.diag([0.0, 0.0, 1.0])
-    moments, axes = np.linalg.eigh(tensors)
-    axes = axes * np.linalg.det(axes)[:, None, None]
-    inertia = system.link.inertia
-    principal = np.array(inertia.i)
-    principal[-arm.n :] = moments[:, :, None] * np.eye(3)
-    turns = np.array(inertia.transform.rot)
-    turns[-arm.n :] = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    ones = jnp.ones(len(principal))
-    system = system.tree_replace(
-        {
-            "link.inertia.i": jnp.asarray(principal),
-            "link.inertia.transform.rot": jnp.asarray(turns),
-            "link.constraint_stiffness": _JOINT_STIFFNESS * ones,
-            "link.constraint_vel_damping": _JOINT_DAMPING * ones,
-        }
-    )
-    return system, dataclasses.replace(arm, inertia=tensors, armature=np.zeros(arm.n))
+        actuator, stopless = jax.tree.map(jnp.asarray, actuator), system.dof.replace(limit=None)
+        system = system.replace(actuator=actuator, dof=stopless, gravity=jnp.zeros(3))
+        return system, model
 
 
 def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, contact_stiffness: float) -> brax.System:
