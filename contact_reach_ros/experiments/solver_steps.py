@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def _changed(settings: PlanningSettings, configuration: str) -> PlanningSettings
     match configuration:
         case "half the budget" | "twice the budget":
             factor = 0.5 if configuration.startswith("half") else 2.0
-            budget = {name: int(factor * getattr(settings, name)) for name in _BUDGET}
+            budget: dict[str, Any] = {name: int(factor * getattr(settings, name)) for name in _BUDGET}
             return dataclasses.replace(settings, **budget)
         case "σ = 0.01 m or rad":
             return dataclasses.replace(settings, sampling="paper")
