@@ -20,11 +20,10 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.bench_solver import spread_states
 from contact_reach_ros.experiments.episode import EpisodeOptions
 from contact_reach_ros.experiments.model_cases import simulate_from
 from contact_reach_ros.experiments.output import percentiles, say, table, write_report
-from contact_reach_ros.experiments.recorded_runs import RecordedPlan, RecordingPlanner, record_runs
+from contact_reach_ros.experiments.recorded_runs import RecordedPlan, RecordingPlanner, record_runs, spread_states
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.action_space import ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings

@@ -185,9 +185,14 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     fig5.add_argument("--seed", type=int, help="of the target and what stands around (default: 0)")
     fig5.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
     fig5.add_argument("--output", type=Path, help="the picture (default: docs/fig5.png)")
-    solver = add("solver", _plain("bench_solver"), "Algorithm 1 against plain CMA-ES and many gradient steps")
-    solver.add_argument("--scene", help="scene: a name or a YAML file (default: wall)")
-    solver.add_argument("--seeds", type=int, help="states to start from (default: 20)")
+    solver = add("solver", _plain("bench_solver"), "Algorithm 1 and other solvers at equal wall time")
+    solver.add_argument("--scene", dest="scenes", nargs="+", help="names or YAML files (default: ball wall)")
+    solver.add_argument("--states", type=int, help="to start from in each scene (default: 40)")
+    solver.add_argument("--seconds", type=float, help="for each search (default: 0.1)")
+    solver.add_argument(
+        "--steps", action="store_true", help="instead, after ten steps each, in several configurations of Algorithm 1"
+    )
+    solver.add_argument("--plot", type=Path, metavar="FILE", help="draw the costs over time")
 
 
 def _plain(bench: str) -> Callable[..., None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -181,6 +182,18 @@ def record_runs(
             if (index := entry.plan.effect_ns // _TICK_NS - 1) < len(path)
         ]
     return RecordedRuns(scenes, recorded, errors, reached)
+
+
+def spread_states(plans: Sequence[RecordedPlan], count: int) -> list[RecordedPlan]:
+    """`count` plans, half of them with contact if there are that many, evenly over the runs."""
+    touching = [plan for plan in plans if plan.touches]
+    others = [plan for plan in plans if not plan.touches]
+    with_contact = min(len(touching), max(count // 2, count - len(others)))
+    return _evenly(touching, with_contact) + _evenly(others, count - with_contact)
+
+
+def _evenly(plans: Sequence[RecordedPlan], count: int) -> list[RecordedPlan]:
+    return [plans[index] for index in np.linspace(0, len(plans) - 1, count).astype(int)] if count else []
 
 
 def _prediction_error(arm: Arm, plan: Plan, q: Array) -> PredictionError:

@@ -21,6 +21,9 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.pipeline import State, System
 
+_PAPER_SIGMA = 0.01
+"""Standard deviation of every variable, m or rad, in line 1 of Algorithm 1."""
+
 
 class ActionSpace(Protocol):
     """Decision variables, their effect on the arm, and what is in force without a plan.
@@ -97,6 +100,13 @@ class ReferenceSpace:
     def finish(self, plan: Plan, point: np.ndarray) -> Plan:
         """The plan, unchanged."""
         return plan
+
+
+def initial_spread(settings: PlanningSettings, bounds: Array) -> Array:
+    """Standard deviations (N,) of a fresh search, as shares of the bounds (N,)."""
+    if settings.sampling == "bounds":
+        return np.full_like(bounds, settings.sigma)
+    return _PAPER_SIGMA / bounds
 
 
 def scaled_cost(space: ActionSpace) -> Callable[[Problem, jax.Array], jax.Array]:

@@ -19,7 +19,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import plan_basis
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
-from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, scaled_cost
+from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
 from contact_reach_ros.planning.exhaustion import EXHAUSTION, with_fewer_candidates
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
@@ -47,9 +47,6 @@ from contact_reach_ros.world.spheres import Spheres
 
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
-
-_PAPER_SIGMA = 0.01
-"""Standard deviation of every variable, m or rad, in line 1 of Algorithm 1."""
 
 _T = TypeVar("_T")
 
@@ -98,9 +95,7 @@ class RecedingHorizonPlanner:
         self._permitted_force = permitted_force
         self._least_speed = LEAST_SPEED * steady_speed(settings, gains)
         self._space = ReferenceSpace(arm, settings, gains) if space is None else space
-        self._spread = _PAPER_SIGMA / self._space.bounds
-        if settings.sampling == "bounds":
-            self._spread = np.full_like(self._space.bounds, settings.sigma)
+        self._spread = initial_spread(settings, self._space.bounds)
         self._predictor = Predictor(self._space.objective.system, self._space.step)
         self._new_solver = functools.partial(solver, scaled_cost(self._space), self.size)
         self._solver = self._new_solver(settings)

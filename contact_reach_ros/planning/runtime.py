@@ -12,15 +12,23 @@ DEVICES = ("auto", "cpu", "gpu")
 """Devices for the computation: 'auto' takes a GPU where JAX has one, else the CPU."""
 
 _GPU_PLUGINS = ("jax_cuda13_plugin", "jax_cuda12_plugin", "jax_rocm7_plugin", "jax_rocm60_plugin")
-_SINGLE_THREAD = "--xla_cpu_multi_thread_eigen=false"
+
+_FLAGS = {
+    # XLA's default of one worker per core costs more than it gains for arrays of this size: idle workers spin on the
+    # very cores that run the 1 kHz loops.
+    "xla_cpu_multi_thread_eigen": "--xla_cpu_multi_thread_eigen=false",
+    # A loop, however large, becomes one function. By default each of its hundreds of operations is started on its own
+    # in each round, which takes longer than many of them.
+    "xla_backend_extra_options": "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
+}
+"""By name; versions of XLA that do not know the option of the second ignore it."""
 
 
 def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
     """Start JAX's backend on one worker thread; call it before the first computation.
 
-    XLA's default of one worker per core costs more than it gains for arrays of this size: idle workers spin on the very
-    cores that run the 1 kHz loops. Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A
-    backend that is already running keeps its threads.
+    Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A backend that is already running
+    keeps its threads and flags.
 
     Parameters
     ----------
@@ -35,8 +43,8 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
         If a GPU is requested and JAX has none.
     """
     flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_cpu_multi_thread_eigen" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {_SINGLE_THREAD}".strip()
+    missing = (flag for name, flag in _FLAGS.items() if name not in flags)
+    os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
     import jax  # not before the flags are set
 
     if "JAX_PLATFORMS" not in os.environ and (device == "cpu" or (device == "auto" and not _gpu_support())):

@@ -12,7 +12,9 @@ configure_jax(Path(os.environ["CACHE"]))
 import jax, jax.numpy as jnp
 jax.jit(lambda x: jnp.sin(x) @ jnp.cos(x))(jnp.ones((300, 300))).block_until_ready()
 names = [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")]
-print(sum("XLAEigen" in name for name in names), os.environ.get("NPROC"), os.environ["XLA_FLAGS"], sep="|")
+loop = jax.jit(lambda x: jax.lax.fori_loop(0, 9, lambda _, x: jnp.sin(x) + jnp.cos(x)[::-1], x))
+whole = "xla_cpu_small_call" in loop.lower(jnp.ones((300, 300))).compile().as_text()
+print(whole, sum("XLAEigen" in name for name in names), os.environ.get("NPROC"), os.environ["XLA_FLAGS"], sep="|")
 """
 
 
@@ -31,17 +33,25 @@ def start(tmp_path, **environment: str) -> list[str]:
 
 
 def test_one_worker_thread_computes_and_children_do_not_inherit_that(tmp_path):
-    workers, inherited, _ = start(tmp_path)
+    _, workers, inherited, _ = start(tmp_path)
     assert workers == "1"
     assert inherited == "None"
 
 
 def test_what_the_user_has_set_stays(tmp_path):
-    _, inherited, flags = start(tmp_path, NPROC="2", XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")
+    _, _, inherited, flags = start(tmp_path, NPROC="2", XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")
     assert inherited == "2"
-    assert flags == "--xla_cpu_multi_thread_eigen=true"
-    _, _, flags = start(tmp_path, XLA_FLAGS="--xla_dump_max_hlo_modules=1")
+    assert "--xla_cpu_multi_thread_eigen=true" in flags and "multi_thread_eigen=false" not in flags
+    _, _, _, flags = start(tmp_path, XLA_FLAGS="--xla_dump_max_hlo_modules=1")
     assert flags.startswith("--xla_dump_max_hlo_modules=1 ")
+
+
+def test_a_loop_becomes_one_function_unless_the_user_wants_another_size(tmp_path):
+    whole, *_ = start(tmp_path)
+    assert whole == "True"
+    option = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
+    whole, *_ = start(tmp_path, XLA_FLAGS=option)
+    assert whole == "False"
 
 
 def test_compiled_programs_are_kept(tmp_path):

@@ -194,7 +194,7 @@ class HybridSolver(Generic[ProblemT]):
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
-        steps = sample(distribution, _key(draw, 0), self._settings.population)
+        steps = sample(distribution, seeded_key(draw, 0), self._settings.population)
         points = distribution.mean[:, None] + distribution.sigma * steps
         return Sample(steps, points, jnp.clip(points, -1.0, 1.0))
 
@@ -204,13 +204,13 @@ class HybridSolver(Generic[ProblemT]):
         """Lines 8 to 13 from the costs (k,) of the repaired candidates and, for line 9, of the unrepaired ones."""
         if outside is None:
             # In proportion to the spread among the best, so that cost and penalty have similar magnitudes.
-            best, _ = jax.lax.top_k(-_ranked(costs)[0], self._settings.elite)
+            best, _ = jax.lax.top_k(-ranked_costs(costs)[0], self._settings.elite)
             spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
             distance = ((sample.points - sample.repaired) ** 2).sum(axis=0)
             penalty = self._settings.boundary_weight * spread * distance
         else:
             penalty = jnp.where((sample.points != sample.repaired).any(axis=0), jnp.abs(outside), 0.0)
-        ranked, rejected = _ranked(costs + penalty)
+        ranked, rejected = ranked_costs(costs + penalty)
         best, index = jax.lax.top_k(-ranked, self._settings.elite)
         valid = jnp.isfinite(best).astype(costs.dtype)
         steps = sample.steps[:, index]
@@ -222,7 +222,7 @@ class HybridSolver(Generic[ProblemT]):
         slope = gradient(self._cost, problem, mean)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
-        beta = jax.random.uniform(_key(draw, 1), (self._settings.line_search_points,), mean.dtype) ** 2
+        beta = jax.random.uniform(seeded_key(draw, 1), (self._settings.line_search_points,), mean.dtype) ** 2
         beta = beta.at[0].set(0.0)
         return jnp.clip(mean[:, None] - direction[:, None] * beta, -1.0, 1.0)
 
@@ -230,7 +230,7 @@ class HybridSolver(Generic[ProblemT]):
         self, search: Search, sample: Sample, elite: Elite, points: jax.Array, costs: jax.Array
     ) -> Search:
         """Lines 16 to 18 from points (n, L) to choose the mean from and their costs (L,)."""
-        ranked, rejected = _ranked(costs)
+        ranked, rejected = ranked_costs(costs)
         index = jnp.argmin(ranked)
         mean, cost = points[:, index], ranked[index]
         better = cost < search.best_cost
@@ -270,13 +270,13 @@ def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Arr
     return jax.jvp(lambda points: cost(problem, points), (spread,), (directions,))[1][:n]
 
 
-def _ranked(costs: jax.Array) -> tuple[jax.Array, jax.Array]:
+def ranked_costs(costs: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Costs with infinity where they are not finite, so that those rank last, and the number of those."""
     finite = jnp.isfinite(costs)
     return jnp.where(finite, costs, jnp.inf), (~finite).sum().astype(jnp.int32)
 
 
-def _key(draw: Draw, purpose: int) -> jax.Array:
+def seeded_key(draw: Draw, purpose: int) -> jax.Array:
     """Random key of a draw, different for each purpose."""
     key = jax.random.PRNGKey(draw[0])
     for number in (*draw[1:], purpose):

@@ -1,0 +1,137 @@
+"""Algorithm 1 against plain CMA-ES and many gradient steps, after ten steps each (Section V-C).
+
+Every configuration starts from the same states at standing still, with a fresh distribution and the same random
+numbers. How much of the hybrid's decrease plain CMA-ES reaches depends on the configuration.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.experiments.output import Report, table
+from contact_reach_ros.experiments.recorded_runs import RecordedPlan
+from contact_reach_ros.experiments.solver_race import make_cost_of
+from contact_reach_ros.experiments.statistics import estimate
+from contact_reach_ros.planning.action_space import ReferenceSpace, initial_spread, scaled_cost
+from contact_reach_ros.planning.problem import Number, Problem
+from contact_reach_ros.planning.programs import preparing
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver import SOLVERS, make_solver
+from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.presets import preset
+
+PAPER = {"hybrid": 0.34, "cma": 0.22, "gradient": 0.40}
+"""Cost decrease after ten steps in the paper's wall scene, whose cost has another scale than ours."""
+
+STEPS = 10
+
+_LITERAL = "paper_linear"
+_BUDGET = ("population", "elite", "line_search_points")
+
+CONFIGURATIONS = (
+    "as shipped",
+    "half the budget",
+    "twice the budget",
+    "σ = 0.01 m or rad",
+    "penalty of line 9",
+    "σ and penalty",
+    "preset paper_linear",
+)
+
+
+def compare_steps(settings: PlanningSettings, states: Sequence[RecordedPlan]) -> Report:
+    """Decrease of the cost after ten steps, for every configuration and solver."""
+    report: Report = {"states": len(states), "states_with_contact": sum(state.touches for state in states)}
+    for name in CONFIGURATIONS:
+        report[name] = _decreases(_changed(settings, name), states, ramped=name != CONFIGURATIONS[-1])
+    return report
+
+
+def _changed(settings: PlanningSettings, configuration: str) -> PlanningSettings:
+    """The settings of a configuration."""
+    match configuration:
+        case "half the budget" | "twice the budget":
+            factor = 0.5 if configuration.startswith("half") else 2.0
+            budget: dict[str, Any] = {name: int(factor * getattr(settings, name)) for name in _BUDGET}
+            return dataclasses.replace(settings, **budget)
+        case "σ = 0.01 m or rad":
+            return dataclasses.replace(settings, sampling="paper")
+        case "penalty of line 9":
+            return dataclasses.replace(settings, boundary_penalty="paper")
+        case "σ and penalty":
+            return dataclasses.replace(settings, sampling="paper", boundary_penalty="paper")
+        case "preset paper_linear":
+            same = ("horizon", "substeps", "gradient_steps", *_BUDGET)
+            return dataclasses.replace(preset(_LITERAL).planning, **{name: getattr(settings, name) for name in same})
+    return settings
+
+
+def _decreases(settings: PlanningSettings, states: Sequence[RecordedPlan], ramped: bool) -> Report:
+    gains = preset("shipped" if ramped else _LITERAL).controller.impedance
+    space = ReferenceSpace(load_arm(), settings, gains)
+    cost, size = scaled_cost(space), len(space.bounds)
+    still, spread = np.zeros(size), initial_spread(settings, space.bounds)
+    limited = dataclasses.replace(settings, max_steps=STEPS, stagnation_steps=STEPS)
+    problems = [_problem(state.solve.problem, settings, ramped) for state in states]
+    cost_of = make_cost_of(cost, size, settings)
+    decreases: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {}
+    for name in SOLVERS:
+        solver = make_solver(cost, size, dataclasses.replace(limited, solver=name))
+        with preparing():
+            solver.warm_up(problems[0], solver.init(still, spread))
+        decreases[name], seconds[name] = [], []
+        for number, problem in enumerate(problems):
+            start_cost = cost_of(problem, still)
+            began = time.perf_counter()
+            found = solver.solve(problem, solver.init(still, spread), start_cost, number)
+            seconds[name].append(time.perf_counter() - began)
+            decreases[name].append(start_cost - found.cost)
+    hybrid = np.array(decreases["hybrid"])
+    return {
+        name: {
+            **estimate(values).json,
+            "share": _share(np.array(values), hybrid),
+            "ms": 1e3 * float(np.median(seconds[name])),
+        }
+        for name, values in decreases.items()
+    }
+
+
+def _problem(problem: Problem, settings: PlanningSettings, ramped: bool) -> Problem:
+    """The problem with the weights of other settings, and without a reference before where references step."""
+    weights: dict[str, Number] = {name: single(weight) for name, weight in term_weights(settings).items()}
+    # Zero where the goal leaves the orientation free.
+    weights["orientation"] = problem.weights["orientation"]
+    return problem._replace(weights=weights, before=problem.before if ramped else None)
+
+
+def _share(values: np.ndarray, hybrid: np.ndarray) -> Report:
+    """Ratio of the mean decreases, with an interval from a bootstrap over the states."""
+    chosen = np.random.default_rng(0).integers(len(values), size=(10000, len(values)))
+    low, high = np.quantile(values[chosen].mean(axis=1) / hybrid[chosen].mean(axis=1), (0.025, 0.975))
+    return {"mean": float(values.mean() / hybrid.mean()), "ci95": [float(low), float(high)]}
+
+
+def steps_table(report: Report, scenes: Sequence[str]) -> str:
+    """A table in Markdown; the paper's own shares are in its last rows."""
+    rows = []
+    for scene in scenes:
+        for configuration in CONFIGURATIONS:
+            for name in SOLVERS:
+                entry = report[scene][configuration][name]
+                low, high = entry["ci95"]
+                decrease = f"{entry['mean']:.3f} ({low:.3f} to {high:.3f})"
+                low, high = entry["share"]["ci95"]
+                share = f"{entry['share']['mean']:.2f} ({low:.2f} to {high:.2f})"
+                rows.append([scene, configuration, name, decrease, share, f"{entry['ms']:.0f}"])
+    for name, value in PAPER.items():
+        rows.append(["wall", "paper", name, f"{value:.2f}", f"{value / PAPER['hybrid']:.2f}", ""])
+    return table(["scene", "configuration", "solver", "decrease (95 %)", "share of the hybrid's", "ms"], rows)
