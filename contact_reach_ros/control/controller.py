@@ -71,8 +71,12 @@ class Controller:
         self.arm = arm
         self.settings = settings
         self.model = RobotModel(arm, inertias)
+        supervision = settings.supervision
         self.references = ReferenceQueue(
-            arm.n, settings.supervision.max_plan_lead, settings.supervision.max_plan_duration
+            arm.n,
+            supervision.max_plan_lead,
+            supervision.max_plan_duration,
+            (np.array(supervision.workspace_minimum), np.array(supervision.workspace_maximum)),
         )
         self.supervisor = Supervisor(arm, settings.supervision, period)
         self.order = StampOrder()

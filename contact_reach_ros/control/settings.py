@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Settings, setting
 
 POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
@@ -131,6 +132,16 @@ class SupervisionSettings(Settings):
     max_plan_duration: float = setting(
         1.0, "duration above which a plan is refused", unit="s", minimum=0.01, maximum=60.0
     )
+    workspace_minimum: tuple[float, ...] = setting(
+        (-2.0, -2.0, -0.03),
+        "least coordinates of x_d in the base frame: plans that leave this box are refused",
+        unit="m",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    workspace_maximum: tuple[float, ...] = setting(
+        (2.0, 2.0, 2.0), "greatest coordinates of x_d", unit="m", minimum=-10.0, maximum=10.0
+    )
     max_position_error: float = setting(
         0.05,
         "distance of x_d from the tip above which a plan is dropped; the planner asks for a third of it",
@@ -198,6 +209,14 @@ class SupervisionSettings(Settings):
         1.0, "joint speed that stops the arm, as a share of the data sheet's limit", minimum=0.05, maximum=1.0
     )
     velocity_debounce: int = setting(3, "time above that speed that stops the arm", unit="ms", minimum=1, maximum=100)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not all(low < high for low, high in zip(self.workspace_minimum, self.workspace_maximum, strict=True)):
+            raise SettingsError(
+                f"supervision.workspace_minimum = {list(self.workspace_minimum)}: expected less than workspace_maximum "
+                f"= {list(self.workspace_maximum)} in each coordinate"
+            )
 
     @property
     def has_own_watch(self) -> bool:

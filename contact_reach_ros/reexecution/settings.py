@@ -43,6 +43,8 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
         "supervision.watch_rate": 1000.0,
         "supervision.brake_after": 3600.0,
         "supervision.stop_creep": 7.0,
+        "supervision.workspace_minimum": [-10.0] * 3,
+        "supervision.workspace_maximum": [10.0] * 3,
     },
     "observer": {
         "safety.model_error_per_rad": 1000.0,

@@ -13,9 +13,9 @@ from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.law import Reference
 from contact_reach_ros.control.references import References
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.stop_reasons import Verdict
 
 SETTINGS = UNWATCHED
@@ -360,7 +360,7 @@ class TestBounds:
         position, rotation = RobotModel(ARM).tip_pose(HOME)
         assert self.offered(holding, Reference(position + np.array([0.0, distance, 0.0]), rotation, HOME + 0.2)) == ""
 
-    @pytest.mark.parametrize("distance", [0.051, 1.0, 100.0])
+    @pytest.mark.parametrize("distance", [0.051, 1.0])
     def test_a_position_that_is_too_far_is_dropped_with_both_distances(self, holding, distance):
         position, rotation = RobotModel(ARM).tip_pose(HOME)
         found = self.offered(holding, Reference(position + np.array([0.0, distance, 0.0]), rotation, HOME))
@@ -387,6 +387,21 @@ class TestBounds:
     def test_a_plan_that_lasts_too_long_is_refused(self, holding):
         with pytest.raises(InputError, match="the plan lasts 2 s; expected at most 1 s"):
             self.offered(holding, Reference(*RobotModel(ARM).tip_pose(HOME), HOME), 2 * SECOND_NS)
+
+    @pytest.mark.parametrize(
+        ("axis", "past", "message"),
+        [(0, -2.1, "x of x_d is -2.100 m"), (2, -0.031, "z of x_d is -0.031 m"), (2, 2.1, "z of x_d is 2.100 m")],
+    )
+    def test_a_plan_out_of_the_workspace_is_refused(self, holding, axis, past, message):
+        position, rotation = RobotModel(ARM).tip_pose(HOME)
+        position[axis] = past
+        with pytest.raises(InputError, match=f"{message} in point 0; expected .*supervision.workspace_minimum"):
+            self.offered(holding, Reference(position, rotation, HOME))
+        assert holding.references.active is None and holding.mode is Mode.HOLDING
+
+    def test_a_workspace_without_room_is_refused(self):
+        with pytest.raises(SettingsError, match=r"workspace_minimum = .*expected less than workspace_maximum"):
+            SupervisionSettings(workspace_minimum=(0.0, 0.0, 2.0))
 
     def test_an_arm_that_is_moved_away_from_its_plan_is_let_go(self, holding):
         assert self.offered(holding, Reference(*RobotModel(ARM).tip_pose(HOME), HOME)) == ""

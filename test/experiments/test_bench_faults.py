@@ -31,8 +31,9 @@ from contact_reach_ros.simulation.fault_schedules import parse_faults
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 
-NEAREST = (1700, 123, 156, 313, 320, 334, 378)
-"""Seeds of `bench faults` whose episodes came nearest to a bound; 1700 was beyond, when a joint sank unnoticed."""
+NEAREST = (1470, 1700, 123, 156, 313, 320, 334, 378)
+"""Seeds of `bench faults` whose episodes came nearest to a bound; 1700 was beyond, when a joint sank unnoticed,
+and 1470, when plans led the hand onto the floor."""
 UNTOLD = {"scene": "free", "planner": "small", "rate": 200, "faults": "push"}
 
 
