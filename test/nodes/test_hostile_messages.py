@@ -72,6 +72,7 @@ class StandingStill:
 
     memory = None
     since_reset = 1
+    candidates = 1
 
     def __init__(self, *_):
         pass

@@ -34,7 +34,7 @@ from contact_reach_ros.world.spheres import Spheres
 
 REFERENCES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 
-_ATTEMPTS = 200
+_ATTEMPTS = 500
 
 
 class Bench:
