@@ -71,12 +71,8 @@ class Controller:
         self.arm = arm
         self.settings = settings
         self.model = RobotModel(arm, inertias)
-        supervision = settings.supervision
         self.references = ReferenceQueue(
-            arm.n,
-            supervision.max_plan_lead,
-            supervision.max_plan_duration,
-            (np.array(supervision.workspace_minimum), np.array(supervision.workspace_maximum)),
+            arm.n, settings.supervision.max_plan_lead, settings.supervision.max_plan_duration
         )
         self.supervisor = Supervisor(arm, settings.supervision, period)
         self.order = StampOrder()
@@ -442,9 +438,12 @@ class Controller:
         return self._followed
 
     def _too_far(self, reference: Reference, q: Array) -> str:
-        """In what the reference is further from the arm than the planner asks for; empty when in nothing."""
+        """In what the reference is out of the workspace or too far from the arm; empty when in nothing."""
         limits, model = self.settings.supervision, self.model
         if reference is not self._target:
+            beyond = _beyond(reference.position, limits)
+            if beyond:
+                return beyond
             distance = math.dist(reference.position.tolist(), model.position.tolist())
             angle = _turn(reference.rotation, model.rotation, self.settings.impedance.task)
         else:
@@ -476,6 +475,19 @@ class Controller:
         if held_for < supervision.hold_blend:
             return blend(self._blend_from, self._hold, held_for / supervision.hold_blend)
         return self._hold
+
+
+def _beyond(position: Array, limits: SupervisionSettings) -> str:
+    """In which coordinate a position (3,), m, is out of the workspace; empty when in none."""
+    for axis, found, least, greatest in zip(
+        "xyz", position.tolist(), limits.workspace_minimum, limits.workspace_maximum, strict=True
+    ):
+        if not least <= found <= greatest:
+            return (
+                f"{axis} of x_d is {found:.3f} m, permitted {least:g} to {greatest:g} m (workspace_minimum, "
+                "workspace_maximum)"
+            )
+    return ""
 
 
 def _turn(reference: Array, rotation: Array, task: str) -> float:

@@ -102,24 +102,9 @@ class ReferenceQueue:
 
     _PENDING = 8
 
-    def __init__(
-        self, n: int, max_lead: float, max_duration: float = math.inf, workspace: tuple[Array, Array] | None = None
-    ) -> None:
-        """Start without plans.
-
-        Parameters
-        ----------
-        n
-            Number of joints.
-        max_lead
-            How far in the future a stamp may lie, s.
-        max_duration
-            Of a plan, s.
-        workspace
-            Least and greatest coordinates of x_d, each (3,), m, in the base frame; by default all are permitted.
-        """
+    def __init__(self, n: int, max_lead: float, max_duration: float = math.inf) -> None:
+        """`n`: number of joints; `max_lead`: how far in the future a stamp may lie, s; `max_duration` of a plan, s."""
         self._n = n
-        self._workspace = workspace
         self._max_lead_ns = int(max_lead * NANOSECONDS)
         self._max_duration = max_duration
         self._poses: OrderedDict[int, PoseKnots] = OrderedDict()
@@ -144,7 +129,6 @@ class ReferenceQueue:
             raise InputError(
                 "reference/pose: transforms hold non-finite values; expected finite positions and rotations"
             )
-        self._check_workspace(knots.positions)
         self._check_stamp("reference/pose", knots.stamp_ns, knots.ends_ns, now_ns)
         self._keep(self._poses, knots.stamp_ns, knots)
         self._pair(knots.stamp_ns, now_ns)
@@ -188,18 +172,6 @@ class ReferenceQueue:
         self._waiting.clear()
         self.active = None
         self._not_before_ns = now_ns
-
-    def _check_workspace(self, positions: Array) -> None:
-        if self._workspace is None:
-            return
-        least, greatest = self._workspace
-        outside = (positions < least) | (positions > greatest)
-        if outside.any():
-            knot, axis = (int(index) for index in np.argwhere(outside)[0])
-            raise InputError(
-                f"reference/pose: {'xyz'[axis]} of x_d is {positions[knot, axis]:.3f} m in point {knot}; expected "
-                f"{least[axis]:g} to {greatest[axis]:g} m (supervision.workspace_minimum and workspace_maximum)"
-            )
 
     def _check_stamp(self, kind: str, stamp_ns: int, ends_ns: tuple[int, ...], now_ns: int) -> None:
         lead = stamp_ns - now_ns

@@ -133,8 +133,8 @@ class SupervisionSettings(Settings):
         1.0, "duration above which a plan is refused", unit="s", minimum=0.01, maximum=60.0
     )
     workspace_minimum: tuple[float, ...] = setting(
-        (-2.0, -2.0, -0.03),
-        "least coordinates of x_d in the base frame: plans that leave this box are refused",
+        (-2.0, -2.0, -2.0),
+        "least coordinates of x_d in the base frame: a plan is dropped where it leaves this box",
         unit="m",
         minimum=-10.0,
         maximum=10.0,

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.scripted import ScriptedPlanner
@@ -34,6 +36,8 @@ PLANNERS = ("small", "scripted")
 """The real one with a small budget, or one that leads the arm along its path whatever stands in the way; drawn."""
 SMALL_PLANNER = PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=2, deadline=0.0)
 """Faults do not depend on how good the plans are."""
+_WORKSPACE_MINIMUM = (-2.0, -2.0, -0.05)
+"""m: the floor of the scenes is 0.1 m below the base, and the hand goes down to it before its centre does."""
 _PERIOD = 0.08
 _TIMEOUT = 5.0
 _LINGER = 1.0
@@ -44,8 +48,9 @@ _DRIVER = 2
 
 
 def fault_setup() -> Setup:
-    """What all episodes have in common: everything as shipped, but for the planner's budget."""
-    return Setup(planning=SMALL_PLANNER, budget=load_budget())
+    """What all episodes have in common: everything as shipped, but for the planner's budget, and the scenes' floor."""
+    controller = ControllerSettings(supervision=SupervisionSettings(workspace_minimum=_WORKSPACE_MINIMUM))
+    return Setup(planning=SMALL_PLANNER, controller=controller, budget=load_budget())
 
 
 def run_with_faults(seed: int, setup: Setup) -> Report:

@@ -31,10 +31,8 @@ START = 0.8
 LONGEST_CONTROLLED = 0.005
 """Period of states up to which the package's controller moves the arm, s; slower ones are for watching."""
 
-_SUPERVISION = SupervisionSettings(
-    workspace_minimum=(-2.0, -2.0, -2.0), max_position_error=10.0, max_rotation_error=3.2, max_posture_error=7.0
-)
-"""The references lead the arm by more than a planner's do, and everywhere."""
+_SUPERVISION = SupervisionSettings(max_position_error=10.0, max_rotation_error=3.2, max_posture_error=7.0)
+"""The references lead the arm by more than a planner's do."""
 
 _TICK_NS = int(TICK * NANOSECONDS)
 _PLAN_TICKS = 40

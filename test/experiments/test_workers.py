@@ -1,6 +1,7 @@
 """Tasks on many workers: failing tasks, workers that die, and the end of all workers with their parent."""
 
 import contextlib
+import functools
 import os
 import signal
 import socket
@@ -127,7 +128,9 @@ def test_processes_end_when_their_parent_is_ended(number, tmp_path, capfd):
     script = tmp_path / "parent.py"
     script.write_text(program)
     command = [sys.executable, str(script), str(Path(__file__).parent), str(tmp_path / "id")]
-    parent = subprocess.Popen(command, start_new_session=True)
+    # A shell's background jobs ignore SIGINT, and so would the programs that they start.
+    heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    parent = subprocess.Popen(command, start_new_session=True, preexec_fn=heed)
     try:
         pid = int(content(tmp_path / "id"))
     finally:
