@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_arm(demo)
     demo.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
     demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
-    demo.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 2)")
+    demo.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 45)")
     demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
     demo.add_argument("--timeout", type=float, help="time to reach the goal, s (default: 30)")
     demo.add_argument("--output", type=Path, help="where bag, plot and log go (default: bags)")

@@ -62,7 +62,7 @@ class DemoOptions:
     arm: str = ""
     """Name of the arm, or the path of its file; empty leaves it to the parameter file."""
     scene: str = "ball"
-    seed: int = 2
+    seed: int = 45
     """With which the arm touches the ball."""
     goal: tuple[float, float, float] | None = None
     lockstep: bool = False

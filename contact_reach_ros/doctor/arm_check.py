@@ -86,7 +86,8 @@ def _serve(arm: Arm, geometry: Sequence[Sequence[Array]], console: Console) -> N
     server = serve(settings.port, arm.name)
     try:
         show_fit(server, arm, geometry)
-        console.print(f"capsules over the collision geometry: {settings.page_address(settings.port)}, until Ctrl-C")
+        shown = "capsules over the collision geometry" if geometry else "capsules"
+        console.print(f"{shown}: {settings.page_address(settings.port)}, until Ctrl-C")
         server.sleep_forever()
     except KeyboardInterrupt:
         pass
