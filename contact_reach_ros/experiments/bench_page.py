@@ -75,6 +75,19 @@ PARTS = (
         12.0,
     ),
     Part(
+        "gains",
+        Sweep(
+            "null_stiffness",
+            (10.0, 30.0, 90.0),
+            scenes=("wall", "ball"),
+            methods=_PAIR,
+            targets=5,
+            seed=_TUNING,
+            others=_AS_IN_THE_NODE,
+        ),
+        12.0,
+    ),
+    Part(
         "nodes",
         Sweep("contact_weight", (0.01,), ("wall",), targets=5, seed=_TUNING, others=_AS_IN_THE_NODE, spheres=40),
         50.0,

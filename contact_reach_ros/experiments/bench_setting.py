@@ -1,7 +1,8 @@
-"""`contact-reach bench setting`: whole episodes for each value of one of the planner's settings."""
+"""`contact-reach bench setting`: whole episodes for each value of a setting of the planner or a gain."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import shlex
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,8 @@ import numpy as np
 import yaml
 
 from contact_reach_ros.arms import DEFAULT_ARM
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.grid import Cell, Record, Setup
 from contact_reach_ros.experiments.grid_run import Running, finish, run_grid
@@ -25,6 +28,8 @@ from contact_reach_ros.world.files import read_scene
 LATENCY = "latency"
 """Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""
 
+_GAINS = frozenset(field.name for field in dataclasses.fields(ImpedanceSettings))
+
 _SLOWER = 1.1
 """The best value presses least among those that settle most often and are at most this much slower than the fastest."""
 
@@ -36,7 +41,7 @@ class Sweep:
     Attributes
     ----------
     name, values
-        Of a field of `PlanningSettings`, or `LATENCY`, and what it takes.
+        Of a field of `PlanningSettings` or `ImpedanceSettings`, or `LATENCY`, and what it takes.
     scenes, methods
         Names or YAML files, and some of `METHODS`.
     targets, seed
@@ -94,9 +99,14 @@ class Sweep:
             # As in Table I, the next plan is begun when the last one is ready.
             latency = float(planning.pop(LATENCY))
             replanning = ReplanningSettings(period=latency, latency=latency)
-        settings = PlanningSettings.from_mapping(planning, "bench setting")
+        gains = {name: planning.pop(name) for name in _GAINS & planning.keys()}
         return Setup(
-            arm=self.arm, planning=settings, budget=load_budget(), replanning=replanning, capacity=self.spheres
+            arm=self.arm,
+            planning=PlanningSettings.from_mapping(planning, "bench setting"),
+            controller=ControllerSettings(impedance=ImpedanceSettings.from_mapping(gains, "bench setting")),
+            budget=load_budget(),
+            replanning=replanning,
+            capacity=self.spheres,
         )
 
     def evaluate(self, report: Report) -> None:

@@ -14,13 +14,13 @@ def run(*arguments: str) -> int:
 
 @pytest.mark.slow
 def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
-    """x_d is latched with every plan, so fewer plans move it less far."""
+    """x_d is latched with every plan, so fewer plans move it less far; ratios are those of settling at the goal."""
     file = tmp_path / "report.json"
     assert run("latency", "0.04", "0.1", "--scene", "free", "--targets", "1", "--json", str(file)) == 0
     fast, slow = json.loads(file.read_text())["scenes"]["free"]
     assert (fast["value"], slow["value"]) == (0.04, 0.1)
     assert fast["reached"] == slow["reached"] == 1
-    assert 1.0 < fast["time_ratio"]["mean"] < 1.3 < slow["time_ratio"]["mean"] < 2.0
+    assert 1.0 < fast["time_ratio"]["mean"] < 0.9 * slow["time_ratio"]["mean"]
     assert fast["largest_force"]["mean"] == 0.0
     assert "| free | contact_reach | 0.04 | 1/1 |" in capsys.readouterr().out
 
@@ -32,6 +32,13 @@ def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value()
         (0, 0, "0.04"), (0, 0, "0.1"), (1, 0, "0.04"), (1, 0, "0.1"),
     ]  # fmt: skip
     assert [setup.latency("contact_reach") for setup in sweep.variants.values()] == [0.04, 0.1]
+
+
+def test_gains_reach_the_controller():
+    sweep = Sweep("null_stiffness", (10.0, 60.0), others=("max_steps=2",))
+    gains = [setup.controller.impedance.null_stiffness for setup in sweep.variants.values()]
+    assert gains == [10.0, 60.0]
+    assert {setup.planning.max_steps for setup in sweep.variants.values()} == {2}
 
 
 def row(value, reached, ratio, force):
@@ -56,6 +63,7 @@ def test_the_best_value_presses_least_among_those_that_are_sure_and_quick():
         (["contact_wieght", "1"], "contact_wieght"),
         (["population", "2"], "population"),
         (["max_steps", "many"], "max_steps"),
+        (["null_stiffness", "1000"], "null_stiffness"),
         (["max_steps", "1", "--with", "population"], "expected NAME=VALUE"),
         (["max_steps", "1", "--with", "populatoin=3"], "populatoin"),
         (["max_steps", "1", "--arm", "kuka"], "kuka"),
