@@ -46,23 +46,19 @@ POINTS = 51
 class _Simple(HybridSolver[Problem]):
     """A solver whose step evaluates one batch of points and moves the mean."""
 
-    def __init__(self, cost: CostFunction[Problem], n: int, settings: PlanningSettings) -> None:
-        super().__init__(cost, n, settings)
-        self._finish = Program(self._finish_step)
-
     def _advance(self, problem: Problem, search: Search, draw: Draw) -> Search:
         points = self._points(problem, search, draw)
-        return self._finish(search, points, self._costs(problem, points))
+        return self._finish(search, points, self._cost(problem, points))
 
     def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
         """The points (n, k) of a step; candidates about the mean."""
-        return self._sample(search.distribution, draw).repaired
+        return self._draw_sample(search.distribution, draw).repaired
 
     def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
         """The mean (n,) after a step, from points and their costs (k,)."""
         raise NotImplementedError
 
-    def _finish_step(self, search: Search, points: jax.Array, costs: jax.Array) -> Search:
+    def _finish(self, search: Search, points: jax.Array, costs: jax.Array) -> Search:
         costs, rejected = ranked_costs(costs)
         index = jnp.argmin(costs)
         better = costs[index] < search.best_cost
@@ -78,7 +74,7 @@ class Descent(_Simple):
     """Gradient and line search of Algorithm 1, without any candidates."""
 
     def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
-        return self._line(problem, search.distribution.mean, (*draw, 0))
+        return self._points_on_line(problem, search.distribution.mean, (*draw, 0))
 
     def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
         return points[:, jnp.argmin(costs)]
@@ -96,13 +92,9 @@ class Mppi(_Simple):
 class BestOfRandom(_Simple):
     """Points drawn evenly from the box; the best of all is the result."""
 
-    def __init__(self, cost: CostFunction[Problem], n: int, settings: PlanningSettings) -> None:
-        super().__init__(cost, n, settings)
-        shape = (n, settings.population)
-        self._draw = Program(lambda draw: jax.random.uniform(seeded_key(draw, 0), shape, minval=-1.0))
-
     def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
-        return self._draw(draw)
+        shape = (len(search.best), self._settings.population)
+        return jax.random.uniform(seeded_key(draw, 0), shape, minval=-1.0)
 
     def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
         return search.distribution.mean

@@ -85,7 +85,7 @@ def test_planner_with_loaded_programs_makes_the_same_plans(cache, quick_compilat
     for number in range(2):
         planner = RecedingHorizonPlanner(ARM, SMALL, ImpedanceSettings(), PERMITTED_FORCE, capacity=0)
         if number:
-            for program in (planner._predictor._run, planner._evaluate, planner._solver._costs, planner._solver._line):
+            for program in (planner._predictor._run, planner._evaluate, planner._solver._step):
                 program._compile = None
         planner.warm_up(lambda line: None)
         goal = Target(np.array([0.5, 0.2, 0.4]))

@@ -12,7 +12,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.transfer.closed_loop import Reference, pose_error
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep
+from contact_reach_ros.planning.transfer.lanes import cosine_and_sine, make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 
 COUNT = 40
@@ -71,3 +71,11 @@ def test_upper_triangle_of_mass_matrix_agrees_with_pinocchio(computed, expected)
     reference = np.stack([state["mass_matrix"] for state in expected], axis=-1)
     rows, columns = np.triu_indices(7)
     np.testing.assert_allclose(computed[3][rows, columns], reference[rows, columns], rtol=1e-5, atol=1e-5)
+
+
+def test_cosine_and_sine_with_their_derivatives_over_many_turns():
+    angle = np.linspace(-100.0, 100.0, 20001).astype(np.float32)
+    found, derivative = jax.jvp(jax.jit(cosine_and_sine), (angle,), (np.ones_like(angle),))
+    exact = np.cos(angle.astype(float)), np.sin(angle.astype(float))
+    np.testing.assert_allclose(found, exact, rtol=0, atol=2e-7)
+    np.testing.assert_allclose(derivative, (-exact[1], exact[0]), rtol=0, atol=2e-7)

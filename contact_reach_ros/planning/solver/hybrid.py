@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from contact_reach_ros.planning.solver.solver import CostFunction, ProblemT, Sol
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.warm_start import FloatArray
 
-Draw = tuple[int, ...]
+Draw = tuple[int | jax.Array, ...]
 """Numbers that select the random numbers: seed, plan number, step and so on."""
 
 GRADIENT_REACH = 2.0
@@ -94,13 +95,7 @@ class HybridSolver(Generic[ProblemT]):
         self.max_steps = settings.max_steps
         self._rates = Rates.of(n, settings.elite)
         self._gradient_steps = gradient_steps
-        # Separate programs, so that candidates and line search share the one that evaluates them: half the compilation
-        # for a fraction of a millisecond per step.
-        self._costs = Program(cost)
-        self._sample = Program(self._draw_sample)
-        self._select = Program(self._select_elite)
-        self._line = Program(self._points_on_line)
-        self._conclude = Program(self._update_search)
+        self._step = Program(self._advance)
 
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on, without recompilation."""
@@ -130,7 +125,7 @@ class HybridSolver(Generic[ProblemT]):
             if len(costs) > 1 and now + longest_step > until:
                 reason = "deadline"
                 break
-            search = self._advance(problem, search, (self._seed, number, len(costs)))
+            search = self._step(problem, search, (self._seed, number, len(costs)))
             costs.append(float(search.best_cost))
             longest_step, now = max(longest_step, time.perf_counter() - now), time.perf_counter()
             # From one infinite cost to another the decrease is NaN, which counts as stagnant too.
@@ -154,18 +149,19 @@ class HybridSolver(Generic[ProblemT]):
         times = []
         for repetition in range(1 + _REPETITIONS):
             begin = time.perf_counter()
-            jax.block_until_ready(self._advance(problem, search, (self._seed, 0, repetition)))
+            jax.block_until_ready(self._step(problem, search, (self._seed, 0, repetition)))
             times.append(time.perf_counter() - begin)
         return min(times[1:])
 
     def parts(self, problem: ProblemT, state: Distribution) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
         """Functions of one step with a line search, in their order, and arguments that they get; for measuring them."""
         draw, search = (self._seed, 0, 0), _search_from(state, 0.0)
-        sample = self._sample(search.distribution, draw)
-        costs = self._costs(problem, sample.repaired)
-        elite = self._select(search.distribution, sample, costs, None)
-        points = self._line(problem, elite.mean, (*draw, 0))
-        conclusion = (search, sample, elite, points, self._costs(problem, points))
+        sample = jax.jit(self._draw_sample)(search.distribution, draw)
+        evaluate = jax.jit(self._cost)
+        costs = evaluate(problem, sample.repaired)
+        elite = jax.jit(self._select_elite)(search.distribution, sample, costs, None)
+        points = jax.jit(self._points_on_line)(problem, elite.mean, (*draw, 0))
+        conclusion = (search, sample, elite, points, evaluate(problem, points))
         return {
             "sample": (self._draw_sample, (search.distribution, draw)),
             "candidates": (self._cost, (problem, sample.repaired)),
@@ -176,21 +172,62 @@ class HybridSolver(Generic[ProblemT]):
         }
 
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
-        """One step of Algorithm 1, lines 5 to 18."""
-        sample = self._sample(search.distribution, draw)
-        costs = self._costs(problem, sample.repaired)
-        outside = self._costs(problem, sample.points) if self._settings.boundary_penalty == "paper" else None
-        elite = self._select(search.distribution, sample, costs, outside)
+        """One step of Algorithm 1, lines 5 to 18, all in one program."""
+        sample = self._draw_sample(search.distribution, draw)
+        with_outside = self._settings.boundary_penalty == "paper"
+        outside = self._cost(problem, sample.points) if with_outside else None
+
+        def select(costs: jax.Array) -> Elite:
+            return self._select_elite(search.distribution, sample, costs, outside)
+
         if not self._gradient_steps:
+            elite = select(self._cost(problem, sample.repaired))
             points = elite.mean[:, None]
-            return self._conclude(search, sample, elite, points, self._costs(problem, points))
-        mean = elite.mean
-        for index in range(self._gradient_steps):
-            points = self._line(problem, mean, (*draw, index))
-            costs = self._costs(problem, points)
-            if index < self._gradient_steps - 1:
-                mean = self._conclude(search, sample, elite, points, costs).distribution.mean
-        return self._conclude(search, sample, elite, points, costs)
+            costs = self._cost(problem, points)
+        elif self._settings.line_search_points == self._settings.population:
+            elite, points, costs = self._search_in_rounds(problem, sample, draw, select)
+        else:
+            elite = select(self._cost(problem, sample.repaired))
+            points, costs = self._search_lines(problem, elite.mean, draw)
+        return self._update_search(search, sample, elite, points, costs)
+
+    def _search_in_rounds(
+        self, problem: ProblemT, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
+    ) -> tuple[Elite, jax.Array, jax.Array]:
+        """The elite, the points of the last line search and their costs, where all batches have the same size.
+
+        Candidates and lines are rounds of one loop, so that the program has the code of their costs, half of the time
+        to compile it, only once.
+        """
+        points, costs = jnp.zeros_like(sample.points), jnp.zeros_like(sample.points[0])
+        nothing = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(select, costs))
+
+        def search(index: jax.Array, last: tuple[Elite, jax.Array, jax.Array]) -> tuple[Elite, jax.Array, jax.Array]:
+            def line() -> tuple[Elite, jax.Array]:
+                elite, points, costs = last
+                is_first = index == 1
+                elite = jax.tree.map(functools.partial(jnp.where, is_first), select(costs), elite)
+                mean = jnp.where(is_first, elite.mean, cheapest(points, costs)[0])
+                return elite, self._points_on_line(problem, mean, (*draw, index - 1))
+
+            elite, points = jax.lax.cond(index == 0, lambda: (last[0], sample.repaired), line)
+            return elite, points, self._cost(problem, points)
+
+        found: tuple[Elite, jax.Array, jax.Array]
+        found = jax.lax.fori_loop(0, 1 + self._gradient_steps, search, (nothing, points, costs))
+        return found
+
+    def _search_lines(self, problem: ProblemT, mean: jax.Array, draw: Draw) -> tuple[jax.Array, jax.Array]:
+        """The points of the last line search and their costs."""
+        costs = jnp.zeros(self._settings.line_search_points, mean.dtype)
+
+        def search(index: jax.Array, last: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            points = self._points_on_line(problem, cheapest(*last)[0], (*draw, index))
+            return points, self._cost(problem, points)
+
+        start = jnp.broadcast_to(mean[:, None], (len(mean), len(costs)))
+        found: tuple[jax.Array, jax.Array] = jax.lax.fori_loop(0, self._gradient_steps, search, (start, costs))
+        return found
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
@@ -230,9 +267,8 @@ class HybridSolver(Generic[ProblemT]):
         self, search: Search, sample: Sample, elite: Elite, points: jax.Array, costs: jax.Array
     ) -> Search:
         """Lines 16 to 18 from points (n, L) to choose the mean from and their costs (L,)."""
-        ranked, rejected = ranked_costs(costs)
-        index = jnp.argmin(ranked)
-        mean, cost = points[:, index], ranked[index]
+        mean, cost = cheapest(points, costs)
+        rejected = ranked_costs(costs)[1]
         better = cost < search.best_cost
         return Search(
             distribution=update(self._rates, search.distribution, elite.steps, elite.valid, mean),
@@ -274,6 +310,13 @@ def ranked_costs(costs: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Costs with infinity where they are not finite, so that those rank last, and the number of those."""
     finite = jnp.isfinite(costs)
     return jnp.where(finite, costs, jnp.inf), (~finite).sum().astype(jnp.int32)
+
+
+def cheapest(points: jax.Array, costs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The point (n,) with the least cost of points (n, B), and its cost."""
+    ranked, _ = ranked_costs(costs)
+    index = jnp.argmin(ranked)
+    return points[:, index], ranked[index]
 
 
 def seeded_key(draw: Draw, purpose: int) -> jax.Array:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.transfer.lanes import Keep, combine, cross, per_link, pick, prefix_sum
+from contact_reach_ros.planning.transfer.lanes import Keep, combine, cosine_and_sine, cross, per_link, pick, prefix_sum
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 
@@ -36,7 +36,7 @@ class Frames(NamedTuple):
 
 def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
     """Frames of the links at joint angles `q` (n, B)."""
-    cosine, sine = keep(jnp.cos(q)), keep(jnp.sin(q))
+    cosine, sine = (keep(part) for part in cosine_and_sine(q))
     identity = np.eye(3)[:, :, None]
     axes = [jnp.broadcast_to(identity[:, column], (3, q.shape[1])).astype(q.dtype) for column in range(3)]
     origin = jnp.zeros_like(axes[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import cast
 
@@ -12,6 +13,14 @@ from numpy.typing import ArrayLike
 
 Keep = Callable[[jax.Array], jax.Array]
 """Returns its argument unchanged, but makes XLA store it instead of computing it again for every reader."""
+
+_PI_HIGH = 3.140625
+"""π as the sum of two numbers, of which multiples of the first are exact."""
+_PI_LOW = np.pi - _PI_HIGH
+
+_COSINE = [(-1) ** n / math.factorial(2 * n) for n in reversed(range(7))]
+_SINE = [(-1) ** n / math.factorial(2 * n + 1) for n in reversed(range(7))]
+"""Coefficients of the squares of an angle, the highest first; enough for π/2."""
 
 
 def single(values: ArrayLike) -> jax.Array:
@@ -56,6 +65,34 @@ def root(a: jax.Array) -> jax.Array:
 def _root_derivative(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
     value = jnp.sqrt(primals[0])
     return value, (0.5 * tangents[0]) / value
+
+
+@jax.custom_jvp
+def cosine_and_sine(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cosine and sine of an angle, rad, to 2e-7 up to 100 rad.
+
+    XLA calls a function for each number where a loop is compiled into one: a fifth of the time of the candidates. This
+    is the series about the nearest multiple of π, with the same factor for both.
+    """
+    turns = jnp.round(angle * (1.0 / np.pi))
+    rest = angle - turns * _PI_HIGH - turns * _PI_LOW
+    sign = 1.0 - 2.0 * (turns - 2.0 * jnp.floor(0.5 * turns))
+    square = rest * rest
+    return sign * _series(_COSINE, square), sign * rest * _series(_SINE, square)
+
+
+def _series(terms: Sequence[float], x: jax.Array) -> jax.Array:
+    """The polynomial of x with these coefficients, the highest first."""
+    total = terms[0] * x + terms[1]
+    for term in terms[2:]:
+        total = total * x + term
+    return total
+
+
+@cosine_and_sine.defjvp
+def _turned(primals: tuple, tangents: tuple) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    cosine, sine = cosine_and_sine(*primals)
+    return (cosine, sine), (-sine * tangents[0], cosine * tangents[0])
 
 
 def cross(a: Sequence[jax.Array] | jax.Array, b: Sequence[jax.Array] | jax.Array) -> jax.Array:
@@ -140,7 +177,8 @@ def rotate(rotation_vector: jax.Array, columns: jax.Array) -> jax.Array:
     """exp(w) R for rotation vectors (3, B), rad, and rotation matrices (3, 3, B) indexed [row, column]."""
     square = dot(rotation_vector, rotation_vector) + 1e-12  # keeps the derivative at zero finite
     angle = jnp.sqrt(square)
-    sine, cosine = jnp.sin(angle) / angle, (1.0 - jnp.cos(angle)) / square
+    cosine, sine = cosine_and_sine(angle)
+    sine, cosine = sine / angle, (1.0 - cosine) / square
     rotated = []
     for column in (columns[:, 0], columns[:, 1], columns[:, 2]):
         turned = cross(rotation_vector, column)
