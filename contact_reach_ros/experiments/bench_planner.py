@@ -78,7 +78,7 @@ class PlannerBench:
     plans: int = 50
     episodes: int = 3
     seed: int = 0
-    brax: tuple[str, ...] = BRAX_PIPELINES
+    brax: tuple[str, ...] = ("generalized",)
     repetitions: int = 3
     cold_plans: int = 20
     settings: PlanningSettings = dataclasses.field(default_factory=lambda: PlanningSettings(deadline=0.0))

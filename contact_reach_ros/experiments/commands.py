@@ -80,7 +80,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--brax",
         nargs="*",
         choices=BRAX_PIPELINES,
-        help="Brax's pipeline to compare with, which takes minutes; nothing for none (default: generalized)",
+        help="Brax's pipelines to compare with, which takes minutes; nothing for none (default: generalized)",
     )
     planner.add_argument("--quick", action="store_true", help="show that it runs, with a tiny budget")
     planner.add_argument(
@@ -99,7 +99,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--against",
         nargs="+",
         choices=BRAX_PIPELINES,
-        help="instead, roll out the plans of closed-loop runs with Brax's pipeline and with MuJoCo",
+        help="instead, roll out the plans of closed-loop runs with Brax's pipelines and with MuJoCo",
     )
     model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: scenes (default: free ball wall)")
     model.add_argument("--plans", type=int, help="with --against: plans per scene (default: 12)")

@@ -25,10 +25,10 @@ def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSetting
         posture = single(np.array(settings.resolve(arm).reference_posture)[:, None])
     if settings.pipeline == "closed_loop":
         return Objective(*arguments, posture=posture)
-    # Brax's own pipeline is for comparison, and slow to import.
-    from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective
+    # Brax's own pipelines are for comparison, and slow to import.
+    from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective
 
-    return BraxObjective(*arguments, arm, posture=posture)
+    return BraxObjective(*arguments, settings.pipeline, arm, posture=posture)
 
 
 def knot_bounds(arm: Arm, settings: PlanningSettings) -> Array:

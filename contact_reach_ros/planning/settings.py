@@ -9,7 +9,7 @@ from contact_reach_ros.planning.runtime import DEVICES
 from contact_reach_ros.planning.solver import SOLVERS
 from contact_reach_ros.settings import Settings, setting
 
-BRAX_PIPELINES = ("generalized",)
+BRAX_PIPELINES = ("generalized", "spring", "positional")
 PIPELINES = ("closed_loop", *BRAX_PIPELINES)
 BOUNDARY_PENALTIES = ("quadratic", "paper")
 SAMPLINGS = ("bounds", "paper")
@@ -26,7 +26,7 @@ class PlanningSettings(Settings):
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
-        "transfer model: this package's, or Brax's own for comparison, which is much slower",
+        "transfer model: this package's, or one of Brax's own for comparison, which are much slower",
         choices=PIPELINES,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)

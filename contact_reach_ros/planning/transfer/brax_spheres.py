@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
@@ -29,6 +30,11 @@ NETWORK_STIFFNESS, NETWORK_DAMPING = "network_stiffness", "network_damping"
 
 _SPHERE = 2
 """MuJoCo's number of this type of geometry."""
+
+_IMPEDANCE = 0.9
+_FRICTION = 0.2
+_CONTACT_DAMPING = 10.0
+"""N s/m."""
 
 
 def sphere_body(
@@ -121,4 +127,28 @@ def read_spheres(system: brax.System) -> Obstacles | None:
         shapes=single(shapes),
         amplitudes=single(shapes.T @ damping),
         rates=single(rates),
+    )
+
+
+def with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, contact_stiffness: float) -> brax.System:
+    """Put the spheres of a problem into a system: positions, sizes, masses and the stiffness of contact with them."""
+    count = len(mass)
+    link = system.link
+    # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid has four
+    # edges that share the normal force.
+    pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
+    scale = (1.0 - _IMPEDANCE) * pyramid / mass
+    solref = jnp.stack([-contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
+    spheres = jnp.flatnonzero(np.asarray(system.geom_type) == _SPHERE, size=count)
+    return system.tree_replace(
+        {
+            "link.transform.pos": jnp.asarray(link.transform.pos).at[:count].set(obstacles.rest[:, :, 0].T),
+            "link.inertia.mass": jnp.asarray(link.inertia.mass).at[:count].set(mass),
+            "link.invweight": jnp.zeros_like(link.invweight).at[:count].set(1.0 / mass),
+            "geom_size": jnp.asarray(system.geom_size).at[spheres, 0].set(obstacles.radius[:, 0]),
+            # Of two geometries, MuJoCo takes the smaller reference, the larger friction and the mean impedance.
+            "geom_solref": jnp.asarray(system.geom_solref).at[spheres].set(solref),
+            "geom_friction": jnp.asarray(system.geom_friction).at[:, 0].set(_FRICTION),
+            "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
+        }
     )

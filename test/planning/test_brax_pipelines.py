@@ -1,4 +1,4 @@
-"""Brax's own pipeline as the transfer function."""
+"""Brax's own pipelines as the transfer function."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import ARM, HOME
-from planning_helpers import SMALL, obstacles_of
+from planning_helpers import SMALL, make_problem, obstacles_of
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
@@ -18,9 +18,9 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.node_settings import ReplanningSettings
-from contact_reach_ros.planning.objectives import make_objective
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective, law_torque
+from contact_reach_ros.planning.objectives import knot_bounds, make_objective
+from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
+from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
 from contact_reach_ros.planning.transfer.brax_spheres import network
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import arm_model
@@ -36,13 +36,38 @@ def objective(pipeline: str) -> Objective:
 
 def test_setting_chooses_the_pipeline():
     assert not isinstance(objective("closed_loop"), BraxObjective)
-    assert isinstance(objective("generalized"), BraxObjective)
+    for name in BRAX_PIPELINES:
+        found = objective(name)
+        assert isinstance(found, BraxObjective)
+        assert found.pipeline == name
+
+
+@pytest.mark.parametrize("pipeline", ["spring", "positional"])
+def test_each_moves_the_arm_as_the_closed_loop_does(pipeline):
+    """In free space and from motion, within a tenth of the way that the tip goes."""
+    random = np.random.default_rng(1)
+    bounds = knot_bounds(ARM, SMALL)
+    # Always ahead, so that the arm goes somewhere; turns and elbow at random.
+    share = random.uniform(-1.0, 1.0, (SMALL.horizon, len(bounds), 4)).astype(np.float32)
+    share[:, :3] = np.array([[1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, 1.0], [1.0, 1.0, -1.0, 1.0]])
+    problem = make_problem(HOME, HOME[:3], None)._replace(v=jnp.asarray(random.uniform(-0.2, 0.2, (7, 1))))
+    actions = share * bounds[None, :, None]
+    rollouts = [
+        # To compile takes nearly all of the time.
+        jax.jit(objective(name).roll_out, compiler_options={"xla_backend_optimization_level": 0})(problem, actions)
+        for name in ("closed_loop", pipeline)
+    ]
+    ours, theirs = (np.asarray(rollout.pose.position) for rollout in rollouts)
+    way = np.linalg.norm(np.diff(ours, axis=0), axis=1).sum(axis=0)
+    assert way.min() > 0.02
+    assert np.all(np.linalg.norm(theirs - ours, axis=1) < 0.1 * way), np.linalg.norm(theirs - ours, axis=1)
+    assert np.abs(np.asarray(rollouts[1].q - rollouts[0].q)).max() < np.radians(2.0)
 
 
 @pytest.mark.parametrize(
     "setting, message",
     [
-        ({"pipeline": "spring"}, "pipeline = 'spring': expected .*closed_loop.*generalized"),
+        ({"pipeline": "mjx"}, "pipeline = 'mjx': expected .*closed_loop.*generalized.*spring.*positional"),
         ({"device": "tpu"}, "device = 'tpu': expected .*auto.*cpu.*gpu"),
     ],
 )
