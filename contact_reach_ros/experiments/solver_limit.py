@@ -1,13 +1,15 @@
 """How near a solver step comes to what one core can do: its arithmetic, counted, at speeds that are measured beside it.
 
 The arithmetic is counted in the traced programs, operation by operation and as often as loops run, by kinds that
-processors treat alike. The speed of each kind is that of an XLA program that does nothing else, on arrays that stay in
-the first cache. The limit is the time that the counted operations would take at these speeds: no memory is read,
-nothing is computed twice, and nothing waits.
+processors treat alike. The speed of each kind is that of XLA programs that do nothing else, on arrays that stay in the
+first cache: what a longer one takes more than a shorter one, so that starting them does not count. The limit is the
+time that the counted operations would take at these speeds: no memory is read, nothing is computed twice, and nothing
+waits.
 """
 
 from __future__ import annotations
 
+import functools
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -17,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.experiments.output import Report, table
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 
@@ -31,8 +34,11 @@ _KINDS = {
 }
 """Operations of JAX by kind; others move data, or are too few to matter."""
 
-_SIZE, _CHAIN, _LOOPS = 1024, 64, 200
-"""Numbers in an array of the measured programs, operations on each in a round, and rounds."""
+_SIZE, _SHORT, _LONG, _SLOW = 4096, 16, 64, 8
+"""Numbers in an array of the measured programs, and operations on each in two of them, whose difference is taken.
+
+Slow kinds have fewer, by this factor.
+"""
 
 
 def count_operations(function: Callable[..., Any], *arguments: Any) -> Counter[str]:
@@ -74,32 +80,55 @@ _CHAINS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
     "compare": lambda x, one: jnp.maximum(x, one),
     # By one number, as in `lanes.make_keep`: compilers multiply by its inverse.
     "scale": lambda x, one: x / one,
-    "divide": lambda x, one: one / x,
+    # With an addition, or XLA would make multiplications of a chain of divisions.
+    "divide": lambda x, one: one / (x + one),
     "root": lambda x, one: jnp.sqrt(x),
     "sine": lambda x, one: jnp.sin(x),
     "exponential": lambda x, one: jnp.exp(x),
 }
 
 
-def operation_times(repetitions: int = 5) -> dict[str, float]:
-    """Least time of one operation of each kind, s, on this core now."""
-    return {kind: _time_of(operation, repetitions) for kind, operation in _CHAINS.items()}
+class OperationClock:
+    """Measures the time of one operation of each kind on this core, better with each call of `measure`."""
+
+    def __init__(self) -> None:
+        self._least: dict[tuple[str, int], float] = {}
+
+    def measure(self, repetitions: int) -> None:
+        """Run every program that often; there are no loops in them, which options of XLA would change."""
+        one = np.linspace(1.0, 1.0 + 1e-6, 8).astype(np.float32)
+        for kind in _CHAINS:
+            for length in _lengths(kind):
+                program = _chain(kind, length)
+                fastest = min(_seconds(program, np.full(_SIZE, 0.7, np.float32), one) for _ in range(repetitions))
+                self._least[kind, length] = min(fastest, self._least.get((kind, length), np.inf))
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Least time of one operation by kind, s."""
+        times = {}
+        for kind in _CHAINS:
+            short, long = _lengths(kind)
+            times[kind] = (self._least[kind, long] - self._least[kind, short]) / (_SIZE * (long - short))
+        return {**times, "divide": times["divide"] - times["add"]}
 
 
-def _time_of(operation: Callable[[jax.Array, jax.Array], jax.Array], repetitions: int) -> float:
+def _lengths(kind: str) -> tuple[int, int]:
+    factor = _SLOW if kind in ("sine", "exponential") else 1
+    return _SHORT // factor, _LONG // factor
+
+
+@functools.cache
+def _chain(kind: str, length: int) -> Callable[[Array, Array], jax.Array]:
     def run(x: jax.Array, one: jax.Array) -> jax.Array:
-        def round_(_: int, x: jax.Array) -> jax.Array:
-            for index in range(_CHAIN):
-                # Different numbers, or XLA would join the operations.
-                x = operation(x, one[index % len(one)])
-            return x
-
-        return jax.lax.fori_loop(0, _LOOPS, round_, x)
+        for index in range(length):
+            # Different numbers, or XLA would join the operations.
+            x = _CHAINS[kind](x, one[index % len(one)])
+        return x
 
     program = jax.jit(run)
-    x, one = np.full(_SIZE, 0.7, np.float32), np.linspace(1.0, 1.0 + 1e-6, 8, dtype=np.float32)
-    jax.block_until_ready(program(x, one))
-    return min(_seconds(program, x, one) for _ in range(repetitions)) / (_SIZE * _CHAIN * _LOOPS)
+    jax.block_until_ready(program(np.zeros(_SIZE, np.float32), np.ones(8, np.float32)))
+    return program
 
 
 def _seconds(program: Callable[..., Any], *arguments: Any) -> float:
@@ -117,17 +146,16 @@ def measure_limit(solver: HybridSolver[Any], problem: Any, state: Any, rounds: i
     calls = solver.parts(problem, state)
     programs = {name: jax.jit(function) for name, (function, _) in calls.items()}
     empty = jax.jit(lambda *arguments: jnp.zeros(()))
-    speeds = [operation_times()]
+    clock = OperationClock()
     times: dict[str, list[float]] = {name: [] for name in (*calls, "dispatch", "step")}
     for number in range(rounds):
-        if number % 10 == 9:
-            speeds.append(operation_times(2))
+        if number % 4 == 0:
+            clock.measure(20)
         for name, (_, arguments) in calls.items():
             times[name] += [_seconds(programs[name], *arguments) for _ in range(3)]
-        _, arguments = calls["select"]
-        times["dispatch"] += [len(calls) * _seconds(empty, *arguments) for _ in range(3)]
+        times["dispatch"] += [_seconds(empty, problem, state) for _ in range(3)]
         times["step"].append(solver.warm_up(problem, state))
-    speed = {kind: min(each[kind] for each in speeds) for kind in _CHAINS}
+    speed = clock.times
     counts = {name: count_operations(function, *arguments) for name, (function, arguments) in calls.items()}
     limits = {name: sum(count * speed[kind] for kind, count in counts[name].items()) for name in calls}
     least = {name: min(values) for name, values in times.items()}
@@ -154,7 +182,9 @@ def limit_table(report: Report, scenes: Sequence[str]) -> str:
             operations = sum(row["operations"].values()) / 1e6
             ratio = row["ms"] / row["limit_ms"]
             rows.append([name, part, f"{operations:.2f}", f"{row['limit_ms']:.2f}", f"{row['ms']:.2f}", f"{ratio:.1f}"])
-        rows.append([name, "Python and copies between the parts", "", "", f"{found['between_ms']:.2f}", ""])
+        rows.append(
+            [name, "call of the program, and copies between its parts", "", "", f"{found['between_ms']:.2f}", ""]
+        )
         total = f"{found['limit_ms']:.2f}", f"{found['step_ms']:.2f}", f"{found['ratio']:.1f}"
-        rows.append([name, f"whole step; six empty programs: {found['dispatch_ms']:.2f} ms", "", *total])
+        rows.append([name, f"whole step; an empty program: {found['dispatch_ms']:.2f} ms", "", *total])
     return table(["scene", "part", "million operations", "limit, ms", "least, ms", "ratio"], rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -145,12 +146,19 @@ def shift_distribution(
     weights[np.arange(horizon) + elapsed > horizon - 1 + 1e-9] = 0.0
     kept = np.kron(weights, np.eye(size))
     filled = np.repeat(1.0 - (weights**2).sum(axis=1), size) * spread**2
-    covariance = kept @ distribution.covariance @ kept.T + np.diag(filled)
+    return _shifted(distribution, single(mean), single(kept), single(filled))
+
+
+@jax.jit
+def _shifted(distribution: Distribution, mean: jax.Array, kept: jax.Array, filled: jax.Array) -> Distribution:
+    """On the device, so that the distribution stays there between plans."""
+    exact = functools.partial(jnp.matmul, precision="highest")
+    covariance = exact(exact(kept, distribution.covariance), kept.T)
     return Distribution(
-        mean=single(mean),
-        sigma=single(np.clip(distribution.sigma, *CARRIED_SIGMA_RANGE)),
-        covariance=single(covariance),
-        sigma_path=single(kept @ distribution.sigma_path),
-        covariance_path=single(kept @ distribution.covariance_path),
+        mean=mean,
+        sigma=jnp.clip(distribution.sigma, *CARRIED_SIGMA_RANGE),
+        covariance=0.5 * (covariance + covariance.T) + jnp.diag(filled),
+        sigma_path=exact(kept, distribution.sigma_path),
+        covariance_path=exact(kept, distribution.covariance_path),
         generation=distribution.generation,
     )

@@ -136,7 +136,7 @@ class HybridSolver(Generic[ProblemT]):
         return Solution(
             best=np.asarray(search.best),
             cost=costs[-1],
-            state=jax.tree.map(np.asarray, search.distribution),
+            state=search.distribution,
             steps=len(costs) - 1,
             stop_reason=reason,
             rejected=int(search.rejected),
@@ -146,6 +146,7 @@ class HybridSolver(Generic[ProblemT]):
     def warm_up(self, problem: ProblemT, state: Distribution) -> float:
         """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
         search = _search_from(state, 0.0)
+        self.shift(state, np.zeros(len(search.best)), np.zeros(len(search.best)), 1, 0.0)
         times = []
         for repetition in range(1 + _REPETITIONS):
             begin = time.perf_counter()

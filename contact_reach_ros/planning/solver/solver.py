@@ -22,7 +22,7 @@ CostFunction = Callable[[ProblemT, jax.Array], jax.Array]
 """Costs (B,) of candidates (n, B) for a problem, which is any tree of arrays."""
 
 State = Any
-"""A NamedTuple of arrays, in single precision or integers up to 2²⁴."""
+"""A NamedTuple of arrays, of numpy or on the device, in single precision or integers up to 2²⁴."""
 
 
 @dataclass(frozen=True, eq=False)
