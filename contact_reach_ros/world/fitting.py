@@ -18,7 +18,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.world.free_path import free_path
-from contact_reach_ros.world.overlap import on_hand
+from contact_reach_ros.world.overlap import on_hand, postures_at
 from contact_reach_ros.world.scene import SceneFile, TargetSettings
 
 _PLACES = ("center", "position")
@@ -59,7 +59,10 @@ def fitted(file: SceneFile, arm: Arm) -> SceneFile:
             )
         scaled = found
     start = scaled.start_of(arm)
-    obstacles = tuple(_scaled(each, factor).suited_to(arm, start) for each in file.obstacles)
+    middle = 0.5 * (np.array(scaled.minimum) + np.array(scaled.maximum))
+    postures = postures_at(arm, middle, link_frames(arm, start)[0][-1])
+    postures = postures if len(postures) else start[None]
+    obstacles = tuple(_scaled(each, factor).suited_to(arm, postures) for each in file.obstacles)
     return dataclasses.replace(file, target=scaled, obstacles=obstacles)
 
 

@@ -152,10 +152,10 @@ class ObstacleSettings(Settings, ABC):
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The obstacles around `center` (3,), m, base frame."""
 
-    def suited_to(self, arm: Arm, start: Array) -> Self:
+    def suited_to(self, arm: Arm, postures: Array) -> Self:
         """These settings for an arm that they were scaled for, with what does not depend on its reach alone.
 
-        `start`: its posture at the start, (n,), rad.
+        `postures`: those in which it holds the start's orientation in the middle of the targets, (N, n), rad.
         """
         return self
 

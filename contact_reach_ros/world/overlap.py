@@ -8,12 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.arrays import Array
 
 _HAND_LINKS = 2
 """Number of links, counted from the tip, that make up the hand."""
 _FIRST_MIDDLE_LINK = 3
+_MEETING = 1e-6
+"""Distance up to which axes meet, m."""
+_SWIVELS = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+_SEEDS = 200
+"""Random postures from which those with one tip pose are searched."""
+_LIMIT_MARGIN = 0.1
+"""Least distance of their joints from the limits, rad."""
+_POINTS = np.linspace(0.0, 1.0, 21)
+"""Where heights along a capsule are measured, as shares of its length."""
 
 
 @functools.cache
@@ -76,6 +86,37 @@ def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]
         return np.where(on_hand(arm)[:, None], points, swivelled)
 
     return turned(starts), turned(ends)
+
+
+def holding_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """The capsules in the postures that hold the tip pose of `q` (n,), (A, C, 3) each.
+
+    Swivelled ones, if the last three axes meet; otherwise those that were found within the joint limits.
+    """
+    rotations, origins = link_frames(arm, q)
+    wrist = origins[arm.n - _HAND_LINKS]
+    if arm.n == 7 and all(
+        np.linalg.norm(np.cross(rotations[joint][:, 2], origins[joint] - wrist)) < _MEETING for joint in (-4, -2)
+    ):
+        return swivelled_segments(arm, q, _SWIVELS)
+    return path_segments(arm, np.concatenate([q[None], postures_at(arm, origins[-1], rotations[-1])]))
+
+
+def postures_at(arm: Arm, position: Array, rotation: Array) -> Array:
+    """Postures (N, n) with a tip pose, from random ones: those of a redundant arm lie along its free dimension."""
+    seeds = np.random.default_rng(0).uniform(
+        np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (_SEEDS, arm.n)
+    )
+    return solve_ik(arm, position, rotation, seeds, _LIMIT_MARGIN)
+
+
+def height(arm: Arm, q: Array, depth: float) -> float:
+    """Height of the part of hand and forearm that is at most `depth` behind the tip along x, in a posture (n,), m."""
+    (starts, ends), beyond = capsule_segments(arm, q), capsule_links(arm) > _FIRST_MIDDLE_LINK
+    points = starts[:, None] + _POINTS[:, None] * (ends - starts)[:, None]
+    counts = beyond[:, None] & (points[..., 0] >= link_frames(arm, q)[1][-1][0] - depth)
+    above, below = points[..., 2] + radii(arm)[:, None], points[..., 2] - radii(arm)[:, None]
+    return float(above[counts].max(initial=-np.inf) - below[counts].min(initial=np.inf))
 
 
 def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius: float) -> Array:

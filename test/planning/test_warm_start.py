@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contact_reach_ros.planning.solver.cma_es import CARRIED_SIGMA_RANGE, Distribution, fresh, shift_distribution
+from contact_reach_ros.planning.solver.cma_es import Distribution, fresh, shift_distribution
 from contact_reach_ros.planning.warm_start import shift_matrix, shift_solution
 
 H, SIZE = 3, 2
@@ -71,6 +71,9 @@ def test_fresh_distribution_stays_fresh(elapsed):
 
 
 def test_collapsed_and_exploded_step_sizes_are_brought_back():
-    for sigma, expected in ((1e-3, CARRIED_SIGMA_RANGE[0]), (9.0, CARRIED_SIGMA_RANGE[1])):
-        old = distribution()._replace(sigma=np.float32(sigma))
-        assert shift_distribution(old, old.mean, SPREAD, H, 0.4).sigma == pytest.approx(expected)
+    # The more variables, the wider the search may stay: up to those of seven joints.
+    for per_knot, largest in ((SIZE, 1.0), (6, 18 / 13), (13, 3.0), (20, 3.0)):
+        mean = np.zeros(H * per_knot, np.float32)
+        for sigma, expected in ((1e-3, 0.3), (0.8, 0.8), (9.0, largest)):
+            old = fresh(mean, np.full_like(mean, 0.3))._replace(sigma=np.float32(sigma))
+            assert shift_distribution(old, mean, np.asarray(old.mean) + 0.3, H, 0.4).sigma == pytest.approx(expected)

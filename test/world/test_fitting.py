@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
+from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import ARMS, load_arm
@@ -14,7 +15,13 @@ from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.fitting import fitted
 from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.generate import load_scene, make_scene
-from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.overlap import (
+    capsule_segments,
+    holding_segments,
+    overlap_depths,
+    path_segments,
+    postures_at,
+)
 
 OTHERS = [name for name in ARMS if name != ARM.name]
 
@@ -48,19 +55,36 @@ def test_targets_are_where_the_arm_gets_with_the_orientation_held(name, arm):
         assert np.linalg.norm(scene.target - link_frames(scene.arm, scene.start)[1][-1]) > 0.19 * scene.arm.reach
 
 
-@pytest.mark.parametrize("name", ["panda", "iiwa7"])
-def test_the_gap_of_the_walls_is_as_narrow_as_the_hand_is_high(name):
+def test_the_rule_for_the_gap_gives_that_of_the_arm_that_the_scene_is_for():
+    file = read_scene("wall")
+    (walls,), target = file.obstacles, file.target
+    middle = 0.5 * (np.array(target.minimum) + np.array(target.maximum))
+    rotations, _ = link_frames(ARM, target.start_of(ARM))
+    found = walls.suited_to(ARM, postures_at(ARM, middle, rotations[-1]))
+    assert found.gap == pytest.approx(walls.gap, abs=0.003)
+
+
+@pytest.mark.parametrize("name", ["panda", "xarm7"])
+def test_an_arm_with_a_bent_wrist_does_not_get_through_without_pushing_either(name):
+    scene = make_scene(read_scene("wall"), load_arm(name), 0)
+    rotations, origins = link_frames(scene.arm, free_path(RobotModel(scene.arm), scene.start, scene.target)[-1])
+    seeds = np.random.default_rng(1).uniform(scene.arm.lower, scene.arm.upper, (200, scene.arm.n))
+    postures = solve_ik(scene.arm, origins[-1], rotations[-1], seeds, 0.05)
+    nodes, radius = np.concatenate([each.rest for each in scene.obstacles]), scene.obstacles[0].radius
+    depths = overlap_depths(scene.arm, *path_segments(scene.arm, postures), nodes, radius).max(axis=(1, 2))
+    assert depths.min() > 0.0
+    assert depths.max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14"])
+def test_postures_with_a_tip_pose_have_it_and_differ(name):
     arm = load_arm(name)
-    scene = fitted(read_scene("wall"), arm)
-    starts, ends = capsule_segments(arm, scene.target.start_of(arm))
-    height = max(
-        abs(above[2] - below[2]) + first.radius + second.radius
-        for above, first in zip([*starts, *ends], arm.capsules * 2, strict=True)
-        for below, second in zip([*starts, *ends], arm.capsules * 2, strict=True)
-        if min(first.link, second.link) >= arm.n - 1
-    )
-    # Of the iiwa 14 it is 0.15 m for 0.16 m.
-    assert scene.obstacles[0].gap / height == pytest.approx(0.15 / 0.16, abs=0.005)
+    q = np.array(arm.home)
+    starts, _ = holding_segments(arm, q)
+    hand = [capsule.link for capsule in arm.capsules].index(arm.n)
+    own_starts, _ = capsule_segments(arm, q)
+    np.testing.assert_allclose(starts[:, hand], np.broadcast_to(own_starts[hand], starts[:, hand].shape), atol=2e-3)
+    assert np.ptp(starts[:, 1], axis=0).max() > 0.1
 
 
 @pytest.mark.slow

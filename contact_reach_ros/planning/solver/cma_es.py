@@ -17,8 +17,7 @@ from contact_reach_ros.planning.warm_start import FloatArray, shift_matrix
 SIGMA_RANGE = (1e-3, 10.0)
 """Range of the step size, whose initial value is 1."""
 
-CARRIED_SIGMA_RANGE = (0.3, 3.0)
-"""Step size with which a shifted distribution may start, relative to the initial one: not collapsed, not exploded."""
+_VARIABLES_PER_SIGMA = 13.0
 
 VARIANCE_FLOOR = 1e-12
 """Least eigenvalue of C that the step is whitened with, since rounding may make one negative."""
@@ -132,6 +131,16 @@ def update(
     return Distribution(mean, sigma, covariance, sigma_path, covariance_path, generation)
 
 
+def carried_sigma_range(n: int) -> tuple[float, float]:
+    """Step sizes with which a shifted distribution of n variables may start: not collapsed, not exploded.
+
+    Where bounds are in the way of the best candidates σ grows, the more the fewer variables there are that hardly
+    matter, as most of Δq. With the 18 of the pose of six joints at 3, nearly all candidates would be in corners of the
+    box, and searches would end with nothing better than standing still. The 39 of seven joints may have 3.
+    """
+    return 0.3, min(max(n / _VARIABLES_PER_SIGMA, 1.0), 3.0)
+
+
 def shift_distribution(
     distribution: Distribution, mean: FloatArray, spread: FloatArray, horizon: int, elapsed: float
 ) -> Distribution:
@@ -156,7 +165,7 @@ def _shifted(distribution: Distribution, mean: jax.Array, kept: jax.Array, fille
     covariance = exact(exact(kept, distribution.covariance), kept.T)
     return Distribution(
         mean=mean,
-        sigma=jnp.clip(distribution.sigma, *CARRIED_SIGMA_RANGE),
+        sigma=jnp.clip(distribution.sigma, *carried_sigma_range(len(mean))),
         covariance=0.5 * (covariance + covariance.T) + jnp.diag(filled),
         sigma_path=exact(kept, distribution.sigma_path),
         covariance_path=exact(kept, distribution.covariance_path),

@@ -15,22 +15,21 @@ from contact_reach_ros.world.kinds.lattice import Lattice
 from contact_reach_ros.world.kinds.limits import check_overlaps
 from contact_reach_ros.world.obstacle import Material, Obstacle, ObstacleSettings
 from contact_reach_ros.world.overlap import (
-    capsule_segments,
+    height,
+    holding_segments,
     on_hand,
     on_middle,
     overlap_depths,
     path_segments,
     radii,
-    swivelled_segments,
 )
 
 _TRIES = 40
 _SPREAD = 0.01
 """How far the gap's centre may be above or below that of the passing hand, m."""
 _GAP_SHARE = 0.94
-"""Of the hand's height at the start: the gap for other arms than the one that a scene is for."""
+"""Of the least height at which an arm gets through: the gap for other arms than the one that a scene is for."""
 _PATH_STEP = 5
-_SWIVELS = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
 
 
 @dataclass(frozen=True)
@@ -138,11 +137,14 @@ class WallSettings(ObstacleSettings):
         check_overlaps(self.KIND, self.min_overlap, self.max_overlap)
         self._lattice.check(self.KIND, "the two walls", self.material, copies=2)
 
-    def suited_to(self, arm: Arm, start: Array) -> Self:
-        """With a gap that is as narrow for the arm's hand, as it is held, as 0.15 m is for that of the iiwa 14."""
-        hand = on_hand(arm)
-        heights, radius = np.array(capsule_segments(arm, start))[:, hand, 2], radii(arm)[hand]
-        return dataclasses.replace(self, gap=_GAP_SHARE * float((heights + radius).max() - (heights - radius).min()))
+    def suited_to(self, arm: Arm, postures: Array) -> Self:
+        """With a gap that is as narrow for the arm as 0.15 m is for the iiwa 14.
+
+        What counts is the posture in which the part of the arm that is in the walls or behind them is lowest, when the
+        target is as near as it may be: that of an iiwa's hand with the elbow aside.
+        """
+        depth = self.size[0] + self.target_clearance
+        return dataclasses.replace(self, gap=_GAP_SHARE * min(height(arm, q, depth) for q in postures))
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The lower and the upper wall around a gap whose centre is at `center` (3,), m.
@@ -178,7 +180,7 @@ class WallSettings(ObstacleSettings):
         and no posture that holds the target pose is free of contact, so that there is no collision-free path.
         """
         starts, ends = path_segments(arm, np.concatenate([path[:-1:_PATH_STEP], path[-1:]]))
-        swivelled = swivelled_segments(arm, path[-1], _SWIVELS)
+        holding = holding_segments(arm, path[-1])
         hand, middle = on_hand(arm), on_middle(arm)
         points = np.concatenate([starts[:, hand], ends[:, hand]], axis=1)
         reach = np.tile(radii(arm)[hand], 2)
@@ -199,7 +201,7 @@ class WallSettings(ObstacleSettings):
             fits = self.min_overlap <= deepest[middle].max() <= self.max_overlap
             fits = fits and deepest[hand].max() <= self.max_hand_overlap
             if fits:
-                squeezes = overlap_depths(arm, *swivelled, nodes, self.node_radius).max(axis=(1, 2))
+                squeezes = overlap_depths(arm, *holding, nodes, self.node_radius).max(axis=(1, 2))
                 if squeezes.min() >= self.min_squeeze:
                     return center
         return None
