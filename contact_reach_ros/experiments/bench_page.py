@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments import paper
 from contact_reach_ros.experiments.baselines.methods import PLANLESS
+from contact_reach_ros.experiments.bench_arms import ARMS_PART, arm_episodes, arms_table, bench_arms
 from contact_reach_ros.experiments.bench_clutter import Clutter, bench_clutter, clutter_table
 from contact_reach_ros.experiments.bench_fig5 import Fig5, bench_fig5
 from contact_reach_ros.experiments.bench_floor import bench_floor, floor_table
@@ -151,7 +152,7 @@ def bench_page(
     SettingsError
         If there is no such part, or what is in the folder has other settings.
     """
-    known = [*(part.name for part in PARTS), FLOOR, FIG5]
+    known = [*(part.name for part in PARTS), ARMS_PART, FLOOR, FIG5]
     for name in parts:
         if name not in known:
             raise SettingsError(f"--parts '{name}' is unknown; expected some of {', '.join(known)}")
@@ -172,12 +173,16 @@ def bench_page(
                 made = out / f"{part.name}.json"
                 if not made.exists() or _left(part, out):
                     _RUN[type(part.bench)](part.bench, Running(made, resume=True, client=client))
+            if ARMS_PART in wanted:
+                bench_arms(out / ARMS_PART, quick, client)
             if FLOOR in wanted:
                 bench_floor(targets=targets, seed=_FIRST, client=client, file=out / f"{FLOOR}.json")
         if FIG5 in wanted and not (out / "fig5.json").exists():
             bench_fig5(Fig5(latency=0.06), out / "fig5.png", out / "fig5.json")
     reports = {part.name: found for part in chosen if (found := _report(part, out)) is not None}
     blocks = {part.name: _block(part, reports[part.name]) for part in chosen if part.name in reports}
+    if ARMS_PART in wanted and (text := arms_table(out / ARMS_PART)):
+        blocks[ARMS_PART] = text
     if FLOOR in wanted and (out / f"{FLOOR}.json").exists():
         blocks[FLOOR] = floor_table(read_report(out / f"{FLOOR}.json", "floor"))
     _draw(reports, out if write is None else write.parent)
@@ -249,6 +254,10 @@ def plan_table(parts: Sequence[Part], out: Path, wanted: Sequence[str], is_quick
         total += seconds
         shows = "" if is_quick else _shows(part)
         rows.append([part.name, str(len(part.bench.cells)), str(left), f"{seconds / 7200:.2f}", shows])
+    if ARMS_PART in wanted:
+        whole, left, seconds = arm_episodes(out / ARMS_PART, is_quick)
+        total += seconds
+        rows.append([ARMS_PART, str(whole), str(left), f"{seconds / 7200:.2f}", ""])
     others = (
         (FLOOR, (1 if is_quick else _FLOOR_TARGETS) * _FLOOR_S, out / f"{FLOOR}.json"),
         (FIG5, _FIG5_S, out / "fig5.json"),

@@ -5,8 +5,11 @@ import json
 import pytest
 from contact_reach_command import contact_reach
 from test_bench_clutter import EPISODES, NAMES
+from test_claims import record
 
+from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.experiments import bench_page
+from contact_reach_ros.experiments.bench_arms import arm_benches, arm_episodes, arms_table
 from contact_reach_ros.experiments.bench_clutter import Clutter
 from contact_reach_ros.experiments.bench_page import PARTS, Part, in_small, plan_table, replaced
 from contact_reach_ros.experiments.clutter_scenes import FIRST_HELD_OUT
@@ -59,3 +62,33 @@ def test_an_unfinished_run_is_reported_as_far_as_it_is(tmp_path, monkeypatch, ca
 def test_parts_that_there_are_not_are_refused(tmp_path, capsys):
     assert contact_reach("bench", "page", "--out", tmp_path, "--parts", "table1") == 2
     assert "--parts 'table1' is unknown; expected some of clutter, tuning, shipped" in capsys.readouterr().err
+
+
+def test_every_arm_is_run_among_balls_and_in_walls_where_it_can_dodge():
+    benches = arm_benches()
+    assert {bench.arm for bench in benches.values()} == set(ARMS)
+    for arm in ARMS:
+        scenes = {(*bench.scenes, bench.task) for bench in benches.values() if bench.arm == arm}
+        assert ("wall", "pose") in scenes if load_arm(arm).n == 7 else ("ball", "position") in scenes
+        assert {("free", "pose"), ("ball", "pose")} <= scenes
+    assert {cell.target for bench in benches.values() for cell in bench.cells} == set(range(10))
+
+
+def test_the_table_of_arms_shows_what_there_is_and_how_much_is_missing(tmp_path, capsys):
+    def episode(method, target, time, force, stop=""):
+        made = record("ball", method=method, target=target, max_contact_force=force, timing={"plan_s": 0.02})
+        return {**made, **({"time": time, "reached": True, "time_ratio": time} if time else {}), "stop_reason": stop}
+
+    found = [episode("contact_reach", 0, 1.2, 0.0), episode("contact_reach", 1, 1.4, 3.0)]
+    found += [episode("reference_posture", 0, None, 8.0, "observer: limit")]
+    folder = tmp_path / "arms"
+    folder.mkdir()
+    (folder / "panda_ball_pose.json.partial").write_text(json.dumps({"bench": "table1", "episodes": found}))
+    text = arms_table(folder)
+    assert "| `panda` | pose | ball | contact_reach | 2/2 | 0 | 1.30 (1.40) | 1.50 (3.00) | 20 |" in text
+    assert "| `panda` | pose | ball | reference_posture | 0/1 | 1 | – | 8.00 (8.00) | 20 |" in text
+    whole, left, seconds = arm_episodes(folder, quick=False)
+    assert whole - left == 3 and f"{left} episodes are missing" in text and seconds > 8.0 * left
+    assert contact_reach("bench", "page", "--out", tmp_path, "--parts", "arms", "--dry-run") == 0
+    assert f"| arms | {whole} | {left} |" in capsys.readouterr().out
+    assert arms_table(tmp_path) == ""
