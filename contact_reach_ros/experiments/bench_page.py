@@ -94,7 +94,7 @@ PARTS = (
         50.0,
     ),
 )
-"""Tables and sweeps of the page. Six hours on two cores hold them all."""
+"""Tables and sweeps of the page, which take most of its time: six hours on two cores."""
 
 FLOOR, FIG5 = "floor", "fig5"
 _FLOOR_TARGETS, _FLOOR_S, _FIG5_S, _PROGRAM_S = 10, 25.0, 40.0, 20.0
