@@ -28,13 +28,14 @@ _EPISODE_S, _PROGRAM_S = 8.0, 25.0
 def arm_benches(quick: bool = False) -> dict[str, Table1]:
     """The runs by name, one for each arm, scene and task.
 
-    Where the task leaves nothing free there is no posture to pull to, and no way around the walls.
+    Arms that are not redundant for a pose have no posture to pull to then, and no way around the walls: they are run
+    with the position alone, too.
     """
     benches = {}
     for arm in ARMS[:1] if quick else ARMS:
-        for task in (POSE, POSITION) if load_arm(arm).n < 7 else (POSE,):
-            is_redundant = load_arm(arm).n > TASK_ROWS[task]
-            for scene in ("free", "ball", "wall") if load_arm(arm).n == 7 else ("free", "ball"):
+        is_redundant = load_arm(arm).n > TASK_ROWS[POSE]
+        for task in (POSE,) if is_redundant else (POSE, POSITION):
+            for scene in ("free", "ball", "wall") if is_redundant else ("free", "ball"):
                 benches[f"{arm}_{scene}_{task}"] = Table1(
                     scenes=(scene,),
                     goals=("hold",),
