@@ -89,6 +89,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     planner.add_argument(
         "--candidates", type=int, nargs="+", metavar="K", help="instead, batches of so many candidates, ours and Brax's"
     )
+    planner.add_argument("--cpus", type=int, default=1, help="cores that share the candidates (default: 1)")
     planner.add_argument(
         "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
     )
@@ -223,6 +224,7 @@ def _planner(
     quick: bool = False,
     limit: bool = False,
     candidates: Sequence[int] = (),
+    cpus: int = 1,
     arm: str = DEFAULT_ARM,
     file: Path | None = None,
     plot: Path | None = None,
@@ -233,7 +235,8 @@ def _planner(
 
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
-    bench = dataclasses.replace(bench, limit=limit, candidates=tuple(candidates), arm=arm)
+    settings = dataclasses.replace(bench.settings, cpus=cpus)
+    bench = dataclasses.replace(bench, limit=limit, candidates=tuple(candidates), arm=arm, settings=settings)
     bench_planner(bench, file, plot)
 
 

@@ -48,7 +48,7 @@ class _Simple(HybridSolver[Problem]):
 
     def _advance(self, problem: Problem, search: Search, draw: Draw) -> Search:
         points = self._points(problem, search, draw)
-        return self._finish(search, points, self._cost(problem, points))
+        return self._finish(search, points, self._costs(problem, points))
 
     def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
         """The points (n, k) of a step; candidates about the mean."""

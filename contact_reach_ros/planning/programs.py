@@ -28,6 +28,7 @@ import numpy as np
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
+from contact_reach_ros.planning.cores import on_each
 from contact_reach_ros.planning.terms import TERMS
 from contact_reach_ros.resources import PACKAGE, KeptFile
 
@@ -56,11 +57,12 @@ def preparing() -> Iterator[None]:
 
 
 class Program:
-    """A function of arrays as a compiled program; calls are those of `jax.jit`."""
+    """A function of arrays as a compiled program, for one core or for several; calls are those of `jax.jit`."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], cores: int = 1) -> None:
         self._function = function
-        self._compile = jax.jit(function)
+        self._cores = cores
+        self._compile = jax.jit(on_each(function, cores))
         self._ready: dict[tuple[Any, ...], Callable[..., Any] | None] = {}
 
     def __call__(self, *arguments: Any) -> Any:
@@ -77,11 +79,11 @@ class Program:
     def _prepare(self, *arguments: Any) -> Callable[..., Any] | None:
         """Load the program for arguments of these shapes, or compile and store it; None if it is none to be kept."""
         try:
-            known = KeptFile(_FOLDER, *_parts(self._function, arguments))
+            known = KeptFile(_FOLDER, str(self._cores), *_parts(self._function, arguments))
         except UnknownValueError:
             return None
         text = known.load()
-        ready = None if text is None else _load(text)
+        ready = None if text is None else _load(text, self._cores)
         if ready is not None:
             return ready
         lowered = self._compile.lower(*arguments)
@@ -90,7 +92,7 @@ class Program:
             return None
         # Other sources often make the same program.
         text = hashlib.sha256(source.encode()).hexdigest()
-        ready = _load(text)
+        ready = _load(text, self._cores)
         if ready is None:
             # XLA cannot serialise a program that came from JAX's cache.
             with _without_cache():
@@ -105,14 +107,16 @@ def _compiled(text: str) -> KeptFile:
     return KeptFile(_FOLDER, *_surroundings(), text)
 
 
-def _load(text: str) -> Callable[..., Any] | None:
-    """The program with this digest of its text; None if it is not there, or cannot be loaded."""
+def _load(text: str, cores: int) -> Callable[..., Any] | None:
+    """The program with this digest of its text, for so many cores; None if it is not there, or cannot be loaded."""
     content = _compiled(text).load()
     if content is None:
         return None
     _start_lapack()
     try:
-        program: Callable[..., Any] = serialize_executable.deserialize_and_load(*content)
+        program: Callable[..., Any] = serialize_executable.deserialize_and_load(
+            *content, execution_devices=jax.devices()[:cores]
+        )
     except Exception:  # XLA raises whatever another machine's program leads to
         return None
     return program

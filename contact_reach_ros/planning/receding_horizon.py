@@ -87,7 +87,7 @@ class RecedingHorizonPlanner:
         space: ActionSpace | None = None,
         solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = make_solver,
     ) -> None:
-        configure_jax(cache_directory() / "jax", settings.device)
+        configure_jax(cache_directory() / "jax", settings.device, settings.cpus)
         self.basis = plan_basis(arm, gains)
         self._arm = arm
         self._settings = settings

@@ -1,7 +1,8 @@
-"""Configuration of JAX: one thread of the CPU or a GPU, with compiled programs kept between processes."""
+"""Configuration of JAX: a thread for each CPU core it may use, or a GPU; compiled programs are kept for later."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,8 +25,8 @@ _FLAGS = {
 """By name; versions of XLA that do not know the option of the second ignore it."""
 
 
-def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
-    """Start JAX's backend on one worker thread; call it before the first computation.
+def configure_jax(cache: Path | None = None, device: str = "auto", cpus: int = 1) -> None:
+    """Start JAX's backend on one thread a core; call it before the first computation.
 
     Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A backend that is already running
     keeps its threads and flags.
@@ -36,12 +37,17 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
         Folder for compiled programs; None leaves JAX's own setting.
     device
         One of `DEVICES`; the first call in a process decides.
+    cpus
+        Number of CPU cores that are devices of JAX; the first call in a process decides.
 
     Raises
     ------
     SettingsError
-        If a GPU is requested and JAX has none.
+        If a GPU is requested and JAX has none, or more cores than the process may use or JAX was started with.
     """
+    usable = len(os.sched_getaffinity(0))
+    if cpus > usable:
+        raise SettingsError(f"cpus = {cpus}: expected at most {usable}, which this process may use")
     flags = os.environ.get("XLA_FLAGS", "")
     missing = (flag for name, flag in _FLAGS.items() if name not in flags)
     os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
@@ -53,7 +59,14 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         # The programs are few, and even the quick ones are worth keeping.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    if cpus > 1:
+        _divide_cpu(cpus)
     _start_backend_with_one_worker()
+    if len(jax.devices()) < cpus:
+        raise SettingsError(
+            f"cpus = {cpus}: JAX computes on {len(jax.devices())} device of kind '{jax.default_backend()}' in this "
+            "process; expected cpus 1 with a GPU, or a process in which no planner with fewer came before"
+        )
     if device == "gpu" and jax.default_backend() != "gpu":
         raise SettingsError(
             f"device = 'gpu': JAX computes on '{jax.default_backend()}' here; expected a GPU and a JAX built for it "
@@ -64,6 +77,14 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
 def _gpu_support() -> bool:
     """Whether JAX was installed with support for a GPU; without it, JAX would only complain."""
     return any(find_spec(package) is not None for package in _GPU_PLUGINS)
+
+
+def _divide_cpu(cpus: int) -> None:
+    """Make so many devices of the CPU, unless the backend is running already."""
+    import jax
+
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", cpus)
 
 
 def _start_backend_with_one_worker() -> None:

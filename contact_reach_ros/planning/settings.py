@@ -165,6 +165,12 @@ class PlanningSettings(Settings):
     device: str = setting(
         "auto", "device that computes plans; 'auto' is a GPU where JAX has one, else the CPU", choices=DEVICES
     )
+    cpus: int = setting(
+        1,
+        "cores that share the candidates; more than one takes them from the 1 kHz loops",
+        minimum=1,
+        maximum=64,
+    )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 
     def __post_init__(self) -> None:

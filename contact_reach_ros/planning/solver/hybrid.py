@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contact_reach_ros.planning.cores import for_each, in_shares, whole_vectors
 from contact_reach_ros.planning.programs import Program
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
@@ -26,9 +27,6 @@ GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
 
 _REPETITIONS = 5
-
-_VECTOR = 8
-"""Numbers in a vector register of common CPUs."""
 
 
 class Search(NamedTuple):
@@ -95,7 +93,7 @@ class HybridSolver(Generic[ProblemT]):
         self.max_steps = settings.max_steps
         self._rates = Rates.of(n, settings.elite)
         self._gradient_steps = gradient_steps
-        self._step = Program(self._advance)
+        self._step = Program(self._advance, settings.cpus)
 
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on, without recompilation."""
@@ -116,7 +114,8 @@ class HybridSolver(Generic[ProblemT]):
     ) -> Solution:
         """Run Algorithm 1, as `Solver.solve`."""
         settings = self._settings
-        search = _search_from(state, start_cost)
+        problem = for_each(problem, settings.cpus)
+        search = for_each(_search_from(state, start_cost), settings.cpus)
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
@@ -145,8 +144,9 @@ class HybridSolver(Generic[ProblemT]):
 
     def warm_up(self, problem: ProblemT, state: Distribution) -> float:
         """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
-        search = _search_from(state, 0.0)
-        self.shift(state, np.zeros(len(search.best)), np.zeros(len(search.best)), 1, 0.0)
+        problem = for_each(problem, self._settings.cpus)
+        search = for_each(_search_from(state, 0.0), self._settings.cpus)
+        self.shift(search.distribution, np.zeros(len(search.best)), np.zeros(len(search.best)), 1, 0.0)
         times = []
         for repetition in range(1 + _REPETITIONS):
             begin = time.perf_counter()
@@ -176,19 +176,19 @@ class HybridSolver(Generic[ProblemT]):
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
         sample = self._draw_sample(search.distribution, draw)
         with_outside = self._settings.boundary_penalty == "paper"
-        outside = self._cost(problem, sample.points) if with_outside else None
+        outside = self._costs(problem, sample.points) if with_outside else None
 
         def select(costs: jax.Array) -> Elite:
             return self._select_elite(search.distribution, sample, costs, outside)
 
         if not self._gradient_steps:
-            elite = select(self._cost(problem, sample.repaired))
+            elite = select(self._costs(problem, sample.repaired))
             points = elite.mean[:, None]
-            costs = self._cost(problem, points)
+            costs = self._costs(problem, points)
         elif self._settings.line_search_points == self._settings.population:
             elite, points, costs = self._search_in_rounds(problem, sample, draw, select)
         else:
-            elite = select(self._cost(problem, sample.repaired))
+            elite = select(self._costs(problem, sample.repaired))
             points, costs = self._search_lines(problem, elite.mean, draw)
         return self._update_search(search, sample, elite, points, costs)
 
@@ -212,7 +212,7 @@ class HybridSolver(Generic[ProblemT]):
                 return elite, self._points_on_line(problem, mean, (*draw, index - 1))
 
             elite, points = jax.lax.cond(index == 0, lambda: (last[0], sample.repaired), line)
-            return elite, points, self._cost(problem, points)
+            return elite, points, self._costs(problem, points)
 
         found: tuple[Elite, jax.Array, jax.Array]
         found = jax.lax.fori_loop(0, 1 + self._gradient_steps, search, (nothing, points, costs))
@@ -224,11 +224,15 @@ class HybridSolver(Generic[ProblemT]):
 
         def search(index: jax.Array, last: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             points = self._points_on_line(problem, cheapest(*last)[0], (*draw, index))
-            return points, self._cost(problem, points)
+            return points, self._costs(problem, points)
 
         start = jnp.broadcast_to(mean[:, None], (len(mean), len(costs)))
         found: tuple[jax.Array, jax.Array] = jax.lax.fori_loop(0, self._gradient_steps, search, (start, costs))
         return found
+
+    def _costs(self, problem: ProblemT, points: jax.Array) -> jax.Array:
+        """Costs (B,) of points (n, B), divided among the cores."""
+        return in_shares(lambda own: self._cost(problem, own), points, self._settings.cpus)
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
@@ -298,10 +302,10 @@ def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Arr
     """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes.
 
     Reverse mode at one lane is slower for n = 39, and takes twice as long to compile. The lanes are filled up to whole
-    vector registers; otherwise forward mode would take a third longer.
+    vector registers; otherwise forward mode would take a third longer. So few are not worth dividing among cores.
     """
     n = point.shape[0]
-    lanes = -(-n // _VECTOR) * _VECTOR
+    lanes = whole_vectors(n)
     spread = jnp.broadcast_to(point[:, None], (n, lanes))
     directions = jnp.eye(n, lanes, dtype=point.dtype)
     return jax.jvp(lambda points: cost(problem, points), (spread,), (directions,))[1][:n]
