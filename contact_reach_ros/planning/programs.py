@@ -114,8 +114,9 @@ def _load(text: str, cores: int) -> Callable[..., Any] | None:
         return None
     _start_lapack()
     try:
+        payload, in_tree, out_tree = content
         program: Callable[..., Any] = serialize_executable.deserialize_and_load(
-            *content, execution_devices=jax.devices()[:cores]
+            payload, in_tree, out_tree, execution_devices=jax.devices()[:cores]
         )
     except Exception:  # XLA raises whatever another machine's program leads to
         return None
