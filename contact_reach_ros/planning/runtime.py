@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from importlib.util import find_spec
 from pathlib import Path
@@ -48,19 +47,19 @@ def configure_jax(cache: Path | None = None, device: str = "auto", cpus: int = 1
     usable = len(os.sched_getaffinity(0))
     if cpus > usable:
         raise SettingsError(f"cpus = {cpus}: expected at most {usable}, which this process may use")
-    flags = os.environ.get("XLA_FLAGS", "")
-    missing = (flag for name, flag in _FLAGS.items() if name not in flags)
-    os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
-    import jax  # not before the flags are set
+    import jax
 
+    if _may_divide_cpu(cpus):
+        # Not of a backend that is running: it would not have them, but its programs would be kept as if it had.
+        flags = os.environ.get("XLA_FLAGS", "")
+        missing = (flag for name, flag in _FLAGS.items() if name not in flags)
+        os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
     if "JAX_PLATFORMS" not in os.environ and (device == "cpu" or (device == "auto" and not _gpu_support())):
         jax.config.update("jax_platforms", "cpu")
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         # The programs are few, and even the quick ones are worth keeping.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    if cpus > 1:
-        _divide_cpu(cpus)
     _start_backend_with_one_worker()
     if len(jax.devices()) < cpus:
         raise SettingsError(
@@ -79,12 +78,15 @@ def _gpu_support() -> bool:
     return any(find_spec(package) is not None for package in _GPU_PLUGINS)
 
 
-def _divide_cpu(cpus: int) -> None:
-    """Make so many devices of the CPU, unless the backend is running already."""
+def _may_divide_cpu(cpus: int) -> bool:
+    """Make so many devices of the CPU; False if the backend is running already."""
     import jax
 
-    with contextlib.suppress(RuntimeError):
+    try:
         jax.config.update("jax_num_cpu_devices", cpus)
+    except RuntimeError:
+        return False
+    return True
 
 
 def _start_backend_with_one_worker() -> None:

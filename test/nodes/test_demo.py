@@ -151,7 +151,6 @@ def test_every_tick_of_the_bag_can_be_executed_again(ball, tmp_path):
         assert found["largest_difference_Nm"] == 0.0
 
 
-@pytest.mark.xfail(reason="a solver step that is one program rounds differently in another process")
 def test_a_plan_of_the_bag_is_made_again_bit_for_bit(ball, tmp_path):
     _, report = ball
     again = reexecuted(report["bag"], tmp_path, "--plan", "6")["plan"]
