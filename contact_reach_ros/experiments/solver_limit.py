@@ -34,7 +34,7 @@ _KINDS = {
 }
 """Operations of JAX by kind; others move data, or are too few to matter."""
 
-_SIZE, _SHORT, _LONG, _SLOW = 4096, 16, 64, 8
+_SIZE, _SHORT, _LONG, _SLOW = 4096, 16, 256, 8
 """Numbers in an array of the measured programs, and operations on each in two of them, whose difference is taken.
 
 Slow kinds have fewer, by this factor.
