@@ -90,9 +90,9 @@ def test_law_6_pulls_to_one_posture_and_leaves_the_rest_to_the_task():
     # What the planner expects is what law (2) with this q_d does to the arm.
     plant, model, law = ideal_plant(), RobotModel(ARM), ImpedanceLaw(ARM, ImpedanceSettings())
     plant.set_actuation(Actuation.COMMANDED)
-    for _ in range(100):
+    for tick in range(100):
         model.update(plant.data.qpos[:7].copy(), plant.data.qvel[:7].copy())
-        reference = Reference(plan.positions[0], plan.rotations[0], plan.postures[0])
+        reference = Reference(*reference_at([plan], (tick + 1) * MS))
         error = pose_error(model.position, model.rotation, reference)
         difference = plant.data.qpos[:7] - reference.posture
         plant.step(law.torque(model, plant.data.qvel[:7].copy(), difference, error) + model.bias)
