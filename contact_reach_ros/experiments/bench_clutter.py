@@ -39,7 +39,7 @@ class Clutter:
     """What is run: a number of scenes with the seeds from `seed` on; for the rest see `Table1`."""
 
     preset: str = "shipped"
-    scenes: int = 200
+    scenes: int = 100
     seed: int = FIRST_HELD_OUT
     methods: tuple[str, ...] = (
         "contact_reach",

@@ -47,7 +47,7 @@ class Part(NamedTuple):
 
 PARTS = (
     Part("clutter", Clutter(), 15.0),
-    Part("tuning", Clutter(scenes=20, seed=0), 15.0),
+    Part("tuning", Clutter(seed=0), 15.0),
     Part("shipped", Table1(scenes=_THREE, goals=("hold",), targets=60, seed=_FIRST), 6.0, 12),
     Part("hinge", Table1("paper_hinge", _THREE, ("hold",), _WITH_PATH, targets=20, seed=_FIRST), 9.0, 12),
     Part("linear", Table1("paper_linear", _THREE, ("hold",), _WITH_PATH, targets=20, seed=_FIRST), 12.0, 12),
@@ -70,6 +70,7 @@ PARTS = (
             _WEIGHTS,
             scenes=("wall", "ball"),
             methods=(*_PAIR, "cma_es"),
+            targets=5,
             seed=_TUNING,
             others=_AS_IN_THE_NODE,
         ),

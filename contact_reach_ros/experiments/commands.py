@@ -116,7 +116,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     )
     setting.add_argument("--spheres", type=int, help="that plans take into account (default: as many as the scene has)")
     faults = add("faults", _faults, "episodes in which things go wrong at random")
-    faults.add_argument("--episodes", type=int, help="how many (default: 200)")
+    faults.add_argument("--episodes", type=int, help="how many (default: 100)")
     faults.add_argument("--seed", type=int, help="of the first episode (default: 0)")
     stops = add("stops", _plain("bench_stops"), "how fast and how far the arm sinks when it is stopped")
     stops.add_argument("--postures", type=int, help="random postures of each scene (default: 200)")
@@ -149,7 +149,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
         "--beside", type=Path, nargs="+", metavar="FILE", help="with --plot: further runs, with other presets"
     )
     clutter = add("clutter", _clutter, "random scenes with several soft bodies, every method")
-    clutter.add_argument("--scenes", type=int, help="how many (default: 200)")
+    clutter.add_argument("--scenes", type=int, help="how many (default: 100)")
     clutter.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
     clutter.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: seven)")
     clutter.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")

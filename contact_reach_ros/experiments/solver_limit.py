@@ -1,10 +1,10 @@
 """How near a solver step comes to what one core can do: its arithmetic, counted, at speeds that are measured beside it.
 
 The arithmetic is counted in the traced programs, operation by operation and as often as loops run, by kinds that
-processors treat alike. The speed of each kind is that of XLA programs that do nothing else, on arrays that stay in the
-first cache: what a longer one takes more than a shorter one, so that starting them does not count. The limit is the
-time that the counted operations would take at these speeds: no memory is read, nothing is computed twice, and nothing
-waits.
+processors treat alike; a product that only a sum uses is one operation with it. The speed of each kind is that of XLA
+programs that do nothing else, several independent chains of them side by side, on arrays that stay in the first cache:
+what a longer one takes more than a shorter one, so that starting them does not count. The limit is the time that the
+counted operations would take at these speeds: no memory is read, nothing is computed twice, and nothing waits.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.experiments.output import Report, table
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 
+_SUMS = ("add", "sub", "add_any")
 _KINDS = {
-    "add": ("add", "sub", "neg", "add_any", "reduce_sum", "cumsum"),
+    "add": (*_SUMS, "neg", "reduce_sum", "cumsum"),
     "multiply": ("mul", "square", "integer_pow"),
     "compare": ("max", "min", "abs", "select_n", "clamp", "lt", "le", "gt", "ge", "eq", "ne", "reduce_max", "sign"),
     "divide": ("div", "rem"),
@@ -34,28 +35,34 @@ _KINDS = {
 }
 """Operations of JAX by kind; others move data, or are too few to matter."""
 
-_SIZE, _SHORT, _LONG, _SLOW = 4096, 16, 256, 8
-"""Numbers in an array of the measured programs, and operations on each in two of them, whose difference is taken.
+_SIZE, _SHORT, _LONG, _SLOW = 4096, 4, 36, 4
+"""Numbers in an array of the measured programs, and operations of a chain in two of them, whose difference is taken.
 
 Slow kinds have fewer, by this factor.
 """
 
+_CHAINS_ABREAST = 8
+"""So many hide how long each operation takes to be done, and still leave registers free."""
+
 
 def count_operations(function: Callable[..., Any], *arguments: Any) -> Counter[str]:
-    """Operations on single numbers by kind, multiply-adds of matrix products as one multiply and one add each."""
+    """Operations on single numbers by kind, also those of matrix products."""
     return _count(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 
 def _count(jaxpr: Any) -> Counter[str]:
     total: Counter[str] = Counter()
     single: set[Any] = set()
+    uses = Counter(variable for equation in jaxpr.eqns for variable in equation.invars if not _is_literal(variable))
+    uses.update(variable for variable in jaxpr.outvars if not _is_literal(variable))
+    products: set[Any] = set()
     for equation in jaxpr.eqns:
         name, parameters = equation.primitive.name, equation.params
         times = parameters["length"] if name == "scan" else 1
         if name == "dot_general":
             axes, shape = parameters["dimension_numbers"][0][0], equation.invars[0].aval.shape
             size = int(np.prod([shape[axis] for axis in axes]) * equation.outvars[0].aval.size)
-            total.update({"multiply": size, "add": size})
+            total["multiply-add"] += size
         if name == "broadcast_in_dim" and equation.invars[0].aval.size == 1:
             single.update(equation.outvars)
         kind = next((kind for kind, names in _KINDS.items() if name in names), None)
@@ -64,8 +71,14 @@ def _count(jaxpr: Any) -> Counter[str]:
         if kind is not None:
             # Sums count their terms.
             source = equation.invars[0] if name.startswith(("reduce", "cumsum")) else equation.outvars[0]
-            size = source.aval.size * (abs(parameters["y"]) - 1 if name == "integer_pow" else 1)
-            total[kind] += int(size)
+            size = int(source.aval.size * (abs(parameters["y"]) - 1 if name == "integer_pow" else 1))
+            if name == "mul" and uses[equation.outvars[0]] == 1:
+                products.add(equation.outvars[0])
+            if name in _SUMS and (fused := next((term for term in equation.invars if _in(term, products)), None)):
+                products.discard(fused)
+                total["multiply"] -= size
+                kind = "multiply-add"
+            total[kind] += size
         for value in parameters.values():
             for inner in value if isinstance(value, list | tuple) else [value]:
                 inner = getattr(inner, "jaxpr", inner)
@@ -74,9 +87,19 @@ def _count(jaxpr: Any) -> Counter[str]:
     return total
 
 
+def _is_literal(variable: Any) -> bool:
+    """Whether an operand of a traced program is a constant in its text."""
+    return hasattr(variable, "val")
+
+
+def _in(variable: Any, variables: set[Any]) -> bool:
+    return not _is_literal(variable) and variable in variables
+
+
 _CHAINS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
     "add": lambda x, one: x + one,
     "multiply": lambda x, one: x * one,
+    "multiply-add": lambda x, one: x * one + one,
     "compare": lambda x, one: jnp.maximum(x, one),
     # By one number, as in `lanes.make_keep`: compilers multiply by its inverse.
     "scale": lambda x, one: x / one,
@@ -109,7 +132,8 @@ class OperationClock:
         times = {}
         for kind in _CHAINS:
             short, long = _lengths(kind)
-            times[kind] = (self._least[kind, long] - self._least[kind, short]) / (_SIZE * (long - short))
+            count = _SIZE * _CHAINS_ABREAST * (long - short)
+            times[kind] = (self._least[kind, long] - self._least[kind, short]) / count
         return {**times, "divide": times["divide"] - times["add"]}
 
 
@@ -121,10 +145,11 @@ def _lengths(kind: str) -> tuple[int, int]:
 @functools.cache
 def _chain(kind: str, length: int) -> Callable[[Array, Array], jax.Array]:
     def run(x: jax.Array, one: jax.Array) -> jax.Array:
+        # Different numbers, or XLA would join the operations, or the chains.
+        values = [x * one[first] for first in range(_CHAINS_ABREAST)]
         for index in range(length):
-            # Different numbers, or XLA would join the operations.
-            x = _CHAINS[kind](x, one[index % len(one)])
-        return x
+            values = [_CHAINS[kind](value, one[(first + index) % len(one)]) for first, value in enumerate(values)]
+        return functools.reduce(jnp.add, values)
 
     program = jax.jit(run)
     jax.block_until_ready(program(np.zeros(_SIZE, np.float32), np.ones(8, np.float32)))
