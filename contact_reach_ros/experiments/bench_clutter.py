@@ -43,6 +43,7 @@ class Clutter:
     seed: int = FIRST_HELD_OUT
     methods: tuple[str, ...] = (
         "contact_reach",
+        "no_detours",
         "reference_posture",
         "collision_free",
         "rrt_star",
@@ -50,7 +51,8 @@ class Clutter:
         "contact_rrt",
         "reactive",
     )
-    timeout: float | None = None
+    timeout: float = 60.0
+    """To reach the goal, s; methods that follow a path to its end have longer."""
 
     def __post_init__(self) -> None:
         for method in self.methods:
@@ -59,7 +61,7 @@ class Clutter:
         for name, number, least in (("scenes", self.scenes, 1), ("seed", self.seed, 0)):
             if number < least:
                 raise SettingsError(f"--{name} {number}: expected at least {least}")
-        if self.timeout is not None and not self.timeout > 0.0:
+        if not self.timeout > 0.0:
             raise SettingsError(f"--timeout {self.timeout:g}: expected a positive time in s")
 
     @property
@@ -79,7 +81,7 @@ class Clutter:
         words += ["--scenes", str(self.scenes), "--seed", str(self.seed)]
         if self.methods != Clutter.methods:
             words += ["--methods", *self.methods]
-        if self.timeout is not None:
+        if self.timeout != Clutter.timeout:
             words += ["--timeout", f"{self.timeout:g}"]
         return shlex.join(words)
 
@@ -100,8 +102,7 @@ def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) 
     SettingsError
         If the preset is unknown, or the run to be resumed has other settings.
     """
-    changes: dict[str, Any] = {} if bench.timeout is None else {"timeout": bench.timeout}
-    setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, **changes)
+    setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, timeout=bench.timeout)
     arm = load_arm(setup.arm)
     scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in bench.seeds}
     description = {"command": bench.command, "seeds": [bench.seeds[0], bench.seeds[-1]]}

@@ -114,6 +114,8 @@ class PlannerNode(ManagedNode):
         self._published_goal: tuple[int, GoalPhase] | None = None
         self._goal_state_due_ns = 0
         self._late = 0
+        self._detour = 0
+        """Number of the detour that the arm is on; 0 for none."""
         self._solve_times = Histogram(bucket_us=100)
         self._rivalry = ""
         self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -261,6 +263,7 @@ class PlannerNode(ManagedNode):
         self._solve_times.add(took_ns)
         self._latency.add(took_ns)
         self._late += took_ns > request.effect_ns - request.state_ns
+        self._report_detour()
         self._publish_markers(plan)
         self._publish_record(plan, request.state_ns, took_ns)
 
@@ -283,6 +286,16 @@ class PlannerNode(ManagedNode):
         }
         self._statistics.publish(to_statistics(plan, values, NAME, self.arm))
         self._solutions.publish(to_solution(solution_parts(plan, core.memory)))
+
+    def _report_detour(self) -> None:
+        """Log a detour that begins: the arm moves away from its goal."""
+        memory = None if self._core is None else self._core.memory
+        detour = None if memory is None else memory.detour
+        number = detour.number if detour is not None and detour.is_on else 0
+        if detour is not None and number > self._detour:
+            way = f"detour {number} leads to the posture {np.round(detour.posture, 2).tolist()} rad"
+            self.get_logger().info(f"goal {self._goals}: no progress; {way}")
+        self._detour = number
 
     def _publish_markers(self, plan: Plan) -> None:
         if plan.effect_ns >= self._markers_due_ns:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.patience import Approach
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.solver.solver import State
@@ -27,6 +28,8 @@ class Memory(NamedTuple):
     """State of the solver at the end of its search."""
     approach: Approach
     """Progress towards the goal."""
+    detour: Detour | None = None
+    """The same, and the way that leads there; None if the settings permit no detours."""
 
 
 class History(NamedTuple):

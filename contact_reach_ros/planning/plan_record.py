@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.memory import Memory
 from contact_reach_ros.planning.plan import HeldReference, Plan
 from contact_reach_ros.planning.solver.solver import State
@@ -22,6 +23,7 @@ SPEED = "speed scale"
 _PLAN_PARTS = ("plan", "positions", "rotations", "postures", "best", "approach")
 _BEFORE = "before"
 """The reference from which the first knot is approached: position, rotation, posture."""
+_DETOUR = "detour"
 
 
 def plan_statistics(plan: Plan) -> dict[str, Any]:
@@ -53,6 +55,8 @@ def solution_parts(plan: Plan, memory: Memory) -> dict[str, Floats]:
     parts = dict(zip(_PLAN_PARTS, values, strict=True))
     if plan.before is not None:
         parts[_BEFORE] = np.concatenate([np.ravel(part) for part in plan.before])
+    if memory.detour is not None:
+        parts[_DETOUR] = memory.detour.numbers
     if plan.number % KEYFRAME_EVERY == 1:
         parts |= memory.state._asdict()
     return {name: np.asarray(part, dtype=np.float32) for name, part in parts.items()}
@@ -60,7 +64,7 @@ def solution_parts(plan: Plan, memory: Memory) -> dict[str, Floats]:
 
 def is_keyframe(parts: Mapping[str, Floats]) -> bool:
     """Whether the parts include the solver's state."""
-    return any(name not in (*_PLAN_PARTS, _BEFORE) for name in parts)
+    return any(name not in (*_PLAN_PARTS, _BEFORE, _DETOUR) for name in parts)
 
 
 def before_in(parts: Mapping[str, Floats]) -> HeldReference | None:
@@ -69,6 +73,11 @@ def before_in(parts: Mapping[str, Floats]) -> HeldReference | None:
         return None
     values = parts[_BEFORE].astype(float)
     return HeldReference(values[:3], values[3:12].reshape(3, 3), values[12:])
+
+
+def detour_in(parts: Mapping[str, Floats]) -> Detour | None:
+    """Progress on detours; None where none were permitted."""
+    return Detour.of(parts[_DETOUR]) if _DETOUR in parts else None
 
 
 def state_in(parts: Mapping[str, Floats], like: State) -> State:

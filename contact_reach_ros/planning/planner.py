@@ -260,6 +260,9 @@ class Planner:
             limit_speed(self.speed_scale)
         elif self.speed_scale != 1.0:
             raise PlanningError(f"speed_scale = {self.speed_scale:g}: expected 1 for a core without limit_speed")
+        permit_detours = getattr(self.core, "permit_detours", None)
+        if permit_detours is not None:
+            permit_detours(not self.reaction.is_retreating)
         self.plan = self.core.plan(*request)
         if self._progress is not None:
             self._progress.planned()

@@ -40,6 +40,8 @@ class Problem(NamedTuple):
     """Share of γ that bounds the actions."""
     before: Reference | None = None
     """The reference in force when the plan takes effect, with one lane; None where the arm is held at `q`."""
+    detour: jax.Array | None = None
+    """(n, 1) posture of the detour, rad, which counts if the term `detour` has a weight."""
 
 
 class Rollout(NamedTuple):

@@ -21,6 +21,9 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
+from contact_reach_ros.planning.detour import NAME as DETOUR
+from contact_reach_ros.planning.detour import REPLACED, Detour, follow
+from contact_reach_ros.planning.detour import begin as begin_detour
 from contact_reach_ros.planning.exhaustion import EXHAUSTION, with_fewer_candidates
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
 from contact_reach_ros.planning.obstacles import ObstacleReader
@@ -106,6 +109,7 @@ class RecedingHorizonPlanner:
         self._number = 0
         self._since_reset = 0
         self._speed_scale = 1.0
+        self._detours = True
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.
@@ -137,7 +141,9 @@ class RecedingHorizonPlanner:
         self._predictor.predict(q, v, obstacles, pieces)
         progress("planner: preparing the evaluation of plans")
         before = self._before(self._space.hold(q))
-        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal, self._bodies(q, ()), before)
+        detour = begin_detour(q) if self._settings.takes_detours else None
+        bodies = self._bodies(q, ())
+        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal, bodies, before, detour)
         jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
         progress("planner: preparing the solver, the longest part (up to a minute the first time)")
         step = self._solver.warm_up(problem, self.fresh_state)
@@ -211,6 +217,10 @@ class RecedingHorizonPlanner:
         """Bound the actions of further plans by this share of γ, 0 to 1, and so the speed."""
         self._speed_scale = scale
 
+    def permit_detours(self, permit: bool) -> None:
+        """Whether further plans may lead through another posture, if the settings permit it."""
+        self._detours = permit
+
     def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
         """Make the plan that takes effect at `effect_ns`.
 
@@ -255,7 +265,8 @@ class RecedingHorizonPlanner:
         pieces = pieces_between(self._plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(self._plans, effect_ns) or hold)
-        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal, bodies, before)
+        detour = self._detour_of(q, effect_ns, goal, spheres)
+        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal, bodies, before, detour)
 
         state, start_cost = self._start(problem, goal, effect_ns)
         until = begin + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
@@ -272,8 +283,8 @@ class RecedingHorizonPlanner:
         self._since_reset += 1
         plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin, before)
         self._plans.append(plan)
-        approach = self._approach_of(plan, goal)
-        self._memory = Memory(plan, goal, solution.best, solution.state, approach)
+        approach = self._approach_of(plan, goal, detour)
+        self._memory = Memory(plan, goal, solution.best, solution.state, approach, detour)
         self._last_state = (state_ns, q)
         return plan
 
@@ -284,10 +295,21 @@ class RecedingHorizonPlanner:
         self._solver.max_steps = steps
         return text
 
-    def _approach_of(self, plan: Plan, goal: Target) -> Approach:
+    def _detour_of(self, q: Array, effect_ns: int, goal: Target, spheres: Spheres) -> Detour | None:
+        """Progress towards the goal, and the detour that leads there; None if there is to be none."""
+        if not self._settings.takes_detours:
+            return None
+        memory = self._memory
+        if not self._detours or memory is None or memory.detour is None or not goal.same_as(memory.goal):
+            return begin_detour(q)
+        elapsed, pace = (effect_ns - memory.plan.effect_ns) * 1e-9, self._speed_scale
+        settings, force = self._settings, self._permitted_force
+        return follow(memory.detour, self._arm, q, goal, spheres, elapsed, settings, force, pace)
+
+    def _approach_of(self, plan: Plan, goal: Target, detour: Detour | None) -> Approach:
         """Progress towards the goal when the plan takes effect."""
         distance, memory = math.dist(plan.predicted_positions[0], goal.position), self._memory
-        if memory is None or not goal.same_as(memory.goal):
+        if memory is None or not goal.same_as(memory.goal) or (detour is not None and detour.is_on):
             return Approach.begin(distance)
         settings = self._settings
         elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
@@ -337,6 +359,7 @@ class RecedingHorizonPlanner:
         goal: Target,
         bodies: Bodies | None,
         before: HeldReference | None,
+        detour: Detour | None,
     ) -> Problem:
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
         problem = Problem(
@@ -345,23 +368,26 @@ class RecedingHorizonPlanner:
             obstacles=obstacles,
             goal_position=single(goal.position[:, None]),
             goal_rotation=single(rotation[:, :, None]),
-            weights=self._weights_for(goal),
+            weights=self._weights_for(goal, detour),
             permitted_force=single(self._permitted_force),
             joint_limit_margin=single(self._settings.joint_limit_margin),
             clearance_margin=single(self._settings.clearance_margin),
             bodies=bodies,
             speed_scale=single(self._speed_scale),
             before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
+            detour=None if detour is None else single(detour.posture[:, None]),
         )
         return _on_device(problem)
 
-    def _weights_for(self, goal: Target) -> dict[str, Number]:
-        """The weights of the settings, reduced by a free orientation and by patience with contact."""
+    def _weights_for(self, goal: Target, detour: Detour | None) -> dict[str, Number]:
+        """The weights of the settings, reduced by a free orientation, patience with contact and detours."""
         weights = term_weights(self._settings)
         if goal.rotation is None:
             weights["orientation"] = 0.0
         if self._memory is not None and goal.same_as(self._memory.goal):
             weights["contact"] *= self._memory.approach.share
+        if detour is not None:
+            weights |= dict.fromkeys(REPLACED if detour.is_on else (DETOUR,), 0.0)
         return {name: single(weight) for name, weight in weights.items()}
 
     def _start(self, problem: Problem, goal: Target, effect_ns: int) -> tuple[State, float]:

@@ -58,6 +58,21 @@ class PlanningSettings(Settings):
     orientation_weight: float = setting(
         0.2, "rotation error, for goals with an orientation", unit="1/rad", minimum=0.0, maximum=10.0
     )
+    detour_weight: float = setting(
+        0.5,
+        "on a detour, distance of the joints from its posture, in place of the goal's terms",
+        unit="1/rad",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    detour_patience: float = setting(
+        1.0,
+        "time without progress towards the goal after which the arm takes a detour, straight through joint space to "
+        "another posture in which it is at the goal; 0 for never",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
     joint_limit_weight: float = setting(
         20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
     )
@@ -172,6 +187,11 @@ class PlanningSettings(Settings):
         maximum=64,
     )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
+
+    @property
+    def takes_detours(self) -> bool:
+        """Whether plans may lead through another posture, which law (6), with one of its own, cannot follow."""
+        return self.detour_patience > 0.0 and self.null_space == "planned"
 
     def __post_init__(self) -> None:
         super().__post_init__()

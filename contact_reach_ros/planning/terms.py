@@ -100,8 +100,10 @@ def term_weights(settings: PlanningSettings) -> dict[str, Number]:
             raise SettingsError(f"{type(settings).__name__}.{name}: expected a cost term named {term}, with @term")
     weights = {name: getattr(settings, f"{name}_weight") for name in TERMS if hasattr(settings, f"{name}_weight")}
     if settings.clearance_weight == 0.0:
-        # The program is then the one that there was before this term.
+        # Its program then does without the term.
         del weights["clearance"]
+    if not settings.takes_detours:
+        del weights["detour"]
     return weights
 
 
@@ -149,6 +151,16 @@ def orientation(context: Context) -> jax.Array:
     error = jnp.moveaxis(context.rollout.pose.rotation[1:] - context.problem.goal_rotation, (1, 2), (0, 1))
     square = (error[:, 2] ** 2).sum(axis=0) if context.task == AXIS else 0.5 * (error**2).sum(axis=(0, 1))
     return jnp.sqrt(square + ROUNDING**2) - ROUNDING
+
+
+@term
+def detour(context: Context) -> jax.Array:
+    """Distance of the joints from the posture of a detour, rad."""
+    posture = context.problem.detour
+    if posture is None:
+        return jnp.zeros_like(context.rollout.contact)
+    error = context.q[:, 1:] - posture[:, None]
+    return jnp.sqrt(sum_over(error * error, 0) + 1e-6)
 
 
 @term

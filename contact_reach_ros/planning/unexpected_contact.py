@@ -17,6 +17,9 @@ from contact_reach_ros.world.clearance import clearances
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
+RETREAT_TO = "retreat to"
+"""Key of `ContactReaction.values` while the arm goes back."""
+
 _KNOWN_WITHIN = 0.01
 """A contact is attributed to a known obstacle if one is nearer to the arm than this, m."""
 _STEP = 0.005
@@ -86,11 +89,16 @@ class ContactReaction:
             self._target = self._way_back()
         return True
 
+    @property
+    def is_retreating(self) -> bool:
+        """Whether the arm goes back instead of to its goal."""
+        return self._target is not None
+
     def values(self) -> dict[str, str]:
         """The reaction in force by name, as JSON, for plan/statistics; empty without one."""
         values: dict[str, str] = {}
         if self._target is not None:
-            values["retreat to"] = json.dumps(self._target.tolist())
+            values[RETREAT_TO] = json.dumps(self._target.tolist())
         if self._spheres:
             values["touched"] = json.dumps([place.tolist() for place in self._spheres])
         return values

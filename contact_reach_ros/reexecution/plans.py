@@ -31,6 +31,7 @@ from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.plan_record import (
     SPEED,
     before_in,
+    detour_in,
     is_keyframe,
     plan_statistics,
     solution_parts,
@@ -38,7 +39,7 @@ from contact_reach_ros.planning.plan_record import (
 )
 from contact_reach_ros.planning.planner import Planner, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.planning.unexpected_contact import RETREAT_TO, ContactReaction
 from contact_reach_ros.reexecution.inputs import RecordedInputs, Row
 from contact_reach_ros.reexecution.plan_outcome import ROUNDING, PlanDifference, ReexecutedPlan, compare_plans
 from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
@@ -136,6 +137,7 @@ class RecordedPlans:
         planner.limit_steps(int(statistics["steps"]) if stopped_by_clock else None)
         # It may have been changed from plan to plan.
         planner.limit_speed(float(statistics.get(SPEED, 1.0)))
+        planner.permit_detours(RETREAT_TO not in statistics)
         return planner.plan(*self.requests[number])
 
     def _make_planner(self, settings: Mapping[str, Any]) -> RecedingHorizonPlanner:
@@ -164,8 +166,8 @@ class RecordedPlans:
             first -= 1
         plans = tuple(self._plan(earlier) for earlier in range(first, number + 1))
         request, parts = self.requests[number], self._solutions[number]
-        state = state_in(parts, planner.fresh_state)
-        memory = Memory(plans[-1], request.goal, parts["best"], state, Approach(*parts["approach"].tolist()))
+        state, approach = state_in(parts, planner.fresh_state), Approach(*parts["approach"].tolist())
+        memory = Memory(plans[-1], request.goal, parts["best"], state, approach, detour_in(parts))
         since_reset = int(self.statistics[number]["plans since reset"]) + 1
         return History(plans, memory, (request.state_ns, request.q), since_reset, number)
 

@@ -23,6 +23,7 @@ from contact_reach_ros.world.spheres import Spheres
 
 METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
+    "no_detours": "the method without detours: it stays where its horizon sees no way on",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
     "collision_free": "RRT* in joint space, the shortest of several simplified paths, followed without re-planning",
     "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
@@ -48,8 +49,9 @@ PATH_METHODS = (*_PATHS, "contact_rrt")
 PLANLESS = (*PATH_METHODS, "reactive")
 """Methods that plan nothing on the way, so that no plan takes time."""
 
-_CHANGES: dict[str, dict[str, str]] = {
+_CHANGES: dict[str, dict[str, str | float]] = {
     "contact_reach": {"null_space": "planned", "solver": "hybrid"},
+    "no_detours": {"null_space": "planned", "solver": "hybrid", "detour_patience": 0.0},
     "reference_posture": {"null_space": "reference_posture", "solver": "hybrid"},
     "cma_es": {"null_space": "planned", "solver": "cma"},
     "gradient": {"null_space": "planned", "solver": "gradient"},
