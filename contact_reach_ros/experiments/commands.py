@@ -151,7 +151,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     clutter = add("clutter", _clutter, "random scenes with several soft bodies, every method")
     clutter.add_argument("--scenes", type=int, help="how many (default: 100)")
     clutter.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
-    clutter.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: seven)")
+    clutter.add_argument("--methods", nargs="+", metavar="METHOD", help="see docs/results.md (default: eight)")
     clutter.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")
     for grid in (table1, clutter):
         grid.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
