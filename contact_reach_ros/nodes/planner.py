@@ -293,8 +293,8 @@ class PlannerNode(ManagedNode):
         detour = None if memory is None else memory.detour
         number = detour.number if detour is not None and detour.is_on else 0
         if detour is not None and number > self._detour:
-            way = f"detour {number} leads to the posture {np.round(detour.posture, 2).tolist()} rad"
-            self.get_logger().info(f"goal {self._goals}: no progress; {way}")
+            posture = np.round(detour.posture, 2).tolist()
+            self.get_logger().info(f"goal {self._goals}: no progress; a detour leads to the posture {posture} rad")
         self._detour = number
 
     def _publish_markers(self, plan: Plan) -> None:

@@ -31,6 +31,9 @@ NAME = "detour"
 REPLACED = ("goal", "progress", "orientation")
 """Terms that have no weight on a detour."""
 
+CONTACT = 5.0
+"""Factor on the weight of permitted contact on a detour, which has room to avoid it."""
+
 _STEPS = 0.01, 0.1
 """Progress that counts: in `_distance`, and of the joints on a detour, rad."""
 
@@ -63,7 +66,7 @@ class Detour(NamedTuple):
     waited: float
     """Time since then, s."""
     number: int
-    """Detours so far."""
+    """Searches for a posture so far; each begins from others."""
     is_on: bool
     """Whether the arm is on a detour."""
     posture: Array
@@ -124,7 +127,7 @@ def follow(
     if detour.waited >= settings.detour_patience and not is_there:
         posture = _choose(arm, q, goal, spheres, detour, settings, permitted_force)
         if posture is None:
-            detour = detour._replace(least=distance, waited=0.0, is_on=False)
+            detour = detour._replace(least=distance, waited=0.0, number=detour.number + 1, is_on=False)
         else:
             length = float(np.linalg.norm(posture - q))
             detour = Detour(length, 0.0, detour.number + 1, True, posture)

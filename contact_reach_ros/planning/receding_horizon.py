@@ -21,8 +21,8 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
+from contact_reach_ros.planning.detour import CONTACT, REPLACED, Detour, follow
 from contact_reach_ros.planning.detour import NAME as DETOUR
-from contact_reach_ros.planning.detour import REPLACED, Detour, follow
 from contact_reach_ros.planning.detour import begin as begin_detour
 from contact_reach_ros.planning.exhaustion import EXHAUSTION, with_fewer_candidates
 from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
@@ -388,6 +388,7 @@ class RecedingHorizonPlanner:
             weights["contact"] *= self._memory.approach.share
         if detour is not None:
             weights |= dict.fromkeys(REPLACED if detour.is_on else (DETOUR,), 0.0)
+            weights["contact"] *= CONTACT if detour.is_on else 1.0
         return {name: single(weight) for name, weight in weights.items()}
 
     def _start(self, problem: Problem, goal: Target, effect_ns: int) -> tuple[State, float]:

@@ -77,7 +77,7 @@ class PlanningSettings(Settings):
         20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
     )
     joint_limit_margin: float = setting(
-        0.15, "distance to a joint limit at which its cost starts", unit="rad", minimum=0.0, maximum=1.0
+        0.1, "distance to a joint limit at which its cost starts", unit="rad", minimum=0.0, maximum=1.0
     )
     joint_speed_weight: float = setting(
         0.3,
