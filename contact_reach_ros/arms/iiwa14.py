@@ -26,6 +26,9 @@ def _joint(
     return Joint(f"lbr_A{number}", offset, rotation, -limit, limit, speed, torque, _ARMATURE)
 
 
+_DIGITS = 12
+"""Decimals of what is converted: so the digest is the same on every machine."""
+
 _NO_PRODUCTS = (0.0, 0.0, 0.0)
 
 _NOMINAL_INERTIAS = (
@@ -129,7 +132,8 @@ def _alternative_inertias() -> tuple[Inertia, ...]:
         center = to_rotation.T @ (from_origin + from_rotation @ inertia.center - to_origin)
         tensor = rotation @ tensor_matrix(inertia.tensor) @ rotation.T
         six = (tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[0, 2], tensor[1, 2])
-        converted.append(Inertia(inertia.mass, tuple(map(float, center)), tuple(map(float, six))))  # type: ignore[arg-type]
+        values = [tuple((np.round(vector, _DIGITS) + 0.0).tolist()) for vector in (center, six)]
+        converted.append(Inertia(inertia.mass, *values))
     return tuple(converted)
 
 

@@ -56,7 +56,7 @@ def test_whatever_models_are_built_from_makes_another_arm(changes):
 
 
 def test_the_digest_of_the_iiwa_is_that_in_bags():
-    assert ARM.digest == "a1afed95948d1e7c"
+    assert ARM.digest == "fb09104480dee5b5"
 
 
 def test_default_thresholds_are_settings_and_make_no_other_arm():

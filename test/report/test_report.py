@@ -77,7 +77,7 @@ def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> 
 
 def test_charts_begin_shortly_before_the_goal() -> None:
     bag = read_report_bag(SAMPLE, "sample", ChangedSettings())
-    waited = dataclasses.replace(bag.signals.goals, time=bag.signals.goals.time + 3.0)
+    waited = dataclasses.replace(bag.signals.goals, time=bag.signals.goals.time + 2.5)
     episode = Episode(dataclasses.replace(bag.signals, goals=waited), bag.arm)
     bag = dataclasses.replace(bag, episode=episode, zero=episode.start)
     assert {chart["from"] for chart in charts(page([bag])) if chart.get("linked")} == {-BEFORE}
