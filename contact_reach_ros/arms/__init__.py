@@ -15,6 +15,8 @@ from contact_reach_ros.settings import read_yaml
 DEFAULT_ARM = "iiwa14"
 ROBOT, ROBOT_DIGEST, ROBOT_TABLE = "robot", "robot digest", "robot table"
 """Names under which nodes report their arm."""
+EARLIER_DIGESTS = {"fb09104480dee5b5": ("a1afed95948d1e7c", "f4d510c0cfa2a199")}
+"""Digests of arms in bags of earlier versions, where rounding errors were part of them, by the present ones."""
 ENDINGS = (".urdf", ".yaml", ".yml")
 """Of files that hold arms."""
 _FOLDER = Path(__file__).parent

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, load_arm
+from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, load_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.settings import read_settings
@@ -37,7 +37,8 @@ def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
             raise BagError(str(error)) from error
         digest = values.get(ROBOT_DIGEST, arm.digest)
         # A table is the arm itself.
-        if digest != arm.digest and ROBOT_TABLE not in values:
+        is_same = digest == arm.digest or digest in EARLIER_DIGESTS.get(arm.digest, ()) or ROBOT_TABLE in values
+        if not is_same:
             raise BagError(
                 f"settings of the {node}: the arm '{arm.name}' had digest {digest}, this version's has {arm.digest}; "
                 "use the version that recorded the bag"

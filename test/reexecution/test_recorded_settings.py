@@ -21,7 +21,8 @@ class TestArm:
         assert recorded_arm({}) is ARM
 
     def test_name_and_digest_are_those_of_this_version(self):
-        assert recorded_arm({"controller": {"robot": ARM.name, "robot digest": ARM.digest}}) is ARM
+        for digest in (ARM.digest, "a1afed95948d1e7c", "f4d510c0cfa2a199"):
+            assert recorded_arm({"controller": {"robot": ARM.name, "robot digest": digest}}) is ARM
 
     def test_an_arm_that_was_changed_since_is_refused(self):
         with pytest.raises(BagError, match=f"had digest 0123, this version's has {ARM.digest}"):
