@@ -116,7 +116,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     )
     setting.add_argument("--spheres", type=int, help="that plans take into account (default: as many as the scene has)")
     faults = add("faults", _faults, "episodes in which things go wrong at random")
-    faults.add_argument("--episodes", type=int, help="how many (default: 100)")
+    faults.add_argument("--episodes", type=int, help="how many (default: 200)")
     faults.add_argument("--seed", type=int, help="of the first episode (default: 0)")
     stops = add("stops", _plain("bench_stops"), "how fast and how far the arm sinks when it is stopped")
     stops.add_argument("--postures", type=int, help="random postures of each scene (default: 200)")

@@ -1,10 +1,10 @@
 """How near a solver step comes to what one core can do: its arithmetic, counted, at speeds that are measured beside it.
 
 The arithmetic is counted in the traced programs, operation by operation and as often as loops run, by kinds that
-processors treat alike; a product that only a sum uses is one operation with it. The speed of each kind is that of XLA
-programs that do nothing else, several independent chains of them side by side, on arrays that stay in the first cache:
-what a longer one takes more than a shorter one, so that starting them does not count. The limit is the time that the
-counted operations would take at these speeds: no memory is read, nothing is computed twice, and nothing waits.
+processors treat alike; a product that only one addition uses is one operation with it. The speed of each kind is that
+of XLA programs that do nothing else, several independent chains of them side by side, on arrays that stay in the first
+cache: what a longer one takes more than a shorter one, so that starting them does not count. The limit is the time that
+the counted operations would take at these speeds: no memory is read, nothing is computed twice, and nothing waits.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from contact_reach_ros.experiments.recorded_runs import RecordedPlan
 from contact_reach_ros.experiments.solver_race import make_cost_of
 from contact_reach_ros.experiments.statistics import estimate
 from contact_reach_ros.planning.action_space import ReferenceSpace, initial_spread, scaled_cost
+from contact_reach_ros.planning.detour import NAME as DETOUR
 from contact_reach_ros.planning.problem import Number, Problem
 from contact_reach_ros.planning.programs import preparing
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -110,7 +111,9 @@ def _problem(problem: Problem, settings: PlanningSettings, ramped: bool) -> Prob
     weights: dict[str, Number] = {name: single(weight) for name, weight in term_weights(settings).items()}
     # Zero where the goal leaves the orientation free.
     weights["orientation"] = problem.weights["orientation"]
-    return problem._replace(weights=weights, before=problem.before if ramped else None)
+    # None of the states is on a detour.
+    weights.pop(DETOUR, None)
+    return problem._replace(weights=weights, detour=None, before=problem.before if ramped else None)
 
 
 def _share(values: np.ndarray, hybrid: np.ndarray) -> Report:

@@ -34,14 +34,14 @@ REPLACED = ("goal", "progress", "orientation")
 CONTACT = 5.0
 """Factor on the weight of permitted contact on a detour, which has room to avoid it."""
 
-_STEPS = 0.01, 0.1
-"""Progress that counts: in `_distance`, and of the joints on a detour, rad."""
+_SPEEDS = 0.01, 0.1
+"""Progress that counts: in `_distance`, 1/s, and of the joints on a detour, rad/s."""
 
 _THERE = 0.01, 0.05
-"""Distance, m, and angle, rad, from the goal within which an arm at rest has come to where it should."""
+"""Distance, m, and angle, rad, from the goal within which an arm has come to where it should."""
 
-_NEAR = 0.1, 0.03, 0.1
-"""Ends of a detour: distance of the joints from its posture, rad, or of the flange from the goal, m and rad."""
+_NEAR = 0.1
+"""Distance of the joints from the posture of a detour at which it ends, rad."""
 
 _METRES_PER_RADIAN = 0.2
 
@@ -49,7 +49,7 @@ _SEEDS_NEAR, _SEEDS_ANYWHERE, _SPREAD = 64, 192, 0.5
 """Postures from which inverse kinematics searches, the former with this standard deviation around the arm's, rad."""
 
 _MARGINS = 0.2, 0.05
-"""Distances from the joints' limits, rad: what the planner's cost leaves alone, or else what there is."""
+"""Distances from the joints' limits, rad, the second for goals that no posture reaches with the first."""
 
 _OTHER = 0.3
 """By as much at least does a joint of the posture differ from what it is, and from that of the last detour, rad."""
@@ -69,24 +69,26 @@ class Detour(NamedTuple):
     """Searches for a posture so far; each begins from others."""
     is_on: bool
     """Whether the arm is on a detour."""
+    arrived: bool
+    """Whether it has been at the goal: one that is pushed away then stays in its posture."""
     posture: Array
     """(n,) rad, of the last detour; where there was none that of the arm."""
 
     @classmethod
     def of(cls, values: NDArray[np.floating]) -> Detour:
         """From the numbers of a record, see `numbers`."""
-        least, waited, number, is_on, *posture = values.astype(float).tolist()
-        return cls(least, waited, int(number), bool(is_on), np.array(posture))
+        least, waited, number, is_on, arrived, *posture = values.astype(float).tolist()
+        return cls(least, waited, int(number), bool(is_on), bool(arrived), np.array(posture))
 
     @property
     def numbers(self) -> Array:
-        """(4 + n,) what a bag records."""
-        return np.array([self.least, self.waited, self.number, self.is_on, *self.posture])
+        """(5 + n,) what a bag records."""
+        return np.array([self.least, self.waited, self.number, self.is_on, self.arrived, *self.posture])
 
 
 def begin(q: Array) -> Detour:
     """The state at joint angles `q` (n,), rad, with a new goal."""
-    return _single(Detour(np.inf, 0.0, 0, False, q))
+    return _single(Detour(np.inf, 0.0, 0, False, False, q))
 
 
 def follow(
@@ -109,7 +111,7 @@ def follow(
     spheres
         Obstacles, where they are now.
     elapsed
-        Time since the last plan, s.
+        Time since the last plan during which it was in force, s: without a plan the arm cannot make progress.
     permitted_force
         ε of (4d), N.
     pace
@@ -117,20 +119,21 @@ def follow(
     """
     distance, offset, angle = _distance(arm, q, goal)
     remaining = float(np.linalg.norm(q - detour.posture)) if detour.is_on else distance
-    if remaining < detour.least - pace * _STEPS[detour.is_on]:
+    if remaining < detour.least - pace * _SPEEDS[detour.is_on] * settings.detour_patience:
         detour = detour._replace(least=remaining, waited=0.0)
     else:
         detour = detour._replace(waited=detour.waited + elapsed)
-    if detour.is_on and (remaining < _NEAR[0] or (offset < _NEAR[1] and angle < _NEAR[2])):
+    is_there = offset < _THERE[0] and angle < _THERE[1]
+    if detour.is_on and (remaining < _NEAR or is_there):
         detour = detour._replace(least=distance, waited=0.0, is_on=False)
-    is_there = not detour.is_on and offset < _THERE[0] and angle < _THERE[1]
-    if detour.waited >= settings.detour_patience and not is_there:
+    detour = detour._replace(arrived=detour.arrived or is_there)
+    if detour.waited >= settings.detour_patience and not detour.arrived:
         posture = _choose(arm, q, goal, spheres, detour, settings, permitted_force)
         if posture is None:
             detour = detour._replace(least=distance, waited=0.0, number=detour.number + 1, is_on=False)
         else:
             length = float(np.linalg.norm(posture - q))
-            detour = Detour(length, 0.0, detour.number + 1, True, posture)
+            detour = Detour(length, 0.0, detour.number + 1, True, False, posture)
     return _single(detour)
 
 
@@ -182,8 +185,8 @@ def _postures(arm: Arm, q: Array, goal: Target, detour: Detour) -> Iterator[Arra
         anywhere = random.uniform(arm.lower, arm.upper, (_SEEDS_ANYWHERE, arm.n))
         seeds = np.concatenate([near, anywhere])
         found = solve_ik(arm, goal.position, goal.rotation, seeds, margin, goal.only_axis)
-        apart = np.minimum(np.abs(found - q).max(axis=1), np.abs(found - detour.posture).max(axis=1))
-        found = found[apart > _OTHER]
+        for known in (q, detour.posture) if detour.number else (q,):
+            found = found[np.abs(found - known).max(axis=1) > _OTHER]
         yield from found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")[:_CANDIDATES]]
         if len(found):
             return

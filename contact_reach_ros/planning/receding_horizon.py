@@ -265,11 +265,14 @@ class RecedingHorizonPlanner:
         pieces = pieces_between(self._plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(self._plans, effect_ns) or hold)
+        searched = time.perf_counter()
         detour = self._detour_of(q, effect_ns, goal, spheres)
+        searched = time.perf_counter() - searched
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal, bodies, before, detour)
 
-        state, start_cost = self._start(problem, goal, effect_ns)
-        until = begin + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
+        state, start_cost = self._start(problem, goal, effect_ns, detour)
+        # The search of a posture takes longer than a plan, and the first plan on a detour has a new cost.
+        until = begin + searched + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         solution = self._solver.solve(problem, state, start_cost, self._since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
@@ -302,8 +305,11 @@ class RecedingHorizonPlanner:
         memory = self._memory
         if not self._detours or memory is None or memory.detour is None or not goal.same_as(memory.goal):
             return begin_detour(q)
-        elapsed, pace = (effect_ns - memory.plan.effect_ns) * 1e-9, self._speed_scale
-        settings, force = self._settings, self._permitted_force
+        settings, force, pace = self._settings, self._permitted_force, self._speed_scale
+        in_force = settings.horizon * settings.knot_duration
+        elapsed = min((effect_ns - memory.plan.effect_ns) * 1e-9, in_force)
+        if not settings.orientation_weight:
+            goal = Target(goal.position)
         return follow(memory.detour, self._arm, q, goal, spheres, elapsed, settings, force, pace)
 
     def _approach_of(self, plan: Plan, goal: Target, detour: Detour | None) -> Approach:
@@ -384,14 +390,15 @@ class RecedingHorizonPlanner:
         weights = term_weights(self._settings)
         if goal.rotation is None:
             weights["orientation"] = 0.0
-        if self._memory is not None and goal.same_as(self._memory.goal):
+        is_on = detour is not None and detour.is_on
+        if self._memory is not None and goal.same_as(self._memory.goal) and not is_on:
             weights["contact"] *= self._memory.approach.share
         if detour is not None:
-            weights |= dict.fromkeys(REPLACED if detour.is_on else (DETOUR,), 0.0)
-            weights["contact"] *= CONTACT if detour.is_on else 1.0
+            weights |= dict.fromkeys(REPLACED if is_on else (DETOUR,), 0.0)
+            weights["contact"] *= CONTACT if is_on else 1.0
         return {name: single(weight) for name, weight in weights.items()}
 
-    def _start(self, problem: Problem, goal: Target, effect_ns: int) -> tuple[State, float]:
+    def _start(self, problem: Problem, goal: Target, effect_ns: int, detour: Detour | None) -> tuple[State, float]:
         """Start of the solver: the rest of the last plan, or standing still if that costs less."""
         points = _pair(self._space.still(problem))
         count, passed, carried = self._space.vectors_per_knot * self._settings.horizon, 0.0, None
@@ -402,7 +409,8 @@ class RecedingHorizonPlanner:
                 passed = self._space.vectors_per_knot * elapsed
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                carried = memory.state if goal.same_as(memory.goal) else None
+                is_same = goal.same_as(memory.goal) and _leads(detour) == _leads(memory.detour)
+                carried = memory.state if is_same else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
         costs = np.where(np.isfinite(costs), costs, np.inf)
@@ -446,6 +454,11 @@ class RecedingHorizonPlanner:
             ramp_s=self._space.ramp_s,
         )
         return self._space.finish(plan, solution.best)
+
+
+def _leads(detour: Detour | None) -> int:
+    """Number of the detour that the arm is on; 0 for none."""
+    return detour.number if detour is not None and detour.is_on else 0
 
 
 def _roll_out(space: ActionSpace, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:

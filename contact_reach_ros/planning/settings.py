@@ -60,7 +60,7 @@ class PlanningSettings(Settings):
     )
     detour_weight: float = setting(
         0.5,
-        "on a detour, distance of the joints from its posture, in place of the goal's terms",
+        "on a detour, distance of the joints from its posture, in place of the goal's terms; 0 for no detours",
         unit="1/rad",
         minimum=0.0,
         maximum=10.0,
@@ -191,7 +191,7 @@ class PlanningSettings(Settings):
     @property
     def takes_detours(self) -> bool:
         """Whether plans may lead through another posture, which law (6), with one of its own, cannot follow."""
-        return self.detour_patience > 0.0 and self.null_space == "planned"
+        return self.detour_patience > 0.0 and self.detour_weight > 0.0 and self.null_space == "planned"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -62,6 +62,7 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
         "planning.lead_change_weight": 0.0,
         "planning.clearance_weight": 0.0,
         "planning.collision_tolerance": 1.0,
+        "planning.detour_patience": 0.0,
     },
 }
 """What earlier versions did: values by node of settings that their bags lack."""

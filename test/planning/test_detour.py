@@ -69,9 +69,19 @@ def test_it_ends_near_its_posture_and_the_next_one_leads_elsewhere():
     assert np.abs(stuck.posture - first.posture).max() > 0.3
 
 
-def test_an_arm_at_the_goal_stays_there():
+def test_an_arm_that_has_been_at_the_goal_stays_in_its_posture():
     there = Target(ORIGINS[-1], ROTATIONS[-1])
-    assert followed(begin(HOME), HOME, 4.0, there).number == 0
+    rests = followed(begin(HOME), HOME, 4.0, there)
+    assert rests.number == 0
+    pushed = HOME + np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert followed(rests, pushed, 4.0, there).number == 0
+
+
+def test_a_detour_that_begins_close_to_the_goal_goes_on():
+    close = Target(ORIGINS[-1] + np.array([0.02, 0.0, 0.0]), ROTATIONS[-1])
+    detour = followed(begin(HOME), HOME, 1.2, close)
+    assert detour.is_on
+    assert followed(detour, HOME, 0.4, close).is_on
 
 
 def test_no_detour_leads_into_more_force_than_permitted():
@@ -113,9 +123,22 @@ def test_a_planner_goes_on_with_a_detour_from_its_record_bit_for_bit(stuck):
     assert again.cost_terms == expected.cost_terms
 
 
-@pytest.mark.parametrize("way", ["setting", "law (6)", "retreat"])
+def test_time_without_plans_is_no_lack_of_progress():
+    planner = make_planner(max_steps=1)
+    for seconds in (0, 5, 10):
+        start = seconds * 1_000_000_000
+        planner.plan(HOME, REST, start, start + 40_000_000, GOAL, Spheres.none())
+    assert not planner.memory.detour.is_on and planner.memory.detour.waited < 0.7
+
+
+@pytest.mark.parametrize("way", ["setting", "weight", "law (6)", "retreat"])
 def test_there_is_none_where_it_is_not_wanted(way):
-    changes = {"setting": {"detour_patience": 0.0}, "law (6)": {"null_space": "reference_posture"}, "retreat": {}}
+    changes = {
+        "setting": {"detour_patience": 0.0},
+        "weight": {"detour_weight": 0.0},
+        "law (6)": {"null_space": "reference_posture"},
+        "retreat": {},
+    }
     planner = make_planner(max_steps=1, **changes[way])
     planner.permit_detours(way != "retreat")
     for step in range(31):
