@@ -47,8 +47,8 @@ PATIENCE = 5.0
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
 
 DEADLINE_STEPS = 5
-"""Solver steps that the node's deadline of 30 ms holds on a quiet core in the wall scene, where a step takes 5.3 to
-5.5 ms (docs/planning.md); with fewer obstacles it holds more."""
+"""Solver steps that the node's deadline of 30 ms holds in the wall scene beside other work, where a step takes 5.3 to
+5.5 ms; a quiet core takes 3.4 (docs/planning.md), and with fewer obstacles it holds more."""
 
 _SOLVER_SEEDS = 2**24
 """Few enough that a search of several runs can derive seeds of 32 bits from each."""
