@@ -37,6 +37,7 @@ from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import TOOL_PARAMETERS
+from contact_reach_ros.planning.detour import current
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.latency import LatencyEstimate
 from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
@@ -291,7 +292,7 @@ class PlannerNode(ManagedNode):
         """Log a detour that begins: the arm moves away from its goal."""
         memory = None if self._core is None else self._core.memory
         detour = None if memory is None else memory.detour
-        number = detour.number if detour is not None and detour.is_on else 0
+        number = current(detour)
         if detour is not None and number > self._detour:
             posture = np.round(detour.posture, 2).tolist()
             self.get_logger().info(f"goal {self._goals}: no progress; a detour leads to the posture {posture} rad")

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.capsules import shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.clearance import clearances
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -89,6 +89,11 @@ class Detour(NamedTuple):
 def begin(q: Array) -> Detour:
     """The state at joint angles `q` (n,), rad, with a new goal."""
     return _single(Detour(np.inf, 0.0, 0, False, False, q))
+
+
+def current(detour: Detour | None) -> int:
+    """Number of the detour that the arm is on; 0 for none."""
+    return detour.number if detour is not None and detour.is_on else 0
 
 
 def follow(
@@ -171,7 +176,9 @@ def _choose(
         first, *later = [pair.distance for pair in nearest(arm, way, spheres.environment)] or [0.0]
         if min(later, default=0.0) < min(first, 0.0):
             continue
-        force = float(_forces(arm, way[1:], spheres, softness).max(initial=0.0))
+        # At rest, of each sphere as if it were the only one.
+        depths = [np.maximum(-clearances(arm, station, spheres), 0.0) for station in way[1:]]
+        force = float((depths / softness).max(initial=0.0))
         if force <= permitted_force and length + force / permitted_force < least:
             best, least = posture, length + force / permitted_force
     return best
@@ -190,18 +197,3 @@ def _postures(arm: Arm, q: Array, goal: Target, detour: Detour) -> Iterator[Arra
         yield from found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")[:_CANDIDATES]]
         if len(found):
             return
-
-
-def _forces(arm: Arm, q: Array, spheres: Spheres, softness: Array) -> Array:
-    """(N, K) force at rest between the arm in postures `q` (N, n), rad, and each sphere as if it were the only one, N.
-
-    `softness`: (K,) of contact and sphere, m/N.
-    """
-    starts, ends = (points[:, 1:, None] for points in shape_segments(arm, q))
-    axes = ends - starts
-    offsets = spheres.center - starts
-    shares = np.clip((offsets * axes).sum(-1) / np.maximum((axes**2).sum(-1), 1e-12), 0.0, 1.0)
-    gaps = np.linalg.norm(offsets - shares[..., None] * axes, axis=-1) - shape_radii(arm)[1:, None]
-    depths = np.maximum(spheres.radius - gaps.min(axis=1), 0.0)
-    forces: Array = depths / softness
-    return forces

@@ -21,7 +21,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
-from contact_reach_ros.planning.detour import CONTACT, REPLACED, Detour, follow
+from contact_reach_ros.planning.detour import CONTACT, REPLACED, Detour, current, follow
 from contact_reach_ros.planning.detour import NAME as DETOUR
 from contact_reach_ros.planning.detour import begin as begin_detour
 from contact_reach_ros.planning.exhaustion import EXHAUSTION, with_fewer_candidates
@@ -315,7 +315,7 @@ class RecedingHorizonPlanner:
     def _approach_of(self, plan: Plan, goal: Target, detour: Detour | None) -> Approach:
         """Progress towards the goal when the plan takes effect."""
         distance, memory = math.dist(plan.predicted_positions[0], goal.position), self._memory
-        if memory is None or not goal.same_as(memory.goal) or (detour is not None and detour.is_on):
+        if memory is None or not goal.same_as(memory.goal) or current(detour):
             return Approach.begin(distance)
         settings = self._settings
         elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
@@ -390,12 +390,11 @@ class RecedingHorizonPlanner:
         weights = term_weights(self._settings)
         if goal.rotation is None:
             weights["orientation"] = 0.0
-        is_on = detour is not None and detour.is_on
-        if self._memory is not None and goal.same_as(self._memory.goal) and not is_on:
+        if self._memory is not None and goal.same_as(self._memory.goal) and not current(detour):
             weights["contact"] *= self._memory.approach.share
         if detour is not None:
-            weights |= dict.fromkeys(REPLACED if is_on else (DETOUR,), 0.0)
-            weights["contact"] *= CONTACT if is_on else 1.0
+            weights |= dict.fromkeys(REPLACED if detour.is_on else (DETOUR,), 0.0)
+            weights["contact"] *= CONTACT if detour.is_on else 1.0
         return {name: single(weight) for name, weight in weights.items()}
 
     def _start(self, problem: Problem, goal: Target, effect_ns: int, detour: Detour | None) -> tuple[State, float]:
@@ -409,7 +408,7 @@ class RecedingHorizonPlanner:
                 passed = self._space.vectors_per_knot * elapsed
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                is_same = goal.same_as(memory.goal) and _leads(detour) == _leads(memory.detour)
+                is_same = goal.same_as(memory.goal) and current(detour) == current(memory.detour)
                 carried = memory.state if is_same else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
@@ -454,11 +453,6 @@ class RecedingHorizonPlanner:
             ramp_s=self._space.ramp_s,
         )
         return self._space.finish(plan, solution.best)
-
-
-def _leads(detour: Detour | None) -> int:
-    """Number of the detour that the arm is on; 0 for none."""
-    return detour.number if detour is not None and detour.is_on else 0
 
 
 def _roll_out(space: ActionSpace, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
