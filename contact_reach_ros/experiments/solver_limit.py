@@ -41,7 +41,7 @@ _SIZE, _SHORT, _LONG, _SLOW = 4096, 4, 36, 4
 Slow kinds have fewer, by this factor.
 """
 
-_CHAINS_ABREAST = 8
+_ABREAST = 8
 """So many hide how long each operation takes to be done, and still leave registers free."""
 
 
@@ -96,7 +96,7 @@ def _in(variable: Any, variables: set[Any]) -> bool:
     return not _is_literal(variable) and variable in variables
 
 
-_CHAINS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
+CHAINS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
     "add": lambda x, one: x + one,
     "multiply": lambda x, one: x * one,
     "multiply-add": lambda x, one: x * one + one,
@@ -109,6 +109,7 @@ _CHAINS: dict[str, Callable[[jax.Array, jax.Array], jax.Array]] = {
     "sine": lambda x, one: jnp.sin(x),
     "exponential": lambda x, one: jnp.exp(x),
 }
+"""One operation of each kind, on numbers and on a number near one."""
 
 
 class OperationClock:
@@ -120,9 +121,9 @@ class OperationClock:
     def measure(self, repetitions: int) -> None:
         """Run every program that often; there are no loops in them, which options of XLA would change."""
         one = np.linspace(1.0, 1.0 + 1e-6, 8).astype(np.float32)
-        for kind in _CHAINS:
+        for kind in CHAINS:
             for length in _lengths(kind):
-                program = _chain(kind, length)
+                program = make_chain(kind, length)
                 fastest = min(_seconds(program, np.full(_SIZE, 0.7, np.float32), one) for _ in range(repetitions))
                 self._least[kind, length] = min(fastest, self._least.get((kind, length), np.inf))
 
@@ -130,9 +131,9 @@ class OperationClock:
     def times(self) -> dict[str, float]:
         """Least time of one operation by kind, s."""
         times = {}
-        for kind in _CHAINS:
+        for kind in CHAINS:
             short, long = _lengths(kind)
-            count = _SIZE * _CHAINS_ABREAST * (long - short)
+            count = _SIZE * _ABREAST * (long - short)
             times[kind] = (self._least[kind, long] - self._least[kind, short]) / count
         return {**times, "divide": times["divide"] - times["add"]}
 
@@ -143,12 +144,14 @@ def _lengths(kind: str) -> tuple[int, int]:
 
 
 @functools.cache
-def _chain(kind: str, length: int) -> Callable[[Array, Array], jax.Array]:
+def make_chain(kind: str, length: int) -> Callable[[Array, Array], jax.Array]:
+    """Compile a program of so many operations of a kind in each chain, for numbers (n,) and eight near one (8,)."""
+
     def run(x: jax.Array, one: jax.Array) -> jax.Array:
         # Different numbers, or XLA would join the operations, or the chains.
-        values = [x * one[first] for first in range(_CHAINS_ABREAST)]
+        values = [x * one[first] for first in range(_ABREAST)]
         for index in range(length):
-            values = [_CHAINS[kind](value, one[(first + index) % len(one)]) for first, value in enumerate(values)]
+            values = [CHAINS[kind](value, one[(first + index) % len(one)]) for first, value in enumerate(values)]
         return functools.reduce(jnp.add, values)
 
     program = jax.jit(run)

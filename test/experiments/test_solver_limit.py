@@ -1,12 +1,14 @@
 """What is counted as the arithmetic of a solver step."""
 
+from collections import Counter
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from contact_reach_ros.cli import main
-from contact_reach_ros.experiments.solver_limit import OperationClock, count_operations
+from contact_reach_ros.experiments.solver_limit import CHAINS, count_operations, make_chain
 
 X = np.ones((3, 50), np.float32)
 
@@ -37,11 +39,15 @@ def test_count_is_that_of_xla_where_there_is_no_loop():
     assert counted == jax.jit(function).lower(X).cost_analysis()["flops"]
 
 
-def test_roots_take_longer_than_sums_and_sines_longer_than_roots():
-    clock = OperationClock()
-    clock.measure(50)
-    times = clock.times
-    assert 0.0 < times["add"] < times["root"] < times["sine"] < 1e-7
+@pytest.mark.parametrize("kind", CHAINS)
+def test_the_measured_programs_do_what_they_are_named_after(kind):
+    def added(length: int) -> Counter[str]:
+        """What `length` more operations add; the shortest chain has one."""
+        return count_operations(make_chain(kind, 1 + length), *inputs) - count_operations(make_chain(kind, 1), *inputs)
+
+    inputs = np.ones(16, np.float32), np.ones(8, np.float32)
+    expected = Counter({kind: 2 * 8 * 16})
+    assert added(2) == expected + Counter({"add": 2 * 8 * 16} if kind == "divide" else {})
 
 
 @pytest.mark.slow
