@@ -31,7 +31,7 @@ from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan
 from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
-from contact_reach_ros.planning.programs import Program, preparing
+from contact_reach_ros.planning.programs import Program, at_once, preparing
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
@@ -137,16 +137,16 @@ class RecedingHorizonPlanner:
         goal = Target(hold_at(self._arm, q).position)
         obstacles, _ = self._obstacles.read(q, Spheres.none())
         pieces = pieces_between((), self._space.hold(q), 0, 10_000_000, self._settings.knot_duration)
-        progress("planner: preparing the prediction of the arm (seconds if this machine has done it before)")
-        self._predictor.predict(q, v, obstacles, pieces)
-        progress("planner: preparing the evaluation of plans")
+        progress("planner: preparing the programs (seconds if this machine has done it before, else up to a minute)")
         before = self._before(self._space.hold(q))
         detour = begin_detour(q) if self._settings.takes_detours else None
         bodies = self._bodies(q, ())
         problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal, bodies, before, detour)
-        jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
-        progress("planner: preparing the solver, the longest part (up to a minute the first time)")
-        step = self._solver.warm_up(problem, self.fresh_state)
+        *_, step = at_once(
+            lambda: self._predictor.predict(q, v, obstacles, pieces),
+            lambda: jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size)))),
+            lambda: self._solver.warm_up(problem, self.fresh_state),
+        )
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
         if 0.0 < self._settings.deadline < step:
             raise SettingsError(

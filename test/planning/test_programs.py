@@ -12,7 +12,7 @@ from arm_simulation import ARM, HOME
 from planning_helpers import PERMITTED_FORCE, SMALL
 
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.programs import Program, UnknownValueError, describe, preparing
+from contact_reach_ros.planning.programs import Program, UnknownValueError, at_once, describe, preparing
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.transfer.lanes import combine, rotate
 from contact_reach_ros.world.goal import Target
@@ -49,6 +49,16 @@ def test_other_shapes_are_compiled_as_ever(cache):
         program(VECTOR, COLUMNS)
     assert program(VECTOR[:, :1], COLUMNS[..., :1]).shape == (3, 3, 1)
     assert len(list(cache.iterdir())) == 2
+
+
+def test_several_are_compiled_at_once_and_jax_keeps_its_cache_for_others(cache):
+    programs = [Program(rotate) for _ in range(2)]
+    with preparing():
+        first, second = at_once(
+            lambda: programs[0](VECTOR, COLUMNS), lambda: programs[1](VECTOR[:, :1], COLUMNS[..., :1])
+        )
+    assert first.shape == (3, 3, 2) and second.shape == (3, 3, 1)
+    assert len(list(cache.iterdir())) == 4 and jax.config.jax_enable_compilation_cache
 
 
 def test_damaged_files_are_made_again(cache):
