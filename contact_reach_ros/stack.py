@@ -23,7 +23,8 @@ from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planner import Planner, PlanningCore, ReplanningSettings
+from contact_reach_ros.planning.planner import Planner, ReplanningSettings
+from contact_reach_ros.planning.planning_core import PlanningCore, Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
 from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
@@ -259,8 +260,9 @@ class Stack:
         history = core.history()
         try:
             core.reset()
-            effect_ns = state.stamp_ns + self.planner.settings.latency_ns
-            return core.plan(state.q, state.v, state.stamp_ns, effect_ns, target, self.planner.obstacles.spheres)
+            effect_ns, spheres = state.stamp_ns + self.planner.settings.latency_ns, self.planner.obstacles.spheres
+            scale = self.planner.speed_scale
+            return core.plan(Request(state.q, state.v, state.stamp_ns, effect_ns, target, spheres, scale))
         finally:
             core.go_on_from(history)
 

@@ -17,6 +17,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.simulation.fault_schedules import parse_faults
@@ -37,7 +38,7 @@ class StayingCore:
     """Plans to stay where the arm is, without compiling anything; keeps what it was asked."""
 
     def __init__(self, failing_after: int | None = None) -> None:
-        self.asked: list[tuple] = []
+        self.asked: list[Request] = []
         self.failing_after = failing_after
         self.model = RobotModel(ARM)
 
@@ -56,12 +57,13 @@ class StayingCore:
     def go_on_from(self, history: None) -> None:
         pass
 
-    def plan(self, q, v, state_ns, effect_ns, goal, spheres):
+    def plan(self, request):
         if len(self.asked) == self.failing_after:
             raise PlanningError("there is no way to the goal")
-        self.asked.append((q, v, state_ns, effect_ns, goal, spheres))
+        self.asked.append(request)
+        q = request.q
         position, rotation = self.model.tip_pose(q)
-        return make_plan(position[None], rotation[None], q[None], effect_ns=effect_ns, knot_duration_s=0.2)
+        return make_plan(position[None], rotation[None], q[None], effect_ns=request.effect_ns, knot_duration_s=0.2)
 
 
 class PlainRobot:
@@ -249,7 +251,7 @@ class TestPlan:
         for _ in range(steps):
             stack.step()
         stack.plan(Goal([0.5, 0.1, 0.3]))
-        assert len(core.asked[-1][-1]) == 1
+        assert len(core.asked[-1].spheres) == 1
 
 
 class TestStop:

@@ -193,7 +193,7 @@ def _cold_starts(planner: RecordingPlanner, runs: RecordedRuns, count: int) -> R
     planner.recorded.clear()
     for recorded in chosen:
         planner.reset()
-        planner.plan(*recorded.request)
+        planner.plan(recorded.request)
     return {
         "solve_ms": percentiles([1e3 * recorded.wall_s for recorded in planner.recorded]),
         "steps": percentiles([float(recorded.plan.steps) for recorded in planner.recorded]),

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
@@ -20,7 +19,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planner import Request
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -30,9 +29,7 @@ from contact_reach_ros.planning.solver.solver import CostFunction, Solution
 from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene import Scene, SceneFile
-from contact_reach_ros.world.spheres import Spheres
 
 NOTICEABLE_FORCE = 0.1
 """N."""
@@ -135,13 +132,13 @@ class RecordingPlanner(RecedingHorizonPlanner):
         self.solver: HybridSolver[Problem] = self._recording
         self.recorded: list[RecordedPlan] = []
 
-    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+    def plan(self, request: Request) -> Plan:
         """As the planner does, and remember it."""
         first = self.memory is None
         cpu, wall = time.process_time(), time.perf_counter()
-        plan = super().plan(q, v, state_ns, effect_ns, goal, spheres)
+        plan = super().plan(request)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        request = Request(np.array(q), np.array(v), state_ns, effect_ns, goal, spheres)
+        request = request._replace(q=np.array(request.q), v=np.array(request.v))
         self.recorded.append(RecordedPlan(request, plan, self._recording.last, first, wall, cpu))
         return plan
 

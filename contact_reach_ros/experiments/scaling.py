@@ -16,6 +16,7 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.drawing.palette import BLUE
 from contact_reach_ros.experiments.recorded_runs import RecordingPlanner
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -70,7 +71,7 @@ def _step_ms(
     planner.warm_up(lambda line: None)
     for _ in range(_ROUNDS):
         planner.reset()
-        planner.plan(q, np.zeros(arm.n), 0, 0, Target(tip + 0.1), spheres)
+        planner.plan(Request(q, np.zeros(arm.n), 0, 0, Target(tip + 0.1), spheres))
     return float(np.median([1e3 * entry.solve.seconds / entry.plan.steps for entry in planner.recorded]))
 
 

@@ -43,7 +43,8 @@ from contact_reach_ros.planning.latency import LatencyEstimate
 from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.plan_record import plan_statistics, solution_parts
-from contact_reach_ros.planning.planner import Planner, Request
+from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.ros.frames import Frames

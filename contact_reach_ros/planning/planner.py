@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
 from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
@@ -20,6 +18,7 @@ from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, Go
 from contact_reach_ros.planning.known_obstacles import KnownObstacles
 from contact_reach_ros.planning.node_settings import RETREAT, ReplanningSettings
 from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planning_core import PlanningCore, Request
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.stop_reasons import is_missing_states
 from contact_reach_ros.units import NANOSECONDS
@@ -30,43 +29,6 @@ from contact_reach_ros.world.task import Task
 
 _ABANDONED_NS = 2_000_000_000
 """Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""
-
-
-class PlanningCore(Protocol):
-    """Computes plans, each for a state that was measured some time before the plan takes effect."""
-
-    def warm_up(self, progress: Callable[[str], None]) -> None:
-        """Prepare what the first plan would otherwise wait for; `progress` gets a line for the user at each stage."""
-
-    def reset(self) -> None:
-        """Forget the plans made so far."""
-
-    def reseed(self, seed: int) -> None:
-        """Forget the plans made so far and draw other random numbers from now on."""
-
-    def history(self) -> Any:
-        """What the next plan depends on besides its request."""
-
-    def go_on_from(self, history: Any) -> None:
-        """Plan next as a core with this history would."""
-
-    def plan(self, q: Array, v: Array, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
-        """Make a plan, as `RecedingHorizonPlanner.plan`; raises `PlanningError` if there is no way to the goal."""
-
-
-class Request(NamedTuple):
-    """Everything that a plan depends on, besides the previous plans."""
-
-    q: Array
-    """Measured joint positions (n,), rad."""
-    v: Array
-    """Measured joint velocities (n,), rad/s."""
-    state_ns: int
-    """Time of the measurement, ns."""
-    effect_ns: int
-    """Time at which the plan takes effect, ns."""
-    goal: Target
-    spheres: Spheres
 
 
 class Planner:
@@ -241,7 +203,8 @@ class Planner:
             self._refuse("plans", InputError(problem))
             return None
         goal, spheres = self.reaction.goal(self.goal), self.reaction.spheres(self.obstacles.spheres)
-        return Request(q, v, stamp_ns, stamp_ns + self._latency(), goal, spheres)
+        effect_ns, detours = stamp_ns + self._latency(), not self.reaction.is_retreating
+        return Request(q, v, stamp_ns, effect_ns, goal, spheres, self.speed_scale, detours)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.
@@ -251,22 +214,20 @@ class Planner:
         InputError
             If no motion from this state has a finite cost.
         PlanningError
-            If there is no way to the goal, or only one through a rigid body.
+            If there is no way to the goal, or only one through a rigid body; or if the plan is for another speed.
         """
         if self.core is None:
             raise PlanningError("the planner has no core to make plans with: pass one to it")
-        limit_speed = getattr(self.core, "limit_speed", None)
-        if limit_speed is not None:
-            limit_speed(self.speed_scale)
-        elif self.speed_scale != 1.0:
-            raise PlanningError(f"speed_scale = {self.speed_scale:g}: expected 1 for a core without limit_speed")
-        permit_detours = getattr(self.core, "permit_detours", None)
-        if permit_detours is not None:
-            permit_detours(not self.reaction.is_retreating)
-        self.plan = self.core.plan(*request)
+        plan = self.core.plan(request)
+        if plan.speed_scale != request.speed_scale:
+            raise PlanningError(
+                f"the plan has speed_scale = {plan.speed_scale:g}: expected {request.speed_scale:g}, as requested; set "
+                "speed_scale to 1 for a core that cannot plan for another"
+            )
+        self.plan = plan
         if self._progress is not None:
             self._progress.planned()
-        return self.plan
+        return plan
 
     def _follow_progress(self, state: JointState) -> None:
         if self._progress is None or self.goal is None:

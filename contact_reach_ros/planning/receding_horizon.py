@@ -29,6 +29,7 @@ from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.programs import Program, at_once, preparing
@@ -108,8 +109,6 @@ class RecedingHorizonPlanner:
         self._last_state: tuple[int, Array] | None = None
         self._number = 0
         self._since_reset = 0
-        self._speed_scale = 1.0
-        self._detours = True
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.
@@ -134,14 +133,14 @@ class RecedingHorizonPlanner:
     def _warm_up(self, progress: Callable[[str], None]) -> None:
         begin = time.perf_counter()
         q, v = np.array(self._arm.home), np.zeros(self._arm.n)
-        goal = Target(hold_at(self._arm, q).position)
-        obstacles, _ = self._obstacles.read(q, Spheres.none())
+        request = Request(q, v, 0, 0, Target(hold_at(self._arm, q).position), Spheres.none())
+        obstacles, _ = self._obstacles.read(q, request.spheres)
         pieces = pieces_between((), self._space.hold(q), 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the programs (seconds if this machine has done it before, else up to a minute)")
         before = self._before(self._space.hold(q))
         detour = begin_detour(q) if self._settings.takes_detours else None
         bodies = self._bodies(q, ())
-        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, goal, bodies, before, detour)
+        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, request, bodies, before, detour)
         *_, step = at_once(
             lambda: self._predictor.predict(q, v, obstacles, pieces),
             lambda: jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size)))),
@@ -213,32 +212,11 @@ class RecedingHorizonPlanner:
         """Take at most `steps` solver steps in each plan from now on; None for as many as the settings allow."""
         self._solver.max_steps = self._settings.max_steps if steps is None else steps
 
-    def limit_speed(self, scale: float) -> None:
-        """Bound the actions of further plans by this share of γ, 0 to 1, and so the speed."""
-        self._speed_scale = scale
+    def plan(self, request: Request) -> Plan:
+        """Make a plan.
 
-    def permit_detours(self, permit: bool) -> None:
-        """Whether further plans may lead through another posture, if the settings permit it."""
-        self._detours = permit
-
-    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
-        """Make the plan that takes effect at `effect_ns`.
-
-        The start is predicted from the measured state under the references in force until then: those of the previous
-        plans, or a hold at the measured pose without any.
-
-        Parameters
-        ----------
-        q, v
-            (n,) measured joint angles and velocities, rad and rad/s.
-        state_ns
-            Time of the measurement, ns.
-        effect_ns
-            When knot 0 takes effect, ns; not before `state_ns`.
-        goal
-            Target of the flange.
-        spheres
-            Obstacles at `state_ns`.
+        The start is predicted from the measured state under the references in force until the plan takes effect: those
+        of the previous plans, or a hold at the measured pose without any.
 
         Raises
         ------
@@ -250,13 +228,14 @@ class RecedingHorizonPlanner:
             memory, after which further plans have half as many candidates if `least_population` permits that.
         """
         try:
-            return self._plan(q, v, state_ns, effect_ns, goal, spheres)
+            return self._plan(request)
         except EXHAUSTION as error:
             raise PlanningError(f"{self._use_less_memory(error)}; the plan in force runs out into a hold") from error
 
-    def _plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+    def _plan(self, request: Request) -> Plan:
         begin = time.perf_counter()
-        q, v = self._joints("q", q), self._joints("v", v)
+        q, v = self._joints("q", request.q), self._joints("v", request.v)
+        state_ns, effect_ns, goal, spheres = request.state_ns, request.effect_ns, request.goal, request.spheres
         self._check_times(state_ns, effect_ns)
         self._reset_if_jumped(q, state_ns)
         obstacles, left_out = self._obstacles.read(q, spheres)
@@ -266,11 +245,11 @@ class RecedingHorizonPlanner:
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(self._plans, effect_ns) or hold)
         searched = time.perf_counter()
-        detour = self._detour_of(q, effect_ns, goal, spheres)
+        detour = self._detour_of(q, request)
         searched = time.perf_counter() - searched
-        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), goal, bodies, before, detour)
+        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before, detour)
 
-        state, start_cost = self._start(problem, goal, effect_ns, detour)
+        state, start_cost = self._start(problem, request, detour)
         # The search of a posture takes longer than a plan, and the first plan on a detour has a new cost.
         until = begin + searched + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         solution = self._solver.solve(problem, state, start_cost, self._since_reset, until)
@@ -284,7 +263,7 @@ class RecedingHorizonPlanner:
         check_motion(self._arm, predicted_q, spheres.environment, self._settings.collision_tolerance)
         self._number += 1
         self._since_reset += 1
-        plan = self._plan_of(solution, rollout, terms, effect_ns, left_out, begin, before)
+        plan = self._plan_of(solution, rollout, terms, request, left_out, begin, before)
         self._plans.append(plan)
         approach = self._approach_of(plan, goal, detour)
         self._memory = Memory(plan, goal, solution.best, solution.state, approach, detour)
@@ -298,19 +277,19 @@ class RecedingHorizonPlanner:
         self._solver.max_steps = steps
         return text
 
-    def _detour_of(self, q: Array, effect_ns: int, goal: Target, spheres: Spheres) -> Detour | None:
+    def _detour_of(self, q: Array, request: Request) -> Detour | None:
         """Progress towards the goal, and the detour that leads there; None if there is to be none."""
         if not self._settings.takes_detours:
             return None
-        memory = self._memory
-        if not self._detours or memory is None or memory.detour is None or not goal.same_as(memory.goal):
+        memory, goal = self._memory, request.goal
+        if not request.detours or memory is None or memory.detour is None or not goal.same_as(memory.goal):
             return begin_detour(q)
-        settings, force, pace = self._settings, self._permitted_force, self._speed_scale
+        settings, force, pace = self._settings, self._permitted_force, request.speed_scale
         in_force = settings.horizon * settings.knot_duration
-        elapsed = min((effect_ns - memory.plan.effect_ns) * 1e-9, in_force)
+        elapsed = min((request.effect_ns - memory.plan.effect_ns) * 1e-9, in_force)
         if not settings.orientation_weight:
             goal = Target(goal.position)
-        return follow(memory.detour, self._arm, q, goal, spheres, elapsed, settings, force, pace)
+        return follow(memory.detour, self._arm, q, goal, request.spheres, elapsed, settings, force, pace)
 
     def _approach_of(self, plan: Plan, goal: Target, detour: Detour | None) -> Approach:
         """Progress towards the goal when the plan takes effect."""
@@ -362,11 +341,12 @@ class RecedingHorizonPlanner:
         q: jax.Array,
         v: jax.Array,
         obstacles: Obstacles | None,
-        goal: Target,
+        request: Request,
         bodies: Bodies | None,
         before: HeldReference | None,
         detour: Detour | None,
     ) -> Problem:
+        goal = request.goal
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
         problem = Problem(
             q=q,
@@ -379,7 +359,7 @@ class RecedingHorizonPlanner:
             joint_limit_margin=single(self._settings.joint_limit_margin),
             clearance_margin=single(self._settings.clearance_margin),
             bodies=bodies,
-            speed_scale=single(self._speed_scale),
+            speed_scale=single(request.speed_scale),
             before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
             detour=None if detour is None else single(detour.posture[:, None]),
         )
@@ -397,18 +377,18 @@ class RecedingHorizonPlanner:
             weights["contact"] *= CONTACT if detour.is_on else 1.0
         return {name: single(weight) for name, weight in weights.items()}
 
-    def _start(self, problem: Problem, goal: Target, effect_ns: int, detour: Detour | None) -> tuple[State, float]:
+    def _start(self, problem: Problem, request: Request, detour: Detour | None) -> tuple[State, float]:
         """Start of the solver: the rest of the last plan, or standing still if that costs less."""
         points = _pair(self._space.still(problem))
         count, passed, carried = self._space.vectors_per_knot * self._settings.horizon, 0.0, None
         memory = self._memory
         if memory is not None:
-            elapsed = (effect_ns - memory.plan.effect_ns) / memory.plan.knot_duration_ns
+            elapsed = (request.effect_ns - memory.plan.effect_ns) / memory.plan.knot_duration_ns
             if 0.0 <= elapsed < self._settings.horizon:
                 passed = self._space.vectors_per_knot * elapsed
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                is_same = goal.same_as(memory.goal) and current(detour) == current(memory.detour)
+                is_same = request.goal.same_as(memory.goal) and current(detour) == current(memory.detour)
                 carried = memory.state if is_same else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
@@ -424,7 +404,7 @@ class RecedingHorizonPlanner:
         solution: Solution,
         rollout: Rollout,
         terms: dict[str, jax.Array],
-        effect_ns: int,
+        request: Request,
         left_out: int,
         begin: float,
         before: HeldReference | None,
@@ -433,7 +413,7 @@ class RecedingHorizonPlanner:
         cost_terms = {name: float(np.asarray(values)[0]) for name, values in terms.items()}
         plan = Plan(
             number=self._number,
-            effect_ns=effect_ns,
+            effect_ns=request.effect_ns,
             knot_duration_s=self._settings.knot_duration,
             positions=first.reference.position,
             rotations=first.reference.rotation,
@@ -449,7 +429,7 @@ class RecedingHorizonPlanner:
             rejected=solution.rejected,
             left_out=left_out,
             before=before,
-            speed_scale=self._speed_scale,
+            speed_scale=request.speed_scale,
             ramp_s=self._space.ramp_s,
         )
         return self._space.finish(plan, solution.best)

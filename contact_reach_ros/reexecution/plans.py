@@ -37,7 +37,8 @@ from contact_reach_ros.planning.plan_record import (
     solution_parts,
     state_in,
 )
-from contact_reach_ros.planning.planner import Planner, Request
+from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import RETREAT_TO, ContactReaction
 from contact_reach_ros.reexecution.inputs import RecordedInputs, Row
@@ -135,10 +136,7 @@ class RecordedPlans:
         statistics = self.statistics[number]
         stopped_by_clock = statistics.get("stop reason") == "deadline"
         planner.limit_steps(int(statistics["steps"]) if stopped_by_clock else None)
-        # It may have been changed from plan to plan.
-        planner.limit_speed(float(statistics.get(SPEED, 1.0)))
-        planner.permit_detours(RETREAT_TO not in statistics)
-        return planner.plan(*self.requests[number])
+        return planner.plan(self.requests[number])
 
     def _make_planner(self, settings: Mapping[str, Any]) -> RecedingHorizonPlanner:
         # The recorded number of steps stands for the deadline.
@@ -228,7 +226,13 @@ class RecordedPlans:
                 # As the node refused it.
                 continue
             if request is not None and row.gave_output and row.output in self.statistics:
-                requests[row.output] = request._replace(effect_ns=self._effects[row.output])
+                statistics = self.statistics[row.output]
+                requests[row.output] = request._replace(
+                    effect_ns=self._effects[row.output],
+                    # It may have been changed from plan to plan.
+                    speed_scale=float(statistics.get(SPEED, 1.0)),
+                    detours=RETREAT_TO not in statistics,
+                )
         return requests
 
     def _take(self, planner: Planner, obstacles: ObstacleMarkerReader, row: Row) -> Request | None:

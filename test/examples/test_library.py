@@ -36,7 +36,7 @@ class NoPlans:
     def go_on_from(self, history):
         pass
 
-    def plan(self, q, v, state_ns, effect_ns, goal, spheres):
+    def plan(self, request):
         raise AssertionError("no plan is asked for")
 
 

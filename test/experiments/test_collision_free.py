@@ -14,6 +14,7 @@ from contact_reach_ros.experiments.baselines.collision_free import CollisionFree
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.rrt_star import PathSettings, find_path
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
@@ -109,7 +110,7 @@ class TestPlanning:
     GOAL = Target(link_frames(ARM, START)[1][-1] + np.array([0.0, 0.1, 0.0]), link_frames(ARM, START)[0][-1])
 
     def plan(self, planner, q=START, state=0, goal=GOAL):
-        return planner.plan(q, np.zeros(ARM.n), state * MS, (state + 40) * MS, goal, Spheres.none())
+        return planner.plan(Request(q, np.zeros(ARM.n), state * MS, (state + 40) * MS, goal, Spheres.none()))
 
     def test_the_path_is_searched_once_for_each_goal_and_after_a_reset(self):
         searches = []

@@ -8,6 +8,7 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.experiments.baselines.contact_rrt import PredictedForce, find_contact_path
 from contact_reach_ros.experiments.baselines.reactive import ReactivePlanner
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -55,7 +56,7 @@ def test_without_a_planner_the_reference_leads_straight_to_the_goal_at_the_bound
     settings = PlanningSettings()
     planner = ReactivePlanner(ARM, settings)
     goal = Target(FLANGE + np.array([0.3, -0.002, 0.0]), ROTATION)
-    plan = planner.plan(HOME, np.zeros(7), 0, 40_000_000, goal, Spheres.none())
+    plan = planner.plan(Request(HOME, np.zeros(7), 0, 40_000_000, goal, Spheres.none()))
     np.testing.assert_allclose(plan.positions[0] - FLANGE, [settings.translation_bound, -0.002, 0.0], atol=1e-12)
     np.testing.assert_allclose(plan.rotations[0], ROTATION, atol=1e-12)
     np.testing.assert_array_equal(plan.postures[0], HOME)

@@ -35,14 +35,14 @@ class StraightPlanner:
     def reset(self):
         self.number = 0
 
-    def plan(self, q, v, now_ns, effect_ns, goal, spheres):
-        self.spheres.append(spheres)
+    def plan(self, request):
+        self.spheres.append(request.spheres)
         self.number += 1
-        nearest = np.linalg.norm(self.positions - self.model.tip_pose(q)[0], axis=1).argmin()
+        nearest = np.linalg.norm(self.positions - self.model.tip_pose(request.q)[0], axis=1).argmin()
         knots = self.path[np.minimum(nearest + 6 * np.arange(1, 4), len(self.path) - 1)]
         poses = [self.model.tip_pose(knot) for knot in knots]
         positions, rotations = (np.array(parts) for parts in zip(*poses, strict=True))
-        return make_plan(positions, rotations, knots, number=self.number, effect_ns=effect_ns)
+        return make_plan(positions, rotations, knots, number=self.number, effect_ns=request.effect_ns)
 
 
 @pytest.fixture(scope="module")

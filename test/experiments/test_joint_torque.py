@@ -24,6 +24,7 @@ from contact_reach_ros.experiments.baselines.joint_torque import (
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.objectives import make_objective
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import pieces_between, reference_at
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -68,7 +69,7 @@ def torque_at(controller, q, v, now_ns):
 
 
 def plan_from(planner, q=HOME, v=REST, state=0, effect=0) -> TorquePlan:
-    return planner.plan(q, v, state * MS, effect * MS, GOAL, Spheres.none())
+    return planner.plan(Request(q, v, state * MS, effect * MS, GOAL, Spheres.none()))
 
 
 def test_torques_are_within_the_bounds_and_one_for_each_step(planner):

@@ -83,8 +83,8 @@ class StandingStill:
     def reset(self):
         pass
 
-    def plan(self, q, v, state_ns, effect_ns, goal, spheres):
-        return still(effect_ns)
+    def plan(self, request):
+        return still(request.effect_ns)
 
 
 def still(effect_ns):

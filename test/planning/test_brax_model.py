@@ -14,6 +14,7 @@ from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaterni
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.transfer import model
 from contact_reach_ros.planning.transfer.model import ArmModel, arm_model, load_system, read_arm
@@ -98,7 +99,7 @@ def test_planner_plans_for_the_arm_of_the_mjcf(monkeypatch, quick_compilation):
         arm_model.cache_clear()
     start = link_frames(other, HOME)[1][-1]
     goal = Target(start + np.array([0.0, 0.1, 0.0]))
-    plan = planner.plan(HOME, np.zeros(ARM.n), 0, 10_000_000, goal, Spheres.none())
+    plan = planner.plan(Request(HOME, np.zeros(ARM.n), 0, 10_000_000, goal, Spheres.none()))
     for q, position in zip(plan.predicted_q, plan.predicted_positions, strict=True):
         np.testing.assert_allclose(position, link_frames(other, q)[1][-1], rtol=0, atol=1e-5)
         assert np.linalg.norm(position - link_frames(ARM, q)[1][-1]) > 0.05

@@ -13,6 +13,7 @@ from contact_reach_ros.experiments.grid import Cell, EpisodeTask, Setup, run_cel
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.detour import Detour, begin, follow
 from contact_reach_ros.planning.plan_record import detour_in, solution_parts, state_in
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import MAX_SPHERES, Spheres
 
@@ -96,7 +97,8 @@ def stuck():
     """A planner whose arm does not move, with the last plans before and on a detour."""
     planner = make_planner()
     plans = [
-        planner.plan(HOME, REST, step * 40_000_000, (step + 1) * 40_000_000, GOAL, Spheres.none()) for step in range(31)
+        planner.plan(Request(HOME, REST, step * 40_000_000, (step + 1) * 40_000_000, GOAL, Spheres.none()))
+        for step in range(31)
     ]
     return planner, plans
 
@@ -114,11 +116,11 @@ def test_plans_on_a_detour_lead_to_its_posture(stuck):
 def test_a_planner_goes_on_with_a_detour_from_its_record_bit_for_bit(stuck):
     planner, plans = stuck
     history = planner.history()
-    expected = planner.plan(HOME, REST, 1_240_000_000, 1_280_000_000, GOAL, Spheres.none())
+    expected = planner.plan(Request(HOME, REST, 1_240_000_000, 1_280_000_000, GOAL, Spheres.none()))
     parts = solution_parts(dataclasses.replace(plans[-1], number=1), history.memory)
     memory = history.memory._replace(state=state_in(parts, planner.fresh_state), detour=detour_in(parts))
     planner.go_on_from(history._replace(memory=memory))
-    again = planner.plan(HOME, REST, 1_240_000_000, 1_280_000_000, GOAL, Spheres.none())
+    again = planner.plan(Request(HOME, REST, 1_240_000_000, 1_280_000_000, GOAL, Spheres.none()))
     np.testing.assert_array_equal(again.positions, expected.positions)
     assert again.cost_terms == expected.cost_terms
 
@@ -127,7 +129,7 @@ def test_time_without_plans_is_no_lack_of_progress():
     planner = make_planner(max_steps=1)
     for seconds in (0, 5, 10):
         start = seconds * 1_000_000_000
-        planner.plan(HOME, REST, start, start + 40_000_000, GOAL, Spheres.none())
+        planner.plan(Request(HOME, REST, start, start + 40_000_000, GOAL, Spheres.none()))
     assert not planner.memory.detour.is_on and planner.memory.detour.waited < 0.7
 
 
@@ -140,9 +142,9 @@ def test_there_is_none_where_it_is_not_wanted(way):
         "retreat": {},
     }
     planner = make_planner(max_steps=1, **changes[way])
-    planner.permit_detours(way != "retreat")
     for step in range(31):
-        plan = planner.plan(HOME, REST, step * 40_000_000, (step + 1) * 40_000_000, GOAL, Spheres.none())
+        start, end = step * 40_000_000, (step + 1) * 40_000_000
+        plan = planner.plan(Request(HOME, REST, start, end, GOAL, Spheres.none(), detours=way != "retreat"))
         assert plan.cost_terms.get("detour", 0.0) == 0.0
 
 

@@ -21,6 +21,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.exhaustion import EXHAUSTION
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target
@@ -40,7 +41,8 @@ def plan(at_ms):
     goal = Target(np.array([0.5, 0.2, 0.4]))
     at_ns = at_ms * 1_000_000
     try:
-        plan = planner.plan(np.array(arm.home), np.zeros(arm.n), at_ns, at_ns + 40_000_000, goal, Spheres.none())
+        rest = np.zeros(arm.n)
+        plan = planner.plan(Request(np.array(arm.home), rest, at_ns, at_ns + 40_000_000, goal, Spheres.none()))
         said.append(plan.steps)
     except PlanningError as error:
         said.append(str(error))

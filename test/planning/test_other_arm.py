@@ -16,6 +16,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning import objectives
 from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import hold_at
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -134,7 +135,7 @@ def test_planner_leads_it_to_its_goal_and_away_from_a_ball(planner):
     flange = hold_at(SIX_AXIS, HOME).position
     goal = Target(flange + np.array([0.0, 0.1, 0.0]))
     planner.reset()
-    plan = planner.plan(HOME, REST, 0, 10_000_000, goal, Spheres.none())
+    plan = planner.plan(Request(HOME, REST, 0, 10_000_000, goal, Spheres.none()))
     assert plan.postures.shape == (SMALL.horizon, SIX_AXIS.n)
     assert plan.predicted_contact_forces.shape == (SMALL.horizon, len(SIX_AXIS.contact_links))
     distances = np.linalg.norm(plan.predicted_positions - goal.position, axis=1)
@@ -144,14 +145,14 @@ def test_planner_leads_it_to_its_goal_and_away_from_a_ball(planner):
     spheres = obstacle_spheres(scene, rest_positions(scene))
     assert clearances(SIX_AXIS, HOME, spheres)[0] == pytest.approx(-0.01, abs=1e-6)
     planner.reset()
-    touching = planner.plan(HOME, REST, 0, 10_000_000, goal, spheres)
+    touching = planner.plan(Request(HOME, REST, 0, 10_000_000, goal, spheres))
     assert touching.predicted_contact_forces[0, 0] > 0.0
     np.testing.assert_array_equal(touching.predicted_contact_forces[:, 1:], 0.0)
 
 
 def test_planner_refuses_the_states_and_postures_of_another_arm(planner):
     with pytest.raises(InputError, match="expected 6 finite numbers"):
-        planner.plan(np.array(ARM.home), np.zeros(ARM.n), 0, 0, Target(np.zeros(3)), Spheres.none())
+        planner.plan(Request(np.array(ARM.home), np.zeros(ARM.n), 0, 0, Target(np.zeros(3)), Spheres.none()))
     settings = dataclasses.replace(SMALL, null_space="reference_posture", reference_posture=ARM.home)
     with pytest.raises(SettingsError, match="reference_posture"):
         objectives.make_objective(SIX_AXIS, settings, ImpedanceSettings())

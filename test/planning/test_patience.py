@@ -10,6 +10,7 @@ from test_receding_horizon import FLANGE, MS, ball_at, plan_from
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import steady_speed
 from contact_reach_ros.world.goal import Target
@@ -100,7 +101,7 @@ def test_the_weight_is_what_falls(share):
     goal, spheres = Target(FLANGE + 0.3 * down), ball_at(FLANGE + 0.13 * down)
 
     def weight(time: int) -> float:
-        plan = planner.plan(HOME, rest, time * MS, time * MS, goal, spheres)
+        plan = planner.plan(Request(HOME, rest, time * MS, time * MS, goal, spheres))
         force = plan.predicted_contact_forces.max(axis=1).sum()
         return plan.cost_terms["contact"] / force if force else math.nan
 

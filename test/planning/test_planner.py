@@ -14,7 +14,8 @@ from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
-from contact_reach_ros.planning.planner import Planner, ReplanningSettings, Request
+from contact_reach_ros.planning.planner import Planner, ReplanningSettings
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.unexpected_contact import (
     REPLAN,
     RETREAT,
@@ -36,15 +37,15 @@ class Core:
     """Plans to stay at home, and counts how often it was reset."""
 
     def __init__(self) -> None:
-        self.asked: list[tuple] = []
+        self.asked: list[Request] = []
         self.resets = 0
 
     def reset(self) -> None:
         self.resets += 1
 
-    def plan(self, *request):
+    def plan(self, request: Request):
         self.asked.append(request)
-        return make_plan(TIP[None], ROTATION[None], HOME[None], effect_ns=request[3])
+        return make_plan(TIP[None], ROTATION[None], HOME[None], effect_ns=request.effect_ns)
 
 
 def make(
@@ -351,7 +352,7 @@ class TestPlans:
     def test_the_core_is_asked_for_what_was_requested(self, planner, core):
         request = planner.request(state(30))
         plan = planner.solve(request)
-        assert core.asked == [tuple(request)]
+        assert core.asked == [request]
         assert planner.plan is plan and plan.effect_ns == request.effect_ns
 
     def test_without_a_core_only_requests_can_be_made(self):

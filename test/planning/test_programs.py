@@ -12,6 +12,7 @@ from arm_simulation import ARM, HOME
 from planning_helpers import PERMITTED_FORCE, SMALL
 
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.programs import Program, UnknownValueError, at_once, describe, preparing
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.transfer.lanes import combine, rotate
@@ -99,7 +100,7 @@ def test_planner_with_loaded_programs_makes_the_same_plans(cache, quick_compilat
                 program._compile = None
         planner.warm_up(lambda line: None)
         goal = Target(np.array([0.5, 0.2, 0.4]))
-        plans.append(planner.plan(HOME, np.zeros(ARM.n), 0, 10_000_000, goal, Spheres.none()))
+        plans.append(planner.plan(Request(HOME, np.zeros(ARM.n), 0, 10_000_000, goal, Spheres.none())))
     np.testing.assert_array_equal(plans[0].predicted_q, plans[1].predicted_q)
     assert plans[0].cost_terms == plans[1].cost_terms
     assert jax.config.jax_enable_compilation_cache

@@ -13,6 +13,7 @@ from planning_helpers import PERMITTED_FORCE, SMALL
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.plan_record import is_keyframe, solution_parts, state_in
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS, make_solver
@@ -67,7 +68,7 @@ class RandomWalk:
 
 
 def plan_at(planner: RecedingHorizonPlanner, time: int):
-    return planner.plan(HOME, REST, time * MS, (time + 40) * MS, GOAL, Spheres.none())
+    return planner.plan(Request(HOME, REST, time * MS, (time + 40) * MS, GOAL, Spheres.none()))
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
 from planning_helpers import SMALL
+from plans import make_plan
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.node_settings import ReplanningSettings
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.stack import make_planner as make_whole_planner
 from contact_reach_ros.world.files import read_scene
@@ -20,15 +22,14 @@ FLANGE = link_frames(ARM, HOME)[1][-1]
 GOAL = Target(FLANGE + np.array([0.2, 0.1, -0.1]))
 
 
-def moves(planner, effect_ms: int) -> np.ndarray:
-    plan = planner.plan(HOME, np.zeros(ARM.n), effect_ms * 1_000_000, effect_ms * 1_000_000, GOAL, Spheres.none())
+def moves(planner, speed_scale: float) -> np.ndarray:
+    plan = planner.plan(Request(HOME, np.zeros(ARM.n), 0, 0, GOAL, Spheres.none(), speed_scale))
+    assert plan.speed_scale == speed_scale
     return np.abs(plan.positions[0] - plan.predicted_positions[0])
 
 
 def test_a_plan_from_rest_uses_exactly_the_share(planner):
-    planner.limit_speed(0.25)
-    found = moves(planner, 0)
-    planner.limit_speed(1.0)
+    found = moves(planner, 0.25)
     assert found.max() == pytest.approx(0.25 * SMALL.translation_bound, rel=0.02)
 
 
@@ -70,10 +71,13 @@ def test_a_stack_slows_down_and_still_arrives():
 
 def test_a_core_that_cannot_slow_down_makes_no_plan(planner):
     class Core:
-        def plan(self, *request):
-            raise AssertionError
+        def plan(self, request):
+            return make_plan(np.zeros((1, 3)), np.eye(3)[None], HOME[None])
 
     whole = make_whole_planner(ARM, 0, core=Core())
-    whole.speed_scale = 0.5
-    with pytest.raises(PlanningError, match=r"speed_scale = 0\.5: expected 1"):
-        whole.solve((None,) * 6)
+    request = Request(HOME, np.zeros(ARM.n), 0, 0, GOAL, Spheres.none())
+    assert whole.solve(request) is whole.plan
+    whole.plan = None
+    with pytest.raises(PlanningError, match=r"speed_scale = 1: expected 0\.5"):
+        whole.solve(request._replace(speed_scale=0.5))
+    assert whole.plan is None

@@ -22,6 +22,7 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.action_space import ReferenceSpace
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.terms import term_weights
@@ -103,7 +104,7 @@ def test_a_task_of_positions_takes_no_heed_of_the_orientation():
     assert isinstance(core, RecedingHorizonPlanner)
     home, rest = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)
     position = RobotModel(SIX_AXIS).tip_pose(home)[0] + np.array([0.0, 0.1, 0.0])
-    plan = core.plan(home, rest, 0, 10_000_000, Target(position), Spheres.none())
+    plan = core.plan(Request(home, rest, 0, 10_000_000, Target(position), Spheres.none()))
     distances = np.linalg.norm(plan.predicted_positions - position, axis=1)
     assert distances[-1] < distances[0] - 0.005
     assert np.abs(plan.postures - home).max() > 0.0
@@ -126,7 +127,7 @@ def test_a_task_of_position_and_axis_plans_for_the_axis_alone(arm):
     for name, turn in {"none": np.zeros(3), "about": [0.0, 0.0, 1.0], "across": [0.3, 0.0, 0.0]}.items():
         goal = Target(position, rotation @ pin.exp3(np.array(turn)), only_axis=True)
         core.reset()
-        plan = core.plan(home, rest, 0, 10_000_000, goal, Spheres.none())
+        plan = core.plan(Request(home, rest, 0, 10_000_000, goal, Spheres.none()))
         costs[name] = plan.cost_terms["orientation"]
         away = np.linalg.norm(link_frames(arm, plan.predicted_q[-1])[0][-1][:, 2] - goal.rotation[:, 2])
         # It turns as far in 0.3 s as the bounds permit.

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
@@ -24,6 +23,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.baselines.rrt_star import JointPath
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import HeldReference, Piece, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -139,7 +139,7 @@ class CollisionFreePlanner:
         self.reset()
         self._seed = seed
 
-    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+    def plan(self, request: Request) -> Plan:
         """References from the path's furthest point within γ of where the arm will be, knot after knot.
 
         The first call, and one with another goal, searches the path, from the state as it is then; its `solve_s`
@@ -151,7 +151,7 @@ class CollisionFreePlanner:
             If there is no collision-free path.
         """
         begin = time.perf_counter()
-        q, v = np.asarray(q, float), np.asarray(v, float)
+        q, v, state_ns, effect_ns, goal, spheres, *_ = request
         if self._points is None or not goal.same_as(self._goal):
             self.path = self._search(self._arm, q, goal, spheres, self._seed)
             self._points, self._goal, self._progress = _Points.along(self._arm, self.path.postures), goal, 0

@@ -6,15 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.spheres import Spheres
 
 
 class ReactivePlanner:
@@ -40,22 +38,23 @@ class ReactivePlanner:
         """Count on from there."""
         self._number = history
 
-    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+    def plan(self, request: Request) -> Plan:
         """One reference, from where the arm will be at its speed when the plan takes effect."""
-        settings = self._settings
+        settings, goal, scale = self._settings, request.goal, request.speed_scale
         self._number += 1
-        ahead = np.asarray(q, float) + np.asarray(v, float) * 1e-9 * (effect_ns - state_ns)
+        ahead = request.q + request.v * 1e-9 * (request.effect_ns - request.state_ns)
         rotations, origins = link_frames(self._arm, ahead)
         position, rotation = origins[-1], rotations[-1]
         way = goal.position - position
-        step = np.clip(way, -settings.translation_bound, settings.translation_bound)
+        bound = scale * settings.translation_bound
+        step = np.clip(way, -bound, bound)
         if goal.rotation is not None:
             turn = Rotation.from_matrix(goal.rotation @ rotation.T).as_rotvec()
-            bound = settings.rotation_bound
+            bound = scale * settings.rotation_bound
             rotation = Rotation.from_rotvec(np.clip(turn, -bound, bound)).as_matrix() @ rotation
         return Plan(
             number=self._number,
-            effect_ns=effect_ns,
+            effect_ns=request.effect_ns,
             knot_duration_s=settings.knot_duration,
             positions=(position + step)[None],
             rotations=rotation[None],
@@ -70,4 +69,5 @@ class ReactivePlanner:
             solve_s=0.0,
             rejected=0,
             left_out=0,
+            speed_scale=scale,
         )

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.world.free_path import free_path
-from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.spheres import Spheres
 
 _KNOTS = 3
 _KNOT_S = 0.1
@@ -62,15 +60,15 @@ class ScriptedPlanner:
         """Count on from there."""
         self.number = history
 
-    def plan(self, q: ArrayLike, v: ArrayLike, state_ns: int, effect_ns: int, goal: Target, spheres: Spheres) -> Plan:
+    def plan(self, request: Request) -> Plan:
         """The next part of the path, from where the arm will be when the plan takes effect."""
         self.number += 1
-        tip: Array = self.model.tip_pose(np.asarray(q, float))[0]
+        tip: Array = self.model.tip_pose(request.q)[0]
         nearest = int(np.linalg.norm(self.positions - tip, axis=1).argmin())
         knots = np.minimum(nearest + 2 + _STEPS * np.arange(1, _KNOTS + 1), len(self.path) - 1)
         return Plan(
             number=self.number,
-            effect_ns=effect_ns,
+            effect_ns=request.effect_ns,
             knot_duration_s=_KNOT_S,
             positions=self.positions[knots],
             rotations=self.rotations[knots],
