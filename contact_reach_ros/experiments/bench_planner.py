@@ -25,7 +25,7 @@ from contact_reach_ros.experiments.machine import machine
 from contact_reach_ros.experiments.output import Report, percentiles, say, write_report
 from contact_reach_ros.experiments.recorded_runs import RecordedRuns, RecordingPlanner, record_runs
 from contact_reach_ros.experiments.rollout_times import measure_rollouts, typical
-from contact_reach_ros.experiments.scaling import measure_scaling, plot_scaling
+from contact_reach_ros.experiments.scaling import measure_scaling, plot_scaling, scaling_table
 from contact_reach_ros.experiments.solver_limit import limit_table, measure_limit
 from contact_reach_ros.experiments.workers import run_each
 from contact_reach_ros.observer.budget import load_budget
@@ -100,7 +100,7 @@ class PlannerBench:
 def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> Report:
     """Measure, print a table and write JSON to `file`.
 
-    With a file for it, also measure how the time of a step grows with k, H and nodes, and draw that to `plot`.
+    With a file for it, also measure how the time of a step grows with k, H, nodes and cores, and draw that to `plot`.
     """
     settings = dataclasses.replace(bench.settings, seed=bench.seed)
     bench = dataclasses.replace(bench, settings=settings)
@@ -108,7 +108,7 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
     for name in bench.scenes:
         report[read_scene(name).name] = _bench_scene(bench, name)
     if plot is not None:
-        say("growth with k, H and nodes")
+        say("growth with k, H, nodes and cores")
         report["scaling"] = measure_scaling(
             load_arm(bench.arm), settings, ImpedanceSettings(), load_budget().permitted_force
         )
@@ -119,6 +119,8 @@ def bench_planner(bench: PlannerBench, file: Path | None, plot: Path | None) -> 
         print(limit_table(report, names))
     else:
         print(candidates_table(report, names) if bench.candidates else _table(report, names))
+    if plot is not None:
+        print(f"\n{scaling_table(report['scaling'])}")
     write_report(report, file)
     return report
 

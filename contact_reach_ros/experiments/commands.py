@@ -91,7 +91,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     )
     planner.add_argument("--cpus", type=int, default=1, help="cores that share the candidates (default: 1)")
     planner.add_argument(
-        "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H and nodes"
+        "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H, nodes and cores"
     )
     model = add("model", _model, "the planner's transfer model against the simulated robot")
     model.add_argument("--states", type=int, help="random states and actions (default: 500)")
