@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +16,8 @@ _IMPEDANCE = 0.2
 effective mass: nine times that of the obstacle with the default of 0.9, so that forces lag behind the penetration."""
 _CONTACT_DAMPING = 10.0
 """N s/m."""
-_ARM_MASS = 3.0
-"""Approximate effective mass of the arm where it touches something fixed, kg."""
+_FIXED_MASS = 0.01
+"""What fixed spheres have in their contacts for a mass, kg: so little that the arm's does not count."""
 
 SPARE_NAME = "spare"
 SPARE_PLACE = (0.0, 0.0, -100.0)
@@ -37,7 +38,7 @@ def obstacle_bodies(obstacle: Obstacle, scale: float = 1.0) -> list[Element]:
             body = Element("body", name=name, pos=numbers(position))
         else:
             body = _slider_body(name, position, material.damping, scale * material.stiffness)
-        contact = _contact(scale * material.contact_stiffness, _ARM_MASS if fixed else material.mass)
+        contact = _contact(scale * material.contact_stiffness, _FIXED_MASS if fixed else material.mass)
         body.append(_sphere(name, obstacle.radius, material.mass, material.friction, contact))
         bodies.append(body)
     return bodies
@@ -51,14 +52,27 @@ def spare_body() -> Element:
 
 
 def fixed_contact(stiffness: float) -> tuple[float, float]:
-    """MuJoCo's `solref` for a contact of this stiffness, N/m, with something rigid and fixed."""
-    return _contact(stiffness, _ARM_MASS)
+    """MuJoCo's `solref` for a contact of this stiffness, N/m, with a fixed sphere, see `soften_fixed`."""
+    return _contact(stiffness, _FIXED_MASS)
 
 
-def _contact(stiffness: float, effective_mass: float) -> tuple[float, float]:
-    # MuJoCo multiplies a contact's stiffness by the effective mass, which the lighter partner dominates, and divides it
-    # by 1 - d.
-    scale = (1.0 - _IMPEDANCE) / effective_mass
+def soften_fixed(model: mujoco.MjModel) -> None:
+    """Give fixed spheres the contact stiffness that they were declared with; `mj_setConst` undoes this.
+
+    MuJoCo derives a contact's stiffness from the masses that can move. With a sphere that cannot, that of the arm would
+    decide, and contact at the forearm would be ten times as stiff as at the hand.
+    """
+    for geom in np.flatnonzero(model.geom_contype == OBSTACLE_CONTACT_TYPE):
+        body = model.geom_bodyid[geom]
+        is_sphere = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE
+        if is_sphere and not model.body_dofnum[body]:
+            model.body_invweight0[body, 0] = 1.0 / _FIXED_MASS
+
+
+def _contact(stiffness: float, mass: float) -> tuple[float, float]:
+    # MuJoCo multiplies a contact's stiffness by the effective mass, which the sphere's dominates, and divides it by
+    # 1 - d.
+    scale = (1.0 - _IMPEDANCE) / mass
     return -stiffness * scale, -_CONTACT_DAMPING * scale
 
 

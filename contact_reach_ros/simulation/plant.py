@@ -19,6 +19,7 @@ from contact_reach_ros.simulation.obstacles import (
     SPARE_PLACE,
     fixed_contact,
     obstacle_bodies,
+    soften_fixed,
     spare_body,
 )
 from contact_reach_ros.simulation.rigid import rigid_geoms, self_contacts
@@ -105,6 +106,7 @@ class Plant:
                 self_contacts(scene.arm),
             )
         )
+        soften_fixed(self.model)
         self.model.opt.timestep = TICK
         # With a pyramidal friction cone the contact's stiffness would depend on the friction, 20-fold at the default.
         self.model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -243,7 +245,7 @@ class Plant:
         model.body_ipos[body] = PAYLOAD_CENTER
         # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        self._set_constants()
 
     def change_tool(self, arm: Arm) -> None:
         """Let the flange carry another tool: its weight and its tip; a capsule stays what it is."""
@@ -261,7 +263,12 @@ class Plant:
             other.site(TIP_SITE).pos,
             other.site(TIP_SITE).quat,
         )
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        self._set_constants()
+
+    def _set_constants(self) -> None:
+        """Let MuJoCo know of changed masses and frames."""
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+        soften_fixed(self.model)
 
     def scale_foam(self, factor: float) -> None:
         """Multiply all stiffnesses of the obstacles by a factor, relative to those of the scene."""

@@ -80,6 +80,20 @@ def test_contact_force_is_that_of_the_balls_spring_when_at_rest(stiffness, frict
     assert forces[touched] > 0.5
 
 
+@pytest.mark.parametrize("link", [ELBOW, FOREARM, 7])
+@pytest.mark.parametrize("mass", [0.02, 0.5])
+def test_fixed_nodes_are_as_stiff_as_declared_at_any_link(link, mass):
+    def stiffness() -> float:
+        settle(plant, 0.5)
+        return plant.contact_forces().sum() / -plant.data.contact.dist.sum()
+
+    ball = ball_beside(link, -0.01, contact_stiffness=1500.0, mass=mass)
+    plant = braked(dataclasses.replace(ball, fixed=np.array([True])))
+    assert stiffness() == pytest.approx(1500.0, rel=0.01)
+    plant.set_payload(2.0)
+    assert stiffness() == pytest.approx(1500.0, rel=0.01)
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
 @pytest.mark.parametrize(("contact_stiffness", "mass"), [(300.0, 0.1), (1000.0, 0.1), (1000.0, 0.5), (10_000.0, 0.1)])
 def test_foam_is_as_stiff_as_declared_whatever_friction_and_mass(contact_stiffness, mass, friction):
