@@ -117,7 +117,7 @@ def summary(episodes: Sequence[Record], methods: Sequence[str]) -> dict[str, Any
     """What the report says of each method, each with mean and interval over scenes.
 
     Forces are those of all episodes, so that a method that does not move presses least; `against` has the differences
-    from the method, another's less its own, in the scenes where both settle.
+    from the method, another's less its own, in the scenes where both settle, and that of settling in all of them.
     """
     by_method: dict[str, dict[str, Record]] = {method: {} for method in methods}
     for entry in episodes:
@@ -135,7 +135,8 @@ def summary(episodes: Sequence[Record], methods: Sequence[str]) -> dict[str, Any
             **{key: _over(entries, figure).json for key, _, figure in _FIGURES},
             "best": share(best[method], len(scenes)).json,
             "against": {
-                key: _against(own, records, figure).json for key, _, figure in (*_FIGURES, ("time_s", "", "time"))
+                "settled": estimate([float(records[name]["reached"]) - own[name]["reached"] for name in own]).json,
+                **{key: _against(own, records, figure).json for key, _, figure in (*_FIGURES, ("time_s", "", "time"))},
             },
         }
     free = by_method.get(paper.COLLISION_FREE)
@@ -168,14 +169,16 @@ def _best(entries: Sequence[Record]) -> str:
 def clutter_table(report: Report) -> str:
     """The report's table, and how often contact is what makes the goal reachable."""
     headings = ["method", "first there", "settled", *(heading for _, heading, _ in _FIGURES), "best"]
-    headings += ["peak force less the method's, N", "time less the method's, s"]
+    headings += ["settled less the method's", "peak force less the method's, N", "time less the method's, s"]
     rows = []
     for method, found in report["methods"].items():
         own = method == paper.METHOD
         cells = [f"**{method}**" if own else method, _percent(found["success"]), _percent(found["settled"])]
         cells += [_text(found[key]) for key, *_ in _FIGURES]
         cells.append(_percent(found["best"]))
-        cells += ["" if own else _text(found["against"][key]) for key in ("peak_force_N", "time_s")]
+        against = found["against"]
+        cells.append("" if own else _percent(against["settled"]))
+        cells += ["" if own else _text(against[key]) for key in ("peak_force_N", "time_s")]
         rows.append(cells)
     lines = [f"`{report['command']}`: {report['scenes']} scenes.", "", table(headings, rows)]
     if report["contact_needed"] is not None:

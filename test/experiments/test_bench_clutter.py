@@ -78,6 +78,13 @@ def test_forces_are_compared_where_both_settle():
     assert found["time_s"]["mean"] == pytest.approx(-0.5)
 
 
+def test_settling_is_compared_in_every_scene():
+    found = summary(EPISODES, NAMES)["methods"]
+    for method in NAMES:
+        less = found[method]["settled"]["mean"] - found["contact_reach"]["settled"]["mean"]
+        assert found[method]["against"]["settled"]["mean"] == pytest.approx(less)
+
+
 def test_the_table_says_how_often_contact_was_needed():
     text = clutter_table({"command": "contact-reach bench clutter", **summary(EPISODES, NAMES)})
     assert "| **contact_reach** | 100 %" in text
