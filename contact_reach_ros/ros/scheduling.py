@@ -6,7 +6,7 @@ import contextlib
 import ctypes
 import gc
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from enum import Enum
 from pathlib import Path
 
@@ -99,8 +99,7 @@ def choose_cpus(
 
 def use_cpus(cpus: Collection[int]) -> None:
     """Run all threads of this process, and those started later, on these CPUs only."""
-    for thread in _threads():
-        os.sched_setaffinity(thread, cpus)
+    _for_each(_threads(), lambda thread: os.sched_setaffinity(thread, cpus))
 
 
 def request_realtime(priority: int) -> str:
@@ -132,8 +131,7 @@ def prioritise_middleware() -> str:
     str
         Empty when granted, else a warning for the log.
     """
-    middleware = [thread for thread in _threads() if (_THREADS / str(thread) / "comm").read_text().startswith("dds.")]
-    return _prioritise(middleware, _MIDDLEWARE_PRIORITY)
+    return _prioritise([thread for thread in _threads() if _name(thread).startswith("dds.")], _MIDDLEWARE_PRIORITY)
 
 
 def take_priority(role: Role, priority: int) -> str:
@@ -166,8 +164,7 @@ def _come_first() -> None:
     Beside two busy programs the arm reached 63 goals in 330 s with this, 54 in 600 s without: the planner starved.
     """
     with contextlib.suppress(OSError):
-        for thread in _threads():
-            os.setpriority(os.PRIO_PROCESS, thread, _COMPUTING_NICENESS)
+        _for_each(_threads(), lambda thread: os.setpriority(os.PRIO_PROCESS, thread, _COMPUTING_NICENESS))
         if os.getsid(0) == os.getpid():
             # Where Linux divides its time by sessions, niceness counts only within one.
             Path("/proc/self/autogroup").write_text(str(_COMPUTING_NICENESS))
@@ -217,10 +214,23 @@ def _threads() -> list[int]:
     return [int(thread.name) for thread in _THREADS.iterdir()]
 
 
+def _name(thread: int) -> str:
+    """Name of a thread; empty if it has ended."""
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+        return (_THREADS / str(thread) / "comm").read_text()
+    return ""
+
+
+def _for_each(threads: Sequence[int], arrange: Callable[[int], None]) -> None:
+    """Arrange something for each of these threads, of which some may have ended since they were listed."""
+    for thread in threads:
+        with contextlib.suppress(ProcessLookupError):
+            arrange(thread)
+
+
 def _prioritise(threads: Sequence[int], priority: int) -> str:
     try:
-        for thread in threads:
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+        _for_each(threads, lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority)))
     except PermissionError:
         return (
             "no real-time priority: ticks will be missed when the machine is busy. Permit it with "

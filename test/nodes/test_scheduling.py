@@ -43,6 +43,30 @@ libc.free(block)
 print((in_use() - before) / size)
 """
 
+_ARRANGE_THREADS_THAT_END = """
+import itertools, os, threading
+from contact_reach_ros.ros.scheduling import Role, take_priority, use_cpus
+
+def churn():
+    while not ended.is_set():
+        threads = [threading.Thread(target=int) for _ in range(20)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+ended = threading.Event()
+churning = threading.Thread(target=churn)
+churning.start()
+try:
+    for role in itertools.islice(itertools.cycle((Role.COMPUTING, Role.BACKGROUND)), 1000):
+        use_cpus(os.sched_getaffinity(0))
+        take_priority(role, 20)
+finally:
+    ended.set()
+    churning.join()
+"""
+
 
 def test_a_large_block_is_given_back_though_something_lies_above_it():
     if not hasattr(ctypes.CDLL(None), "mallopt"):
@@ -128,6 +152,12 @@ def test_who_gives_way_comes_behind_every_loop(priority, left):
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     assert in_a_thread(work) == (os.SCHED_FIFO, left)
     assert left < min(DRIVER_PRIORITY, CONTROLLER_PRIORITY, OBSERVER_PRIORITY)
+
+
+def test_threads_that_end_meanwhile_are_left_out():
+    """As those that compile do, just before a planner is arranged."""
+    result = subprocess.run([sys.executable, "-c", _ARRANGE_THREADS_THAT_END], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
 
 
 def test_in_real_time_a_loop_has_the_priority_that_the_system_permits(tmp_path):
