@@ -114,7 +114,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         parameters=options.parameters,
         view=options.view,
         robot=options.arm,
-        overrides=(f"driver:waits_for={DEMO}",) if options.lockstep else (),
+        overrides=(f"driver:waits_for={DEMO},{RECORDER}",) if options.lockstep else (),
     )
     table = processes(bringup)
     interruption = Interruption()

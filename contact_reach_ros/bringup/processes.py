@@ -126,7 +126,9 @@ def processes(options: BringupOptions) -> list[Process]:
     }
     table = []
     if options.bag:
-        table.append(Process(RECORDER, {"bag": options.bag, **_origin(options), **arm}, wave=Wave.EARLY))
+        recording = {"bag": options.bag, "lockstep": options.lockstep, **_origin(options), **arm}
+        table.append(Process(RECORDER, recording, wave=Wave.EARLY))
+        simulation["waits_for"] = RECORDER if options.lockstep else ""
     if options.driver:
         table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
     adapted = options.adapter != "none"

@@ -20,6 +20,7 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.topic_recorder import TopicRecorder
+from contact_reach_ros.ros.lockstep import FOREVER_NS
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
@@ -27,6 +28,8 @@ from contact_reach_ros.units import NANOSECONDS
 
 DRAIN_PERIOD = 0.02
 DISCOVERY_PERIOD = 0.1
+AHEAD_NS = NANOSECONDS // 2
+"""Simulated time that the recorder may lag behind: its queues hold 4000 messages, and a tick has up to three each."""
 FLUSH_PERIOD = 0.5
 """A recorder that is killed loses the messages of this time, s; a power cut also what the disk was about to write."""
 
@@ -39,6 +42,8 @@ class RecorderNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
+        self.lockstep = self.settings[""].lockstep
+        self._lockstep = self.make_lockstep()
         self._writer: BagWriter | None = None
         self._recorder: TopicRecorder | None = None
         self._next_discovery = self._next_flush = 0.0
@@ -97,6 +102,9 @@ class RecorderNode(ManagedNode):
             self._next_discovery = now + DISCOVERY_PERIOD
             recorder.discover()
         recorder.drain()
+        if recorder.stamp_ns is not None:
+            # Each time: the driver may not have heard the first ones.
+            self._lockstep.promise(min(recorder.stamp_ns + AHEAD_NS, FOREVER_NS))
         if now >= self._next_flush:
             self._next_flush = now + FLUSH_PERIOD
             recorder.note_losses()
@@ -118,6 +126,7 @@ class RecorderNode(ManagedNode):
             return
         writer, recorder = self._writer, self._recorder
         self._writer = self._recorder = None
+        self._lockstep.promise(FOREVER_NS)
         with writer:
             recorder.stop()
         size = sum(file.stat().st_size for file in writer.directory.iterdir()) / MEGA

@@ -18,8 +18,11 @@ from contact_reach_ros.bags.loss import LOST, LossCounter
 from contact_reach_ros.bags.topics import RecordedTopic, check_type_name
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.messages.cdr import stamp_in
+from contact_reach_ros.messages.topics import JOINT_STATES
 from contact_reach_ros.nodes.recorded_qos import HISTORY_DEPTH, acceptable_qos, asks_too_much, offered_qos
 from contact_reach_ros.ros.inbox import LoopGroup
+from contact_reach_ros.ros.lockstep import FOREVER_NS
 
 SETTLING_TIME = 0.05
 """Time to wait for messages in transit when the recording ends, s."""
@@ -45,6 +48,11 @@ class TopicRecorder:
         The bag; the caller keeps it and closes it after `stop`.
     topics :
         Names, relative ones to be resolved by the node, each with its required type or None.
+
+    Attributes
+    ----------
+    stamp_ns :
+        Of the last joint state that is in the bag; None before the first, `FOREVER_NS` if none are recorded.
     """
 
     def __init__(self, node: Node, writer: BagWriter, topics: Iterable[tuple[str, str | None]]) -> None:
@@ -55,6 +63,8 @@ class TopicRecorder:
         self._recorded: dict[str, _Recorded] = {}
         self._publisher_counts: dict[str, int] = {}
         self._wanted = {node.resolve_topic_name(name): type_name for name, type_name in topics}
+        self._states = node.resolve_topic_name(JOINT_STATES.name)
+        self.stamp_ns: int | None = None if self._states in self._wanted else FOREVER_NS
 
     def discover(self) -> None:
         """Subscribe to the wanted topics that have appeared since the last call; raises `BagError` if writing fails."""
@@ -86,6 +96,8 @@ class TopicRecorder:
             recorded.loss.count(sequence, recorded.subscription.get_publisher_count)
             sent_ns = about["source_timestamp"] or received_ns
             self._writer.write(recorded.topic.name, data, received_ns, sent_ns, sequence or 0)
+            if recorded.topic.name == self._states:
+                self.stamp_ns = stamp_in(data)
 
     def stop(self) -> None:
         """Write what is still in transit, note what was lost, and unsubscribe; raises `BagError` if writing fails."""

@@ -181,7 +181,7 @@ MANAGED = {
         _STOP,
         ["effort_controller/get_parameters", "controller_manager/switch_controller"],
     ),
-    RECORDER: _managed([], topics.ALL),
+    RECORDER: _managed([topics.LOCKSTEP_HORIZON], topics.ALL),
     VIEWER: _managed([topics.GOAL_POSE], HEARD_BY_VIEWER, calls=_CALLED_BY_VIEWER),
 }
 """The lifecycle nodes."""

@@ -6,8 +6,9 @@ is done when all its messages that follow from the state are out. Observer and p
 a command. So each node has everything that others made of a state, and nothing of the next one: a run depends neither
 on how busy the machine is nor on which of two messages is faster.
 
-Other nodes may take part, such as the demo, which sends its goal at a certain state: the driver's parameter `waits_for`
-names those whose promises it waits for as well, and the nodes wait for everybody who has ever promised.
+Other nodes may take part, such as the demo, which sends its goal at a certain state, or the recorder, which must not
+fall behind: the driver's parameter `waits_for` names those whose promises it waits for as well, and the nodes wait for
+everybody who has ever promised.
 
 Each node has one object for this; in real time it publishes nothing and waits for nobody.
 

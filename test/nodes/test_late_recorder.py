@@ -1,4 +1,4 @@
-"""A recorder that comes after the loops have begun, as on a busy machine: in lockstep its bag is whole all the same."""
+"""A recorder that comes late or stands still, as on a busy machine: in lockstep its bag is whole all the same."""
 
 import signal
 import time
@@ -11,8 +11,12 @@ from mcap.reader import make_reader
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, ros, running, wait_for
+from std_msgs.msg import Header
 
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.nodes.recorder import AHEAD_NS
+from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
 from contact_reach_ros.ros.qos import qos_profile
 
 LOOPS = ("observer", "controller", "driver")
@@ -65,6 +69,50 @@ def test_the_first_messages_are_in_the_bag(domain, tmp_path):
     for name in KEPT_TOPICS:
         found = sequences.get(name, [0])
         assert found[0] == 1 or len(found) >= KEPT, f"{name}: {found[0]} to {found[-1]}"
+
+
+def test_time_waits_for_a_recorder_that_stands_still(domain, tmp_path):
+    look = rclpy.create_node("look")
+    promises = look.create_publisher(Header, topics.LOCKSTEP_HORIZON.name, qos_profile(topics.LOCKSTEP_HORIZON.qos))
+    planner = Lockstep("planner", 0, promises.publish)
+    stamps = [0]
+    look.create_subscription(
+        JointState,
+        topics.JOINT_STATES.name,
+        lambda state: stamps.append(nanoseconds(state.header.stamp)),
+        qos_profile(topics.NEWEST),
+    )
+
+    def passed(duration_ns: int) -> bool:
+        planner.promise(FOREVER_NS)
+        rclpy.spin_once(look, timeout_sec=0.1)
+        return stamps[-1] - began_ns >= duration_ns
+
+    bag = tmp_path / "bag"
+    with ExitStack() as stack:
+        command = [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={bag}", "-p", "lockstep:=true"]
+        recorder = stack.enter_context(running(command, domain, tmp_path / "recorder.log"))
+        for name in LOOPS:
+            wanted = (*LOCKSTEP, "-p", "waits_for:=recorder") if name == "driver" else LOCKSTEP[:2]
+            command = [*module(f"nodes.{name}"), "--ros-args", *wanted]
+            stack.enter_context(running(command, domain, tmp_path / f"{name}.log"))
+        began_ns = 0
+        wait_for(lambda: passed(1), 60, "time begins")
+        began_ns = stamps[-1]
+        wait_for(lambda: passed(2 * AHEAD_NS), 60, "time passes")
+        recorder.send_signal(signal.SIGSTOP)
+        began_ns, end = stamps[-1], time.monotonic() + 5.0
+        while time.monotonic() < end:
+            assert not passed(2 * AHEAD_NS), "time does not wait"
+        recorder.send_signal(signal.SIGCONT)
+        wait_for(lambda: passed(4 * AHEAD_NS), 60, "time passes again")
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(30) == 0, (tmp_path / "recorder.log").read_text()
+        began_ns = stamps[-1]
+        wait_for(lambda: passed(2 * AHEAD_NS), 60, "time passes without a recorder")
+    sequences = recorded_sequences(bag)
+    for name in KEPT_TOPICS:
+        assert sequences[name] == list(range(1, 1 + len(sequences[name]))), name
 
 
 def test_seconds_of_ticks_are_in_the_bag(domain, tmp_path):
