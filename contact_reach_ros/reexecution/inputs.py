@@ -65,11 +65,14 @@ class Intake:
     lost: int
 
     def __iter__(self) -> Iterator[Row]:
-        # Whether the last one gave something is not known.
+        # Whether the last one gave something is not known; only a joint state can.
         for (what, sent, clock, outputs), (*_, after) in zip(
             self.rows[:-1].tolist(), self.rows[1:].tolist(), strict=True
         ):
             yield Row(Taken(what), sent, clock, after > outputs, after)
+        for what, sent, clock, outputs in self.rows[-1:].tolist():
+            if what != Taken.JOINT_STATES:
+                yield Row(Taken(what), sent, clock, False, outputs)
 
 
 class RecordedInputs:

@@ -93,6 +93,7 @@ class _Loop:
         self.missing = self.uncompared = 0
         self.outputs: list[_Output] = []
         self.reasons: list[str] = []
+        self.unpublished = ""
         self.recorded_reasons = inputs.safety_reasons(node)
         self.arm, *self._later_arms = inputs.arms[node]
         self.handlers: dict[Taken, Callable[[Row], None]] = {}
@@ -151,6 +152,7 @@ class _Loop:
 
     def note_reason(self, reason: str) -> None:
         """Note why the node stops the arm; empty while it does not."""
+        self.unpublished = ""
         if reason and self.reasons[-1:] != [reason]:
             self.reasons.append(reason)
 
@@ -179,7 +181,8 @@ class _Loop:
                 return Difference(output.number, output.stamp_ns, field, *values)
         recorded = self.recorded_reasons
         is_whole = self.in_step and not self.intake.starts_late and not self.intake.lost
-        if self.changes or not is_whole or recorded == self.reasons:
+        # Whether a stop after the last joint state was published, the bag does not tell.
+        if self.changes or not is_whole or recorded in (self.reasons, [*self.reasons, self.unpublished]):
             return None
         stamp_ns = self.outputs[-1].stamp_ns if self.outputs else 0
         return Difference(len(self.outputs), stamp_ns, "stop reasons", str(recorded), str(self.reasons))
@@ -209,7 +212,7 @@ class _ControllerLoop(_Loop):
             Taken.SAFETY_STATE: self._hear,
             Taken.REFERENCE_POSE: self._follow,
             Taken.REFERENCE_POSTURE: self._follow,
-            Taken.STOP: lambda _: self.controller.stop(self.next_stop()),
+            Taken.STOP: self._stop,
             Taken.RESET: lambda row: self.controller.reset(self._clock_ns(row)),
             Taken.TOOL: self._change_tool,
         }
@@ -221,6 +224,10 @@ class _ControllerLoop(_Loop):
     def _change_tool(self, _: Row) -> None:
         watched = self.watch.models(self.take_next_arm())
         self.controller.change_tool(self._make_controller(), watched)
+
+    def _stop(self, _: Row) -> None:
+        self.controller.stop(self.next_stop())
+        self.unpublished = self.controller.stop_reason
 
     def _clock_ns(self, row: Row) -> int:
         return self.controller.stamp_ns if self.lockstep else row.clock_ns
@@ -297,13 +304,17 @@ class _ObserverLoop(_Loop):
         self.handlers = {
             Taken.JOINT_STATES: self._update,
             Taken.COMMANDS: self._command,
-            Taken.STOP: lambda _: self.observer.stop(self.next_stop()),
+            Taken.STOP: self._stop,
             Taken.RESET: lambda _: self.observer.reset(),
             Taken.TOOL: self._change_tool,
         }
 
     def _change_tool(self, _: Row) -> None:
         self.observer.change_model(self.observer.models(self.take_next_arm()))
+
+    def _stop(self, _: Row) -> None:
+        self.unpublished = self.next_stop()
+        self.observer.stop(self.unpublished)
 
     def _command(self, row: Row) -> None:
         at = self.commands.get(row.sent_ns)

@@ -1,5 +1,6 @@
 """Re-execution of the bag that comes with the package: identical as it is, exact about what differs when it is not."""
 
+import dataclasses
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import BATCH, COLUMNS, IntakeLog, Taken
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import _ObserverLoop, reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.loops import _ControllerLoop, _ObserverLoop, reexecute_controller, reexecute_observer
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.resources import share_directory
 
@@ -105,6 +106,23 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         reexecute_observer(changed(tmp_path / "intake", without("/intake/observer")))
     with pytest.raises(BagError, match="no joint states"):
         changed(tmp_path / "states", without("/joint_states"))
+
+
+@pytest.mark.parametrize("later", [0, 1])
+@pytest.mark.parametrize(
+    ("recorded", "differs"), [([], False), (["stop service called"], False), (["stop service called", "another"], True)]
+)
+def test_a_stop_may_be_the_last_thing_that_a_bag_has(
+    sample: RecordedInputs, later: int, recorded: list[str], differs: bool
+) -> None:
+    """Whether the node still published it is a race, also with one more joint state, whose outcome is not known."""
+    loop = _ControllerLoop(sample, ChangedSettings())
+    rows = loop.intake.rows
+    (stop,) = np.flatnonzero(rows[:, 0] == Taken.STOP)
+    loop.intake = dataclasses.replace(loop.intake, rows=rows[: stop + 1 + later])
+    loop.recorded_reasons = recorded
+    found = loop.run()
+    assert found.compared > 3000 and (found.first_difference is not None) == differs
 
 
 def test_the_command_needs_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
