@@ -15,7 +15,9 @@ import pytest
 import rclpy
 import yaml
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import Log
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -282,9 +284,19 @@ def test_refused_parameter_is_named(recorder: Recorder, argument: str, message: 
 
 
 def test_topic_of_another_type_is_not_recorded(recorder: Recorder) -> None:
+    said: list[str] = []
+    recorder.node.create_subscription(Log, "/rosout", lambda line: said.append(line.msg), RELIABLE)
+    executor = SingleThreadedExecutor(context=recorder.node.context)
+    executor.add_node(recorder.node)
+
+    def complained() -> bool:
+        executor.spin_once(timeout_sec=0.05)
+        return any("/state" in line for line in said)
+
     recorder.start("topics:=['state:sensor_msgs/msg/JointState', text]")
-    recorder.publisher(String, "state", RELIABLE, wait=False)
     recorder.publisher(String, "text", RELIABLE)
+    recorder.publisher(String, "state", RELIABLE, wait=False)
+    recorder.until(complained, "a complaint about the type")
     exit_code, output = recorder.end()
     assert exit_code == 0
     assert "topic '/state' has the type std_msgs/msg/String, expected sensor_msgs/msg/JointState" in output
