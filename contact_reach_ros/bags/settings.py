@@ -15,8 +15,8 @@ class RecorderSettings(Settings):
     bag: str = setting("", "directory to create; named after date and time when empty, never overwritten")
     topics: tuple[str, ...] = setting((), "name or name:package/msg/Type each; everything of the stack when empty")
     custom_data: tuple[str, ...] = setting((), "key=value each: text to keep in the bag, such as scene and seed")
-    lockstep: bool = setting(False, "let simulated time wait for the recorder; the driver's `waits_for` has to name it")
     files: tuple[str, ...] = setting((), "key=path each: text files to keep in the bag, such as the parameter file")
+    lockstep: bool = setting(False, "let simulated time wait for the recorder; the driver's `waits_for` has to name it")
 
 
 @dataclass(frozen=True)

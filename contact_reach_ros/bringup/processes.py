@@ -128,7 +128,9 @@ def processes(options: BringupOptions) -> list[Process]:
     if options.bag:
         recording = {"bag": options.bag, "lockstep": options.lockstep, **_origin(options), **arm}
         table.append(Process(RECORDER, recording, wave=Wave.EARLY))
-        simulation["waits_for"] = RECORDER if options.lockstep else ""
+    if options.bag and options.lockstep:
+        others = parameters_in(options.parameter_file, "driver").get("waits_for")
+        simulation["waits_for"] = f"{others},{RECORDER}" if others else RECORDER
     if options.driver:
         table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
     adapted = options.adapter != "none"

@@ -472,7 +472,7 @@ def hold_others_back(
     for k in range(n):
         change = torque[k] - previous[k]
         if k != joint and excess * inverse_mass[joint, k] * change > 0.0:
-            torque[k] -= share * change
+            torque[k] = previous[k] + (1.0 - share) * change
             for row in range(n):
                 acceleration[row] -= inverse_mass[row, k] * share * change
 

@@ -94,6 +94,7 @@ class _Loop:
         self.outputs: list[_Output] = []
         self.reasons: list[str] = []
         self.unpublished = ""
+        """Reason of a stop after which no joint state was executed."""
         self.recorded_reasons = inputs.safety_reasons(node)
         self.arm, *self._later_arms = inputs.arms[node]
         self.handlers: dict[Taken, Callable[[Row], None]] = {}
