@@ -64,6 +64,16 @@ def test_with_an_adapter_the_controller_commands_it_and_it_ends_after_the_contro
     assert "adapter" not in without and "supervision.adapter" not in without["controller"]
 
 
+@pytest.mark.parametrize(("own", "waited_for"), [({}, "recorder"), ({"waits_for": "gripper"}, "gripper,recorder")])
+def test_in_lockstep_time_waits_for_the_recorder_too(tmp_path, own, waited_for):
+    file = str(parameter_file(tmp_path / "own.yaml", driver=own))
+    for lockstep in (True, False):
+        options = BringupOptions(lockstep=lockstep, bag=str(tmp_path / "bag"), parameters=file)
+        table = {process.name: process.parameters for process in processes(options)}
+        assert table["recorder"]["lockstep"] is lockstep
+        assert table["driver"].get("waits_for") == (waited_for if lockstep else None)
+
+
 def test_overrides_reach_their_node_only():
     options = BringupOptions(overrides=("planner:period=0.05", "driver:seed=7", "planner:goal_orientation=free"))
     given = {process.name: process.parameters for process in processes(options)}
