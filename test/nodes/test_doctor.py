@@ -240,7 +240,7 @@ def test_without_a_stack_a_command_names_the_domain_and_what_to_start():
 
 
 def test_goals_stops_and_resets_from_the_command_line(stack):
-    turned, settled, refused, faster, late, home, stopped, kept, released = command_lines(
+    turned, settled, refused, faster, late, home, stopped, kept, released, again = command_lines(
         stack,
         "goto 0.51 0.025 0.145 --rpy 0 3.14 0",
         "goto 0.51 0.025 0.145 --wait",
@@ -251,6 +251,7 @@ def test_goals_stops_and_resets_from_the_command_line(stack):
         "stop",
         "goto 0.5 0.1 0.3",
         "reset",
+        "reset",
     )
     assert refused[0] == 1 and "refused: goal: position" in refused[1]
     assert turned[0] == 2 and "goal_orientation = hold" in turned[1]
@@ -259,6 +260,11 @@ def test_goals_stops_and_resets_from_the_command_line(stack):
     assert late[0] == 1 and late[1].startswith("not settled; ")
     assert home[0] == 0 and home[1].startswith("settled: ")
     # By the controller, unless another was discovered a second before it.
-    assert stopped in [(0, "controller: compliant stop"), (0, "observer: stopped"), (0, "driver: brakes closed")]
+    stops = {"controller": "compliant stop", "observer": "stopped", "driver": "brakes closed"}
+    by, _, how = stopped[1].partition(": ")
+    assert stopped[0] == 0 and how == stops[by]
     assert kept[0] == 1 and "stop service called" in kept[1] and "contact-reach reset" in kept[1]
-    assert released[0] == 0 and "controller: holding" in released[1], released
+    # The controller follows a stop of the observer, and does not know of one of the driver.
+    expected = "driver: released" if by == "driver" else "controller: holding"
+    assert released[0] == 0 and expected in released[1], released
+    assert again == (0, "nothing is stopped")
