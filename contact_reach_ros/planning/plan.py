@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -80,6 +81,11 @@ class Plan:
         """References for the controller."""
         ends_ns = tuple((knot + 1) * self.knot_duration_ns for knot in range(len(self.positions)))
         return References(self.effect_ns, ends_ns, self.positions, self.rotations, self.postures)
+
+    def without_knots(self) -> Plan:
+        """The same plan with nothing in force after its effect."""
+        none = {name: getattr(self, name)[:0] for name in ("positions", "rotations", "postures")}
+        return dataclasses.replace(self, **none)
 
     @property
     def changes_ns(self) -> list[int]:

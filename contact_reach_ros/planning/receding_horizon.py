@@ -52,6 +52,9 @@ from contact_reach_ros.world.spheres import Spheres
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
+_FOLLOWED = 5.0
+"""Distance of x_d from the tip, in γ, above which a plan is not followed: `max_position_error` with the defaults."""
+
 _T = TypeVar("_T")
 
 
@@ -97,7 +100,7 @@ class RecedingHorizonPlanner:
         self._settings = settings
         self._obstacles = ObstacleReader(arm, capacity)
         self._permitted_force = permitted_force
-        self._least_speed = LEAST_SPEED * steady_speed(settings, gains)
+        self._speed = steady_speed(settings, gains)
         self._space = ReferenceSpace(arm, settings, gains) if space is None else space
         self._spread = initial_spread(settings, self._space.bounds)
         self._predictor = Predictor(self._space.objective.system, self._space.step)
@@ -216,7 +219,8 @@ class RecedingHorizonPlanner:
         """Make a plan.
 
         The start is predicted from the measured state under the references in force until the plan takes effect: those
-        of the previous plans, or a hold at the measured pose without any.
+        of the previous plans, or a hold at the measured pose without any, and where x_d is so far from the tip that the
+        controller drops the plan.
 
         Raises
         ------
@@ -241,9 +245,10 @@ class RecedingHorizonPlanner:
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         hold = self._space.hold(q)
-        pieces = pieces_between(self._plans, hold, state_ns, effect_ns, timestep)
+        plans = self._expected(q, state_ns)
+        pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
-        before = self._before(reference_at(self._plans, effect_ns) or hold)
+        before = self._before(reference_at(plans, effect_ns) or hold)
         searched = time.perf_counter()
         detour = self._detour_of(q, request)
         searched = time.perf_counter() - searched
@@ -300,7 +305,7 @@ class RecedingHorizonPlanner:
         elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
         firm_force = settings.contact_patience_share * self._permitted_force
         is_firm = bool((plan.predicted_contact_forces > firm_force).any())
-        least_speed = plan.speed_scale * self._least_speed
+        least_speed = plan.speed_scale * LEAST_SPEED * self._speed
         return memory.approach.updated(distance, elapsed, settings.contact_patience, least_speed, is_firm)
 
     def _joints(self, name: str, values: ArrayLike) -> Array:
@@ -325,6 +330,21 @@ class RecedingHorizonPlanner:
         reachable = self._arm.velocity_limits * elapsed + _JUMP_SLACK
         if elapsed < 0.0 or (np.abs(q - last_q) > reachable).any():
             self.reset()
+
+    def _expected(self, q: Array, state_ns: int) -> list[Plan]:
+        """The plans, without the knots of those that the controller drops: it holds instead of following far x_d."""
+        if not isinstance(self._space, ReferenceSpace):
+            return list(self._plans)
+        tip, reach = hold_at(self._arm, q).position, _FOLLOWED * self._settings.translation_bound
+
+        def is_dropped(plan: Plan) -> bool:
+            elapsed_ns = state_ns - plan.effect_ns
+            # On its way to the effect the tip comes nearer.
+            nearer = -1e-9 * elapsed_ns * self._speed if elapsed_ns < 0 else 0.0
+            knot = max(0, elapsed_ns - 1) // plan.knot_duration_ns
+            return any(math.dist(x_d, tip) > reach + nearer for x_d in plan.positions[knot : knot + 1])
+
+        return [plan.without_knots() if is_dropped(plan) else plan for plan in self._plans]
 
     def _bodies(self, q: Array, environment: Environment) -> Bodies | None:
         """Rigid bodies for a program, which has none where they cost nothing."""

@@ -15,7 +15,7 @@ from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.plan_record import is_keyframe, solution_parts, state_in
 from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.prediction import reference_at
+from contact_reach_ros.planning.prediction import hold_at, reference_at
 from contact_reach_ros.simulation.plant import Actuation
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -176,6 +176,25 @@ def test_jump_of_the_arm_and_time_running_backwards_forget_the_plans(planner):
     np.testing.assert_allclose(plan.predicted_q[0], elsewhere, rtol=0, atol=1e-4)
     plan = plan_from(planner, elsewhere, REST, 0, 100)
     np.testing.assert_allclose(plan.predicted_q[0], elsewhere, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("effect", [0, 85], ids=["in force", "not yet"])
+def test_a_plan_whose_x_d_is_too_far_to_be_followed_is_expected_to_be_dropped(planner, effect):
+    gone = HOME + np.eye(7)[0] * 0.13
+    plan = plan_from(planner, state=0, effect=effect)
+    distance = np.linalg.norm(plan.positions[0] - hold_at(ARM, gone).position)
+    assert 0.055 < distance < 0.1
+    dropped = plan_from(planner, gone, REST, 80, 120)
+    np.testing.assert_allclose(dropped.predicted_q[0], gone, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(dropped.before.position, hold_at(ARM, gone).position, rtol=0, atol=1e-6)
+    planner.reset()
+    # The arm may be on its way to it.
+    near = HOME + np.eye(7)[0] * 0.06
+    plan = plan_from(planner, state=0, effect=effect)
+    assert 0.02 < np.linalg.norm(plan.positions[0] - hold_at(ARM, near).position) < 0.05
+    followed = plan_from(planner, near, REST, 80, 120)
+    assert np.abs(followed.predicted_q[0] - near).max() > 1e-4
+    np.testing.assert_allclose(followed.before.position, plan.in_force(120 * MS).position, rtol=0, atol=1e-6)
 
 
 def test_spheres_beyond_the_capacity_are_counted(planner):
