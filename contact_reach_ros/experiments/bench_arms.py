@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 ARMS_PART = "arms"
 """Name of the part, and of its folder."""
-_PAIR = (paper.METHOD, paper.REFERENCE_POSTURE)
+_PATH = (paper.METHOD, paper.COLLISION_FREE)
+_ALL = (paper.METHOD, paper.REFERENCE_POSTURE, paper.COLLISION_FREE)
 _TARGETS = 10
 _EPISODE_S, _PROGRAM_S = 8.0, 25.0
 """Processor's time that an episode was found to take, on average, and making a planner's programs, s."""
@@ -36,10 +37,11 @@ def arm_benches(quick: bool = False) -> dict[str, Table1]:
         is_redundant = load_arm(arm).n > TASK_ROWS[POSE]
         for task in (POSE,) if is_redundant else (POSE, POSITION):
             for scene in ("free", "ball", "wall") if is_redundant else ("free", "ball"):
+                obstructed = _ALL if is_redundant else _PATH
                 benches[f"{arm}_{scene}_{task}"] = Table1(
                     scenes=(scene,),
                     goals=("hold",),
-                    methods=_PAIR if is_redundant and scene != "free" else _PAIR[:1],
+                    methods=_PATH[:1] if scene == "free" else obstructed,
                     targets=1 if quick else _TARGETS,
                     arm=arm,
                     task=task,

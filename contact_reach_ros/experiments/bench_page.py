@@ -48,6 +48,8 @@ class Part(NamedTuple):
 PARTS = (
     Part("clutter", Clutter(), 10.0),
     Part("tuning", Clutter(seed=0), 10.0),
+    Part("clutter_hinge", Clutter("paper_hinge", scenes=30, seed=0, methods=_PAIR), 15.0),
+    Part("clutter_linear", Clutter("paper_linear", scenes=30, seed=0, methods=_PAIR), 15.0),
     Part("shipped", Table1(scenes=_THREE, goals=("hold",), targets=60, seed=_FIRST), 3.0, 12),
     Part("hinge", Table1("paper_hinge", _THREE, ("hold",), _WITH_PATH, targets=20, seed=_FIRST), 9.0, 12),
     Part("linear", Table1("paper_linear", _THREE, ("hold",), _WITH_PATH, targets=20, seed=_FIRST), 12.0, 12),
@@ -110,8 +112,9 @@ def in_small(part: Part) -> Part:
     """The part with so few episodes that all of them take ten minutes."""
     bench: Any = part.bench
     if isinstance(bench, Clutter):
-        small = Clutter(bench.preset, scenes=2, seed=0, methods=(*_WITH_PATH, "reactive"))
-        return part._replace(bench=small)
+        is_shipped = bench.preset == "shipped"
+        methods = (*_WITH_PATH, "reactive") if is_shipped else bench.methods
+        return part._replace(bench=Clutter(bench.preset, scenes=2 if is_shipped else 1, seed=0, methods=methods))
     changes: dict[str, Any] = {"targets": 1}
     if isinstance(bench, Sweep):
         changes.update(scenes=("wall",), methods=bench.methods[:1], values=bench.values[::2], spheres=None)

@@ -61,7 +61,7 @@ def test_an_unfinished_run_is_reported_as_far_as_it_is(tmp_path, monkeypatch, ca
 
 def test_parts_that_there_are_not_are_refused(tmp_path, capsys):
     assert contact_reach("bench", "page", "--out", tmp_path, "--parts", "table1") == 2
-    assert "--parts 'table1' is unknown; expected some of clutter, tuning, shipped" in capsys.readouterr().err
+    assert "--parts 'table1' is unknown; expected some of clutter, tuning, clutter_hinge" in capsys.readouterr().err
 
 
 def test_every_arm_is_run_among_balls_and_in_walls_where_it_can_dodge():
@@ -71,6 +71,7 @@ def test_every_arm_is_run_among_balls_and_in_walls_where_it_can_dodge():
         scenes = {(*bench.scenes, bench.task) for bench in benches.values() if bench.arm == arm}
         assert ("wall", "pose") in scenes if load_arm(arm).n == 7 else ("ball", "position") in scenes
         assert {("free", "pose"), ("ball", "pose")} <= scenes
+    assert all("collision_free" in bench.methods for bench in benches.values() if bench.scenes != ("free",))
     assert {cell.target for bench in benches.values() for cell in bench.cells} == set(range(10))
 
 
