@@ -48,8 +48,8 @@ class Part(NamedTuple):
 PARTS = (
     Part("clutter", Clutter(), 10.0),
     Part("tuning", Clutter(seed=0), 10.0),
-    Part("clutter_hinge", Clutter("paper_hinge", scenes=30, seed=0, methods=_PAIR), 15.0),
-    Part("clutter_linear", Clutter("paper_linear", scenes=30, seed=0, methods=_PAIR), 15.0),
+    Part("clutter_hinge", Clutter("paper_hinge", scenes=20, seed=0, methods=_PAIR), 25.0),
+    Part("clutter_linear", Clutter("paper_linear", scenes=20, seed=0, methods=_PAIR), 25.0),
     Part("shipped", Table1(scenes=_THREE, goals=("hold",), targets=60, seed=_FIRST), 3.0, 12),
     Part("hinge", Table1("paper_hinge", _THREE, ("hold",), _WITH_PATH, targets=20, seed=_FIRST), 9.0, 12),
     Part("linear", Table1("paper_linear", _THREE, ("hold",), _WITH_PATH, targets=20, seed=_FIRST), 12.0, 12),
