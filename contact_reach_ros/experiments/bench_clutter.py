@@ -198,4 +198,5 @@ def _percent(found: dict[str, Any]) -> str:
     mean, (low, high) = found["mean"], found["ci95"]
     if mean is None or math.isnan(mean):
         return "–"
-    return f"{100 * mean:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
+    interval = "" if low is None else f" [{100 * low:.0f}, {100 * high:.0f}]"
+    return f"{100 * mean:.0f} %{interval}"

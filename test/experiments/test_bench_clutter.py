@@ -72,6 +72,12 @@ def test_the_summary_counts_what_settles_and_who_is_best():
     assert 0.0 < low < 1 / 3 < high < 1.0
 
 
+def test_one_scene_alone_has_no_intervals_of_differences():
+    report = {**summary(EPISODES[:3], NAMES), "command": "contact-reach bench clutter --scenes 1"}
+    row = next(line for line in clutter_table(report).splitlines() if line.startswith("| collision_free"))
+    assert row.split("|")[-4:-1] == [" -100 % ", " – ", " – "]
+
+
 def test_forces_are_compared_where_both_settle():
     found = summary(EPISODES, NAMES)["methods"]["reference_posture"]["against"]
     assert found["peak_force_N"]["mean"] == pytest.approx((4.0 + 0.05) / 2)
