@@ -22,7 +22,7 @@ from contact_reach_ros.parameter_files import as_arguments
 from contact_reach_ros.planning.node_settings import SPEED_SCALE
 from contact_reach_ros.ros.interfaces import ADAPTER
 from contact_reach_ros.ros.process import in_namespace
-from contact_reach_ros.ros.stopping import Outcome, release, stop_arm
+from contact_reach_ros.ros.stopping import Outcome, release_all, stop_arm
 
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -133,12 +133,13 @@ def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
     with operating(discovery, namespace) as operator:
         operator.find_service("reset")
-        operator.hear_everybody()
         give_up = time.monotonic() + _REST_S
-        outcome = release(operator.stops, operator.call)
-        while not outcome.done and time.monotonic() < give_up:
+
+        def look() -> set[str]:
             operator.hear_everybody()
-            outcome = release(operator.stops, operator.call)
+            return set(operator.stops)
+
+        outcome = release_all(look, operator.call, lambda: time.monotonic() > give_up)
     return _report(outcome)
 
 

@@ -11,6 +11,8 @@ from contact_reach_ros.ros.interfaces import STOPPABLE
 Call = Callable[[str], Any]
 """Calls the Trigger service of a name and returns its answer; raises `ContactReachError` without one."""
 
+_NOTHING = "nothing is stopped"
+
 
 class Outcome(NamedTuple):
     """Whether it was done, and a line for the user."""
@@ -45,4 +47,22 @@ def release(stopped: Collection[str], call: Call) -> Outcome:
         answers.append(f"{name}: {answer.message or 'done'}")
         if not answer.success:
             return Outcome(False, "; ".join(answers))
-    return Outcome(True, "; ".join(answers) or "nothing is stopped")
+    return Outcome(True, "; ".join(answers) or _NOTHING)
+
+
+def release_all(look: Callable[[], Collection[str]], call: Call, is_over: Callable[[], bool]) -> Outcome:
+    """Release whoever is stopped, and look again, until nobody is or the time is over.
+
+    Until the arm is at rest a release is refused; and a drive closes its brakes on its own some seconds after the stop
+    of the controller, perhaps just when that is being released. `look` returns the nodes that are stopped.
+    """
+    released: list[str] = []
+    outcome = release(look(), call)
+    while not is_over():
+        stopped = look()
+        if outcome.done and not stopped:
+            break
+        if outcome.done and outcome.text != _NOTHING:
+            released.append(outcome.text)
+        outcome = release(stopped, call)
+    return Outcome(outcome.done, "; ".join([*released, outcome.text]))

@@ -264,7 +264,7 @@ def test_goals_stops_and_resets_from_the_command_line(stack):
     by, _, how = stopped[1].partition(": ")
     assert stopped[0] == 0 and how == stops[by]
     assert kept[0] == 1 and "stop service called" in kept[1] and "contact-reach reset" in kept[1]
-    # The controller follows a stop of the observer, and does not know of one of the driver.
+    # The controller follows a stop of the observer, and does not know of one of the driver, whose brakes may follow.
     expected = "driver: released" if by == "driver" else "controller: holding"
     assert released[0] == 0 and expected in released[1], released
     assert again == (0, "nothing is stopped")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.ros.stopping import release, stop_arm
+from contact_reach_ros.ros.stopping import release, release_all, stop_arm
 
 
 class Stack:
@@ -52,3 +52,21 @@ def test_the_controller_is_released_last_and_only_after_the_others():
 def test_nothing_is_released_that_is_not_stopped():
     stack = Stack(controller=True)
     assert release((), stack) == (True, "nothing is stopped") and not stack.called
+
+
+def test_brakes_that_close_while_the_controller_is_released_are_opened_too():
+    stack = Stack(controller=True, driver=True)
+    looks = iter([{"controller"}, {"driver"}, ()])
+    outcome = release_all(lambda: next(looks), stack, lambda: False)
+    assert outcome == (True, "controller: done; driver: done")
+    assert stack.called == ["controller/reset", "driver/reset"]
+    looks = iter([(), {"driver"}, ()])
+    assert release_all(lambda: next(looks), stack, lambda: False) == (True, "driver: done")
+
+
+def test_a_refused_release_is_tried_again_until_the_time_is_over():
+    stack, ends = Stack(controller=False), iter([False, False, True])
+    assert release_all(lambda: {"controller"}, stack, lambda: next(ends)) == (False, "controller: not now")
+    assert len(stack.called) == 3
+    stack, ends = Stack(controller=True), iter([True])
+    assert release_all(lambda: {"controller"}, stack, lambda: next(ends)) == (True, "controller: done")
