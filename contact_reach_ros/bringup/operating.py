@@ -134,7 +134,7 @@ class Operator:
             raise ContactReachError(f"no answer from {missing[0] if missing else _PLANNER}: contact-reach doctor")
 
     def hear_everybody(self) -> None:
-        """Wait until the controller's safety state is known, and no other node's has come for a while.
+        """Wait until the safety states of the controller and of all who publish one are known, and no new one comes.
 
         Raises `ContactReachError` if the controller does not report it.
         """
@@ -142,8 +142,9 @@ class Operator:
         deadline = since + _FOUND_S
         while time.monotonic() < deadline:
             self._spin()
-            if len(self._heard) != known or _CONTROLLER not in self._heard:
-                known, since = len(self._heard), time.monotonic()
+            heard, publishers = len(self._heard), self._node.count_publishers(topics.SAFETY_STATE.name)
+            if heard != known or heard < publishers or _CONTROLLER not in self._heard:
+                known, since = heard, time.monotonic()
             elif time.monotonic() > since + _SETTLED_S:
                 return
         if _CONTROLLER not in self._heard:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 ARMS_PART = "arms"
 """Name of the part, and of its folder."""
-_PATH = (paper.METHOD, paper.COLLISION_FREE)
-_ALL = (paper.METHOD, paper.REFERENCE_POSTURE, paper.COLLISION_FREE)
 _TARGETS = 10
 _EPISODE_S, _PROGRAM_S = 8.0, 25.0
 """Processor's time that an episode was found to take, on average, and making a planner's programs, s."""
@@ -37,11 +35,12 @@ def arm_benches(quick: bool = False) -> dict[str, Table1]:
         is_redundant = load_arm(arm).n > TASK_ROWS[POSE]
         for task in (POSE,) if is_redundant else (POSE, POSITION):
             for scene in ("free", "ball", "wall") if is_redundant else ("free", "ball"):
-                obstructed = _ALL if is_redundant else _PATH
+                posture = (paper.REFERENCE_POSTURE,) if is_redundant else ()
+                others = () if scene == "free" else (*posture, paper.COLLISION_FREE)
                 benches[f"{arm}_{scene}_{task}"] = Table1(
                     scenes=(scene,),
                     goals=("hold",),
-                    methods=_PATH[:1] if scene == "free" else obstructed,
+                    methods=(paper.METHOD, *others),
                     targets=1 if quick else _TARGETS,
                     arm=arm,
                     task=task,

@@ -112,9 +112,9 @@ def in_small(part: Part) -> Part:
     """The part with so few episodes that all of them take ten minutes."""
     bench: Any = part.bench
     if isinstance(bench, Clutter):
-        is_shipped = bench.preset == "shipped"
-        methods = (*_WITH_PATH, "reactive") if is_shipped else bench.methods
-        return part._replace(bench=Clutter(bench.preset, scenes=2 if is_shipped else 1, seed=0, methods=methods))
+        methods = tuple(method for method in bench.methods if method in (*_WITH_PATH, "reactive"))
+        scenes = 2 if bench.preset == "shipped" else 1
+        return part._replace(bench=Clutter(bench.preset, scenes, seed=0, methods=methods))
     changes: dict[str, Any] = {"targets": 1}
     if isinstance(bench, Sweep):
         changes.update(scenes=("wall",), methods=bench.methods[:1], values=bench.values[::2], spheres=None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan
 from contact_reach_ros.planning.programs import Program
 from contact_reach_ros.planning.transfer import pipeline
@@ -22,6 +24,9 @@ from contact_reach_ros.planning.transfer.pipeline import State, System
 
 MAX_PIECES = 128
 """Steps that one prediction may take."""
+
+_REACH = SupervisionSettings().max_position_error
+"""Distance of x_d from the tip above which the controller drops a plan, unless it is set otherwise, m."""
 
 
 def hold_at(arm: Arm, q: Array) -> HeldReference:
@@ -44,6 +49,32 @@ def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
         if plan.effect_ns < time_ns:
             return plan.in_force(time_ns)
     return None
+
+
+def followed(plans: Sequence[Plan], hold: Held, time_ns: int, speed: float) -> list[Plan]:
+    """The plans as the controller follows them: those whose x_d is too far from the tip have no knots.
+
+    It drops such a plan and holds the arm. Other actions than references are all followed.
+
+    Parameters
+    ----------
+    hold
+        What holds the arm where it is.
+    time_ns
+        Time of that, ns.
+    speed
+        At which the tip may still come nearer to x_d until a plan takes effect, m/s.
+    """
+    if not isinstance(hold, HeldReference):
+        return list(plans)
+
+    def is_dropped(plan: Plan) -> bool:
+        elapsed_ns = time_ns - plan.effect_ns
+        nearer = -1e-9 * elapsed_ns * speed if elapsed_ns < 0 else 0.0
+        knot = max(0, elapsed_ns - 1) // plan.knot_duration_ns
+        return any(math.dist(x_d, hold.position) > _REACH + nearer for x_d in plan.positions[knot : knot + 1])
+
+    return [plan.without_knots() if is_dropped(plan) else plan for plan in plans]
 
 
 def pieces_between(plans: Sequence[Plan], hold: Held, start_ns: int, end_ns: int, longest: float) -> list[Piece]:

@@ -30,7 +30,14 @@ from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan
 from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, hold_at, pieces_between, reference_at
+from contact_reach_ros.planning.prediction import (
+    MAX_PIECES,
+    Predictor,
+    followed,
+    hold_at,
+    pieces_between,
+    reference_at,
+)
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.programs import Program, at_once, preparing
 from contact_reach_ros.planning.runtime import configure_jax
@@ -51,9 +58,6 @@ from contact_reach_ros.world.spheres import Spheres
 
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
-
-_FOLLOWED = 5.0
-"""Distance of x_d from the tip, in γ, above which a plan is not followed: `max_position_error` with the defaults."""
 
 _T = TypeVar("_T")
 
@@ -245,7 +249,7 @@ class RecedingHorizonPlanner:
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         hold = self._space.hold(q)
-        plans = self._expected(q, state_ns)
+        plans = followed(self._plans, hold, state_ns, self._speed)
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(plans, effect_ns) or hold)
@@ -330,21 +334,6 @@ class RecedingHorizonPlanner:
         reachable = self._arm.velocity_limits * elapsed + _JUMP_SLACK
         if elapsed < 0.0 or (np.abs(q - last_q) > reachable).any():
             self.reset()
-
-    def _expected(self, q: Array, state_ns: int) -> list[Plan]:
-        """The plans, without the knots of those that the controller drops: it holds instead of following far x_d."""
-        if not isinstance(self._space, ReferenceSpace):
-            return list(self._plans)
-        tip, reach = hold_at(self._arm, q).position, _FOLLOWED * self._settings.translation_bound
-
-        def is_dropped(plan: Plan) -> bool:
-            elapsed_ns = state_ns - plan.effect_ns
-            # On its way to the effect the tip comes nearer.
-            nearer = -1e-9 * elapsed_ns * self._speed if elapsed_ns < 0 else 0.0
-            knot = max(0, elapsed_ns - 1) // plan.knot_duration_ns
-            return any(math.dist(x_d, tip) > reach + nearer for x_d in plan.positions[knot : knot + 1])
-
-        return [plan.without_knots() if is_dropped(plan) else plan for plan in self._plans]
 
     def _bodies(self, q: Array, environment: Environment) -> Bodies | None:
         """Rigid bodies for a program, which has none where they cost nothing."""

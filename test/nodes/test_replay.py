@@ -119,8 +119,8 @@ def test_bag_is_published_as_it_was_and_steered_by_services(tmp_path, env, liste
     arguments = (tmp_path / "bag", *names, "--paused", "--json", tmp_path / "json")
     process = subprocess.Popen(replay(*arguments), env=env, stdout=output, stderr=output)
     try:
-        count = listener.node.count_publishers
-        wait_for(lambda: count("/joint_states") and count("/robot_description"), PATIENCE, "publishers")
+        published = ("/joint_states", "/robot_description")
+        wait_for(lambda: all(map(listener.node.count_publishers, published)), PATIENCE, "publishers")
         (offered,) = listener.node.get_publishers_info_by_topic("/robot_description")
         assert offered.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         for count in (1, 2):
