@@ -75,7 +75,8 @@ def plot_setting(report: Report, file: Path) -> None:
         for axes, name, label in zip(
             line, ("largest_force", "time_ratio"), ("peak force, N", "time to settle / limit"), strict=True
         ):
-            for method, colour in zip(dict.fromkeys(row["method"] for row in rows), _COLOURS, strict=False):
+            methods = dict.fromkeys(row["method"] for row in rows)
+            for above, (method, colour) in enumerate(zip(methods, _COLOURS, strict=False)):
                 own = [row for row in rows if row["method"] == method]
                 places = [values.index(f"{row['value']:g}") for row in own]
                 means, spreads = ([row[name][key] for row in own] for key in ("mean", "sd"))
@@ -83,9 +84,11 @@ def plot_setting(report: Report, file: Path) -> None:
                 for place, mean, row in zip(places, means, own, strict=True):
                     if name == "largest_force" and row["reached"] < row["targets"]:
                         text = f"{row['reached']}/{row['targets']}"
-                        axes.annotate(text, (place, mean), (4, 4), textcoords="offset points", color=colour)
+                        offset = (4, 4 + 11 * above)
+                        axes.annotate(text, (place, mean), offset, textcoords="offset points", color=colour)
             axes.set(title=scene, xlabel=report["setting"], ylabel=label)
             axes.set_xticks(range(len(values)), values)
+            axes.set_xlim(-0.3, len(values) - 0.5)
             axes.set_ylim(bottom=0.0)
             axes.grid(alpha=0.3)
         line[0].legend()
