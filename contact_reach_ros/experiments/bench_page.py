@@ -43,11 +43,13 @@ class Part(NamedTuple):
     seconds: float
     claims: int = 0
     """How many are made of it together, for the power that `--dry-run` states."""
+    is_in_quick: bool = True
+    """Whether `--quick` has it, which leaves out what runs nothing that other parts do not."""
 
 
 PARTS = (
     Part("clutter", Clutter(), 10.0),
-    Part("tuning", Clutter(seed=0), 10.0),
+    Part("tuning", Clutter(seed=0), 10.0, is_in_quick=False),
     Part("clutter_hinge", Clutter("paper_hinge", scenes=20, seed=0, methods=_PAIR), 25.0),
     Part("clutter_linear", Clutter("paper_linear", scenes=20, seed=0, methods=_PAIR), 25.0),
     Part("shipped", Table1(scenes=_THREE, goals=("hold",), targets=60, seed=_FIRST), 3.0, 12),
@@ -64,6 +66,17 @@ PARTS = (
         Table1(scenes=("ball", "wall"), goals=("free",), methods=_WITH_PATH, targets=20, seed=_FIRST),
         6.0,
         10,
+    ),
+    *(
+        Part(f"{name}_{reading}", Table1(f"paper_{reading}", scenes, (goal,), _PAIR, 10, seed=_FIRST), 12.0, 5, False)
+        for name, scenes, goal in (("mismatch", paper.TORQUE_SCENES, "hold"), ("position", ("ball", "wall"), "free"))
+        for reading in ("hinge", "linear")
+    ),
+    Part(
+        "own_weight",
+        Sweep("contact_weight", (0.003, 0.01), ("wall", "ball"), _PAIR, 20, _FIRST, others=_AS_IN_THE_NODE),
+        6.0,
+        is_in_quick=False,
     ),
     Part(
         "weights",
@@ -161,10 +174,9 @@ def bench_page(
         if name not in known:
             raise SettingsError(f"--parts '{name}' is unknown; expected some of {', '.join(known)}")
     wanted = parts or known
-    chosen = [in_small(part) if quick else part for part in PARTS if part.name in wanted]
+    chosen = [part for part in PARTS if part.name in wanted]
     if quick:
-        # The scenes of `clutter` are such ones, then.
-        chosen = [part for part in chosen if part.name != "tuning"]
+        chosen = [in_small(part) for part in chosen if part.is_in_quick]
     if dry_run:
         print(plan_table(chosen, out, wanted, quick))
         return {}
