@@ -19,7 +19,8 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.resources import config_file
 
-THERE, BACK = "goto 0.51 0.025 0.145 --wait", "goto 0.55 -0.15 0.25"
+THERE, AWAY = "goto 0.51 0.025 0.145 --wait", "goto 0.45 -0.45 0.35"
+"""The second goal is half a metre from the first: the arm is on its way for some seconds after it is taken."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
 """Why each driver closes the brakes after a stop of the adapter; the first one does not."""
 STOPPED_FOR_S = 1.5
@@ -83,8 +84,8 @@ def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, package
 def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at_rest(kind, packages, tmp_path):
     env = {**environment(), **packages}
     with stack(kind, 500, False, env, tmp_path) as drivers:
-        there, back = command_lines(env, THERE, BACK)
-        assert (there[0], back[0]) == (0, 0), (there, back)
+        there, away = command_lines(env, THERE, AWAY)
+        assert (there[0], away[0]) == (0, 0), (there, away)
         controller = processes_of_domain(env["ROS_DOMAIN_ID"])["controller"]
         os.kill(controller, signal.SIGSTOP)
         stood_ns = time.time_ns()
