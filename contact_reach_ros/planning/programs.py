@@ -3,7 +3,10 @@
 JAX's own cache spares a process the compilation, but not the tracing and lowering before it, which take most of a
 start. Here a program is found by what it is made of: the sources of the package, the values that its function holds,
 its arguments' shapes, JAX and the machine. A function that holds anything of unknown kind, such as a cost term or a
-solver from elsewhere, is compiled by JAX as ever. So is one that calls other libraries than LAPACK.
+solver from elsewhere, is compiled by JAX in each process. So is one that calls other libraries than LAPACK.
+
+Equal operations of a program are merged before XLA sees it. XLA does so itself, first of all for several cores and late
+for one, and simplifies in between: without this, programs for one and for several cores would round differently.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ import jaxlib
 import numpy as np
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
+from jax.extend.mlir.passmanager import PassManager
 
 from contact_reach_ros.planning.cores import on_each
 from contact_reach_ros.planning.terms import TERMS
@@ -71,18 +75,25 @@ class Program:
         self._function = function
         self._cores = cores
         self._compile = jax.jit(on_each(function, cores))
-        self._ready: dict[tuple[Any, ...], Callable[..., Any] | None] = {}
+        self._ready: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
-        """Run the program; for shapes that it was not prepared for, it is compiled as by `jax.jit`."""
+        """Run the program; for shapes that it was not prepared for, it is compiled first."""
         shapes = tuple(getattr(argument, "shape", None) for argument in arguments)
-        if shapes not in self._ready and _preparing.get():
-            self._ready[shapes] = self._prepare(*arguments)
-        ready = self._ready.get(shapes)
-        if ready is not None:
-            with contextlib.suppress(TypeError):  # the arrays within the arguments have other shapes
-                return ready(*arguments)
+        if shapes not in self._ready:
+            ready = self._prepare(*arguments) if _preparing.get() else None
+            self._ready[shapes] = ready or self._lower(*arguments).compile()
+        with contextlib.suppress(TypeError):  # the arrays within the arguments have other shapes
+            return self._ready[shapes](*arguments)
         return self._compile(*arguments)
+
+    def _lower(self, *arguments: Any) -> jax.stages.Lowered:
+        """The program for arguments of these shapes, without repetitions."""
+        lowered = self._compile.lower(*arguments)
+        module: Any = lowered.compiler_ir("stablehlo")
+        with module.context:
+            PassManager.parse("builtin.module(cse)").run(module.operation)
+        return lowered
 
     def _prepare(self, *arguments: Any) -> Callable[..., Any] | None:
         """Load the program for arguments of these shapes, or compile and store it; None if it is none to be kept."""
@@ -94,7 +105,7 @@ class Program:
         ready = None if text is None else _load(text, self._cores)
         if ready is not None:
             return ready
-        lowered = self._compile.lower(*arguments)
+        lowered = self._lower(*arguments)
         source = lowered.as_text()
         if source.count("custom_call @") > source.count("custom_call @lapack_"):
             return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,19 +13,15 @@ DEVICES = ("auto", "cpu", "gpu")
 
 _GPU_PLUGINS = ("jax_cuda13_plugin", "jax_cuda12_plugin", "jax_rocm7_plugin", "jax_rocm60_plugin")
 
-_OPTIONS = [
+_OPTIONS = (
     # A loop, however large, becomes one function. By default each of its hundreds of operations is started on its own
     # in each round, which takes longer than many of them.
     "xla_cpu_small_while_loop_byte_threshold=1000000000",
-    # It takes a tenth of the time to compile, and finds nothing that makes programs faster.
+    # Both take a third of the time to compile, and programs are not slower without them, some are faster.
     "xla_cpu_disable_slp_vectorizer=true",
-]
+    "xla_cpu_disable_loop_unrolling=true",
+)
 """Of XLA's compiler for CPUs, which ignores those that it does not know."""
-
-if version("jaxlib").startswith("0.10."):
-    # A function of hundreds of loops takes long to compile, since LLVM analyses all of them again after unrolling each.
-    # An option that LLVM does not know would end the process: only for versions that were seen to know it.
-    _OPTIONS.append("-forget-scev-loop-unroll=true")
 
 _FLAGS = {
     # XLA's default of one worker per core costs more than it gains for arrays of this size: idle workers spin on the

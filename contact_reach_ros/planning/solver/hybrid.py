@@ -261,7 +261,7 @@ class HybridSolver(Generic[ProblemT]):
 
     def _points_on_line(self, problem: ProblemT, mean: jax.Array, draw: Draw) -> jax.Array:
         """Lines 14 and 15: points (n, L) to try along the descent direction, the mean itself first."""
-        slope = gradient(self._cost, problem, mean)
+        slope = gradient(self._cost, problem, mean, self._settings.cpus)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
         beta = jax.random.uniform(seeded_key(draw, 1), (self._settings.line_search_points,), mean.dtype) ** 2
@@ -298,17 +298,20 @@ def _search_from(distribution: Distribution, cost: jax.Array | float) -> Search:
     return Search(distribution, distribution.mean, jnp.asarray(cost, jnp.float32), jnp.zeros((), jnp.int32))
 
 
-def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Array:
-    """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes.
+def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array, cores: int = 1) -> jax.Array:
+    """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes, divided among the cores.
 
     Reverse mode at one lane is slower for n = 39, and takes twice as long to compile. The lanes are filled up to whole
-    vector registers; otherwise forward mode would take a third longer. So few are not worth dividing among cores.
+    vector registers; otherwise forward mode would take a third longer.
     """
     n = point.shape[0]
-    lanes = whole_vectors(n)
-    spread = jnp.broadcast_to(point[:, None], (n, lanes))
-    directions = jnp.eye(n, lanes, dtype=point.dtype)
-    return jax.jvp(lambda points: cost(problem, points), (spread,), (directions,))[1][:n]
+
+    def along(directions: jax.Array) -> jax.Array:
+        points = jnp.broadcast_to(point[:, None], directions.shape)
+        slopes: jax.Array = jax.jvp(lambda points: cost(problem, points), (points,), (directions,))[1]
+        return slopes
+
+    return in_shares(along, jnp.eye(n, whole_vectors(n), dtype=point.dtype), cores)[:n]
 
 
 def ranked_costs(costs: jax.Array) -> tuple[jax.Array, jax.Array]:
