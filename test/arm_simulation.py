@@ -12,8 +12,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.references import References
+from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings

@@ -13,9 +13,9 @@ from contact_reach_ros.arm.model import Models, RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.law import blend
 from contact_reach_ros.control.own_watch import OwnWatch, Watcher
-from contact_reach_ros.control.references import ReferenceQueue, References, blend
+from contact_reach_ros.control.references import Reference, ReferenceQueue, References
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import check_gains, lightness, stable_damping
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
@@ -11,26 +9,8 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.constants import make_constants
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import POSE, TASK_ROWS, ImpedanceSettings
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Where the arm is pulled: flange pose x_d in the base frame and joint posture q_d.
-
-    Attributes
-    ----------
-    position
-        (3,), m.
-    rotation
-        (3, 3).
-    posture
-        (n,), rad. All zeros makes law (2) the reference-posture law (6).
-    """
-
-    position: Array
-    rotation: Array
-    posture: Array
 
 
 def pose_error(position: Array, rotation: Array, reference: Reference, task: str = POSE) -> Array:
@@ -40,6 +20,15 @@ def pose_error(position: Array, rotation: Array, reference: Reference, task: str
     zero.
     """
     return kernels.pose_error(position, rotation, reference.position, reference.rotation, TASK_ROWS[task])
+
+
+def blend(start: Reference, end: Reference, share: float) -> Reference:
+    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
+    return Reference(
+        position=kernels.between(start.position, end.position, share),
+        rotation=kernels.turned(start.rotation, end.rotation, share),
+        posture=kernels.between(start.posture, end.posture, share),
+    )
 
 
 class ImpedanceLaw:

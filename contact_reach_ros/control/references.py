@@ -10,10 +10,27 @@ from functools import cached_property
 import numpy as np
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control import kernels
-from contact_reach_ros.control.law import Reference
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.units import NANOSECONDS
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the arm is pulled: flange pose x_d in the base frame and joint posture q_d.
+
+    Attributes
+    ----------
+    position
+        (3,), m.
+    rotation
+        (3, 3).
+    posture
+        (n,), rad. All zeros makes law (2) the reference-posture law (6).
+    """
+
+    position: Array
+    rotation: Array
+    posture: Array
 
 
 @dataclass(frozen=True)
@@ -220,12 +237,3 @@ class ReferenceQueue:
         self.accepted += 1
         # Also here, or plans would pile up while nobody selects, as during a stop.
         self._advance(now_ns)
-
-
-def blend(start: Reference, end: Reference, share: float) -> Reference:
-    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
-    return Reference(
-        position=kernels.between(start.position, end.position, share),
-        rotation=kernels.turned(start.rotation, end.rotation, share),
-        posture=kernels.between(start.posture, end.posture, share),
-    )

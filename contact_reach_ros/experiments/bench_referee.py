@@ -18,7 +18,7 @@ import numpy as np
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.episode import EpisodeOptions
 from contact_reach_ros.experiments.model_cases import simulate_from

@@ -13,8 +13,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
-from contact_reach_ros.control.references import blend
+from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.objectives import knot_bounds
 from contact_reach_ros.planning.settings import PlanningSettings

@@ -1,4 +1,4 @@
-"""Plans: references of several knots, and the motion that the planner predicts under them (numpy only)."""
+"""Plans: references of several knots, and the motion that the planner predicts under them, without JAX."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from scipy.spatial.transform import Rotation
+
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.references import References, blend
+from contact_reach_ros.control.references import References
 
 
 class HeldReference(NamedTuple):
@@ -106,5 +107,14 @@ class Plan:
             return target
         # Where the knot before it ended.
         start: Any = self.before if knot == 0 else self.in_force(self.effect_ns + knot * self.knot_duration_ns)
-        moved = blend(Reference(*start), Reference(*target), elapsed / self.ramp_s)
-        return HeldReference(moved.position, moved.rotation, moved.posture)
+        return _between(start, target, elapsed / self.ramp_s)
+
+
+def _between(start: HeldReference, end: HeldReference, share: float) -> HeldReference:
+    """As `law.blend`, which is compiled for the controller's tick: planners need not wait for that when they start."""
+    turn = Rotation.from_matrix(end.rotation @ start.rotation.T).as_rotvec()
+    return HeldReference(
+        position=start.position + share * (end.position - start.position),
+        rotation=Rotation.from_rotvec(share * turn).as_matrix() @ start.rotation,
+        posture=start.posture + share * (end.posture - start.posture),
+    )

@@ -11,7 +11,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase
 from contact_reach_ros.control.controller import Controller
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.simulation.drive import Drive

@@ -8,7 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, ClosedLoop, ideal_plant, offer_plan
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.supervisor import Mode
 
 # In a process of its own, where no test has called a compiled function before.

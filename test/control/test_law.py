@@ -11,7 +11,8 @@ from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.law import ImpedanceLaw, pose_error
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 
 SETTINGS = ImpedanceSettings()

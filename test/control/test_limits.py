@@ -21,7 +21,7 @@ from contact_reach_ros.control.kernels import (
     limit_torque,
     repulsion_torque,
 )
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import LimitSettings
 
 SETTINGS = LimitSettings()

@@ -10,8 +10,8 @@ from arm_simulation import ARM
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.law import Reference
-from contact_reach_ros.control.references import PoseKnots, PostureKnots, ReferenceQueue, References, blend
+from contact_reach_ros.control.law import blend
+from contact_reach_ros.control.references import PoseKnots, PostureKnots, Reference, ReferenceQueue, References
 from contact_reach_ros.errors import InputError
 
 MS = 1_000_000

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import solve_bounded
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.law import ImpedanceLaw, pose_error
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 
 FLOOR = ImpedanceSettings().singularity_floor

@@ -27,7 +27,7 @@ from contact_reach_ros.control.kernels import (
     permitted_acceleration,
     speed_limit_torque,
 )
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import LimitSettings
 
 torques = st.lists(st.floats(-1e4, 1e4), min_size=ARM.n, max_size=ARM.n).map(np.array)

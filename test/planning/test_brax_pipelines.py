@@ -12,7 +12,7 @@ from planning_helpers import SMALL, make_problem, obstacles_of
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
-from contact_reach_ros.control.law import Reference as LawReference
+from contact_reach_ros.control.references import Reference as LawReference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget

@@ -6,7 +6,9 @@ from arm_simulation import ARM, HOME, REST
 from planning_helpers import make_objective
 from plans import make_plan
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.control.law import blend
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.prediction import HeldReference, Predictor, pieces_between, reference_at
 
@@ -55,6 +57,16 @@ def test_time_is_cut_where_the_reference_changes():
         label = piece.held.position[0]
         duration[label] = duration.get(label, 0.0) + piece.duration
     assert duration == pytest.approx({10.0: 0.04, 11.0: 0.03, 20.0: 0.1, 21.0: 0.04})
+
+
+@pytest.mark.parametrize(("milliseconds", "share"), [(101, 0.02), (125, 0.5), (150, 1.0), (180, 1.0)])
+def test_reference_moves_between_knots_as_the_controller_moves_it(milliseconds, share):
+    turned = rotation_about([0.0, 0.6, 0.8], 0.7) @ HOLD.rotation
+    knots = np.array([[0.5, 0.0, 0.4], [0.6, -0.1, 0.4]]), np.array([HOLD.rotation, turned]), np.array([HOME, -HOME])
+    plan = make_plan(*knots, effect_ns=0, before=HOLD, ramp_s=0.05)
+    expected = blend(*(Reference(*(half[knot] for half in knots)) for knot in (0, 1)), share)
+    for found, part in zip(plan.in_force(milliseconds * MS), vars(expected).values(), strict=True):
+        np.testing.assert_allclose(found, part, rtol=0, atol=1e-9)
 
 
 def test_arm_is_held_where_no_plan_is_in_force():

@@ -9,7 +9,8 @@ from planning_helpers import PERMITTED_FORCE, make_planner
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.law import ImpedanceLaw, pose_error
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.plan import Plan

@@ -19,7 +19,8 @@ from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
+from contact_reach_ros.control.law import ImpedanceLaw, pose_error
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.action_space import ReferenceSpace
 from contact_reach_ros.planning.planning_core import Request

@@ -9,8 +9,8 @@ from planning_helpers import FAR_BALL, LANES, ball, make_problem
 
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.law import ImpedanceLaw, Reference, pose_error
-from contact_reach_ros.control.references import blend
+from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 
 TICKS_PER_KNOT = 100

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, ClosedLoop, ideal_plant, offer_plan
 
-from contact_reach_ros.control.law import Reference
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
