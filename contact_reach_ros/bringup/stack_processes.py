@@ -22,6 +22,7 @@ from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.parameter_files import as_arguments, namespace_arguments
+from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.boundary import Boundary
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import RECORDER
@@ -29,6 +30,8 @@ from contact_reach_ros.ros.running import running
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 
 _ACTIVE = "active"
+_COMPILED = f"{PACKAGE}.control.kernels"
+"""The arithmetic of the controller."""
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
@@ -105,6 +108,8 @@ class StackProcesses:
         """
         prioritise_middleware()
         deadline = time.monotonic() + timeout
+        # The first time on a machine, Numba compiles it for as long as XLA compiles the planner, which is up first.
+        self._children.start_aside(["-c", f"import {_COMPILED}"])
         for wave in Wave:
             if wave is Wave.LOOPS and not self._is_alone:
                 self._look_around()
