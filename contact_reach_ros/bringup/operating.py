@@ -138,13 +138,15 @@ class Operator:
 
         Raises `ContactReachError` if the controller does not report it.
         """
-        known, since = -1, time.monotonic()
+        known: Any = None
+        since = time.monotonic()
         deadline = since + _FOUND_S
         while time.monotonic() < deadline:
             self._spin()
+            # The last events of each come first, perhaps in pieces: of a stop before that of its release.
             heard, publishers = len(self._heard), self._node.count_publishers(topics.SAFETY_STATE.name)
-            if heard != known or heard < publishers or _CONTROLLER not in self._heard:
-                known, since = heard, time.monotonic()
+            if known != (heard, self.stops) or heard < publishers or _CONTROLLER not in self._heard:
+                known, since = (heard, dict(self.stops)), time.monotonic()
             elif time.monotonic() > since + _SETTLED_S:
                 return
         if _CONTROLLER not in self._heard:
