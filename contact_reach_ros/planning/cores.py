@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -35,10 +36,17 @@ def on_each(function: Callable[..., Any], cores: int) -> Callable[..., Any]:
 
 def for_each(values: _T, cores: int) -> _T:
     """The values, copied to every core at once instead of in each call of a program."""
-    if cores == 1:
+    leaves = jax.tree.leaves(values)
+    if cores == 1 or all(isinstance(leaf, jax.Array) and len(leaf.devices()) == cores for leaf in leaves):
         return values
-    copied: _T = jax.device_put(values, NamedSharding(_mesh(cores), PartitionSpec()))
+    # Arrays of NumPy go to all cores in one call; those of a core would go one after the other.
+    copied: _T = _copy(cores)(jax.tree.map(np.asarray, values))
     return copied
+
+
+@functools.cache
+def _copy(cores: int) -> Callable[[Any], Any]:
+    return jax.jit(lambda values: values, out_shardings=NamedSharding(_mesh(cores), PartitionSpec()))
 
 
 def in_shares(function: Callable[[jax.Array], jax.Array], columns: jax.Array, cores: int) -> jax.Array:
