@@ -63,6 +63,7 @@ def measure_scaling(
         if settings.cpus > 1:
             curves[name]["one_core_ms"] = []
         for _, changed, nodes in entries:
+            # One core comes last: the backend has as many devices as the first planner in a process asks for.
             alone = [] if settings.cpus == 1 else [dataclasses.replace(changed, cpus=1)]
             times = _step_ms(arm, [changed, *alone], gains, permitted_force, nodes)
             for key, time in zip(("step_ms", "one_core_ms"), times, strict=False):
@@ -83,7 +84,6 @@ def _step_ms(
     ones = np.ones(nodes)
     spheres = Spheres(centers, centers, 0.05 * ones, 100.0 * ones, 30.0 * ones)
     request = Request(q, np.zeros(arm.n), 0, 0, Target(tip + 0.1), spheres)
-    # Several cores first: the backend has as many devices as the first planner in a process asks for.
     settings = [dataclasses.replace(each, max_steps=_STEPS, stagnation_steps=_STEPS) for each in settings]
     planners = [RecordingPlanner(arm, each, gains, permitted_force, nodes) for each in settings]
     for planner in planners:

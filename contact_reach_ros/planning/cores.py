@@ -36,8 +36,9 @@ def on_each(function: Callable[..., Any], cores: int) -> Callable[..., Any]:
 
 def for_each(values: _T, cores: int) -> _T:
     """The values, copied to every core at once instead of in each call of a program."""
-    leaves = jax.tree.leaves(values)
-    if cores == 1 or all(isinstance(leaf, jax.Array) and len(leaf.devices()) == cores for leaf in leaves):
+    if cores == 1:
+        return values
+    if all(isinstance(leaf, jax.Array) and len(leaf.devices()) == cores for leaf in jax.tree.leaves(values)):
         return values
     # Arrays of NumPy go to all cores in one call; those of a core would go one after the other.
     copied: _T = _copy(cores)(jax.tree.map(np.asarray, values))
