@@ -51,6 +51,7 @@ setup(
     install_requires=[
         "brax",
         "jax",
+        "jinja2",
         "matplotlib",
         "mcap",
         "msgspec",

@@ -146,7 +146,6 @@ def _parser() -> argparse.ArgumentParser:
     _add_arm(view, "robot")
     view.add_argument("--port", type=int, help="port of the page, on this machine only (default: 8080)")
     view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
-    view.add_argument("--dark", action="store_true", help="a dark page")
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
     _add_namespace(view)
 
@@ -170,10 +169,6 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags: directories or mcap files")
     report.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the first bag)")
     _add_json(report)
-    report.add_argument("--csv", type=Path, metavar="DIR", help="write tables of all samples")
-    report.add_argument(
-        "--with", dest="other", type=Path, metavar="FILE", help="parameter file: draw what it would have done, too"
-    )
 
     reexecute = add(
         "reexecute",

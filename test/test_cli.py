@@ -31,7 +31,7 @@ def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]
     ("arguments", "expected"),
     [
         ([], {"bag": ""}),
-        (["bags/sample", "--port", "0", "--dark"], {"bag": "bags/sample", "port": 0, "dark": True}),
+        (["bags/sample", "--port", "0"], {"bag": "bags/sample", "port": 0}),
     ],
 )
 def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch, arguments, expected):

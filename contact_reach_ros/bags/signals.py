@@ -1,14 +1,14 @@
-"""Time series of an episode, read from a bag.
+"""Time series of an episode, read from a bag, as reports, the viewer and identification use them.
 
-Times are seconds of the robot's own clock since its first joint state: the stamps of joint states, torques and
-contacts are on that clock. Messages without a stamp are placed on it through their time of reception, compared with
-those of the joint states; so an episode in lockstep, whose clock is not that of the wall, comes out right as well.
+Times are seconds of the robot's own clock since its first joint state. Joint states, torques and contacts carry stamps
+of that clock. `Clock` translates the reception times of messages without a stamp, also in lockstep, where the robot's
+clock runs at another rate than the wall clock.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,10 @@ _SPARSE = {
     "settings": "diagnostic_msgs/msg/DiagnosticStatus",
     "intake/controller": "std_msgs/msg/Int64MultiArray",
 }
-"""Topics of few messages, which are decoded one by one, with their types."""
+"""Types of the topics with few messages, which are decoded one by one."""
+
+_ROUNDING = 1e-9
+"""Difference of two times that are equal except for rounding, s."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,9 +46,9 @@ class Series:
     time :
         (n,), s.
     names :
-        What the k columns are.
+        Names of the k columns.
     values :
-        (n, k); NaN where a message had no such value.
+        (n, k); NaN where a message lacks the value.
     """
 
     time: np.ndarray
@@ -53,26 +56,26 @@ class Series:
     values: np.ndarray
 
     def column(self, name: str) -> np.ndarray:
-        """The values (n,) of one name; NaN throughout where there is no such column."""
+        """The values (n,) of one name; all NaN without such a column."""
         if name not in self.names:
             return np.full(len(self.time), np.nan)
         return self.values[:, self.names.index(name)]
 
     def between(self, start: float, end: float) -> Series:
-        """The part from one time to another, s, both included."""
+        """The part from `start` to `end`, s, both included."""
         inside = (self.time >= start) & (self.time <= end)
         return Series(self.time[inside], self.names, self.values[inside])
 
     def since(self, zero: float) -> Series:
-        """The same with times that count from another moment, s."""
+        """The same series with times that count from `zero`, s."""
         return Series(self.time - zero, self.names, self.values)
 
 
 @dataclasses.dataclass(frozen=True)
-class Event:
-    """A change of the safety state.
+class SafetyEvent:
+    """A change of a node's safety state.
 
-    Time in s, level of DiagnosticStatus (0: all is well), source, message, and whether it is that of a stop.
+    Time in s, level of the DiagnosticStatus (0: OK), name of the node, message, and whether the state is a stop.
     """
 
     time: float
@@ -84,7 +87,7 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class PlanStatistics:
-    """How one plan was found: when it takes effect, s, and its numbers in plan/statistics."""
+    """Time at which a plan takes effect, s, why its search ended, and its numbers in plan/statistics."""
 
     time: float
     stop_reason: str
@@ -97,8 +100,8 @@ class EpisodeSignals:
 
     Attributes
     ----------
-    origin_ns :
-        Stamp of the first joint state, at time 0, ns.
+    clock :
+        Translates stamps and reception times to the times of the series.
     position, velocity, effort :
         Joint states, rad, rad/s, Nm.
     command :
@@ -108,49 +111,62 @@ class EpisodeSignals:
     contact_force :
         True contact force in simulation, N: a column per robot body, and the columns "sum" and "max".
     safety :
-        Changes in the order of time; a state that is only repeated is left out.
+        Changes of the safety states, ordered by time; repetitions are left out.
+    safety_states :
+        All safety states: time, s, and decoded message.
     goals :
-        Positions that were sent as goals, m, except those that the planner refused: the columns x, y and z. In lockstep
-        at the joint state that their stamp names, else when they were received.
+        Positions of the goals that the planner accepted, m: the columns x, y and z. In lockstep at the joint state that
+        their stamp names, else at their reception.
     refused_goals :
-        Those that it refused, likewise.
+        Positions of the goals that the planner refused, likewise.
     diagnostics :
         Numbers from the diagnostics, by "<status>/<key>".
     plan_times :
         (n,) when plans take effect, s, in order.
     plans :
-        How they were found, in the order of their effect.
-    state_sent_ns, state_received_ns :
-        (n,) when joint states were sent and received, ns since the epoch; in the order of their series.
+        Statistics of the plans, in the same order.
+    state_sent_ns :
+        (n,) when joint states were sent, ns since the epoch, in the order of their series.
     answers_ns :
         (n,) from the sending of a joint state to the sending of its command, ns.
     settings :
-        By node.
+        Settings by node.
     in_lockstep :
         Whether simulated time waited for the nodes.
     notes :
         Irregularities of the messages, one sentence each.
     """
 
-    origin_ns: int
+    clock: Clock
     position: Series
     velocity: Series
     effort: Series
     command: Series
     external_torque: Series
     contact_force: Series
-    safety: tuple[Event, ...]
+    safety: tuple[SafetyEvent, ...]
+    safety_states: Sequence[tuple[float, Any]]
     goals: Series
     refused_goals: Series
     diagnostics: Mapping[str, Series]
     plan_times: np.ndarray
     plans: tuple[PlanStatistics, ...]
     state_sent_ns: np.ndarray
-    state_received_ns: np.ndarray
     answers_ns: np.ndarray
     settings: Mapping[str, Mapping[str, Any]]
     in_lockstep: bool
     notes: tuple[str, ...]
+
+    @property
+    def origin_ns(self) -> int:
+        """Stamp of the first joint state, at time 0, ns."""
+        return self.clock.origin_ns
+
+    def plan_age(self, times: np.ndarray) -> np.ndarray:
+        """Time (n,), s, since the plan in force at each of the times (n,), s, took effect; NaN before the first."""
+        rows = np.searchsorted(self.plan_times, times + _ROUNDING, side="right") - 1
+        effects = np.append(self.plan_times, np.nan)
+        return np.asarray(times - effects[rows])
 
 
 def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
@@ -179,24 +195,25 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         return [(time, message) for time, message in pairs if message is not None]
 
     state_times = clock.of_stamps(state)
+    safety_states = received("safety_state")
     settings = {status.name: read_settings(status) for _, status in received("settings")}
     plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
     in_lockstep = any(values.get("use_sim_time") is True for values in settings.values()) or "/clock" in bag.topics()
     return EpisodeSignals(
-        clock.origin_ns,
+        clock,
         Series(state_times, joints, state.values[:, :count]),
         Series(state_times, joints, state.values[:, count : 2 * count]),
         Series(state_times, joints, state.values[:, 2 * count :]),
         Series(clock.of_receptions(command.log_ns), joints, command.values),
         Series(clock.of_stamps(torque), joints, torque.values),
         Series(clock.of_stamps(contact), contact.names, contact.values),
-        tuple(_changes(received("safety_state"))),
+        tuple(_changes(safety_states)),
+        safety_states,
         *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
         _diagnostics(received("diagnostics")),
         (np.sort(pose.stamp_ns[pose.stamp_ns > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
-        state.log_ns,
         _answers(command, [message.data for _, message in received("intake/controller")]),
         settings,
         in_lockstep,
@@ -207,14 +224,45 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
     )
 
 
-def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[Event]:
-    """The statuses with a new state: some senders repeat theirs as a sign of life."""
+def goal_distance(
+    signals: EpisodeSignals, tip_positions: Callable[[np.ndarray], np.ndarray], period: float = 0.01
+) -> Series:
+    """Distance of the flange from the goal in force; before the first goal, from the first goal.
+
+    Parameters
+    ----------
+    signals :
+        The episode.
+    tip_positions :
+        Forward kinematics: joint positions (n, joints) in rad to positions (n, 3) in m, in the frame of the goals.
+    period :
+        Spacing of the result, s; joint states in between are left out.
+
+    Returns
+    -------
+    Series
+        The column "distance", m; empty without goals or without joint states.
+    """
+    time, positions = signals.position.time, signals.position.values
+    if not len(signals.goals.time) or not len(time):
+        return Series(np.empty(0), ("distance",), np.empty((0, 1)))
+    wanted = np.arange(time[0], time[-1] + period / 2, period)
+    # A thousandth earlier, so that rounding does not skip a joint state at exactly this time.
+    rows = np.unique(np.clip(np.searchsorted(time, wanted - 1e-3 * period), 0, len(time) - 1))
+    rows = rows[np.all(np.isfinite(positions[rows]), axis=1)]
+    in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
+    away = tip_positions(positions[rows]) - signals.goals.values[in_force]
+    return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
+
+
+def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
+    """The statuses with a new state: some nodes repeat theirs as a heartbeat."""
     last: dict[str, tuple[int, str]] = {}
     for time, status in statuses:
         state = (status.level, status.message)
         if last.get(status.name) != state:
             last[status.name] = state
-            yield Event(time, status.level, status.name, status.message, is_stopped(status))
+            yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
 
 
 def _plans(clock: Clock, array: Any) -> Iterator[PlanStatistics]:

@@ -1,4 +1,4 @@
-"""The viewer node: shows the stack's topics on a browser page, and carries out its users' actions."""
+"""The viewer node: shows the stack's topics on a browser page, and executes its users' actions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
@@ -31,10 +31,10 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.viewer.access import call, serve
+from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page, Source
 from contact_reach_ros.viewer.playback import bag_directory
-from contact_reach_ros.viewer.readings import ANY_MATERIAL, named_numbers, planned_goal, safety_status
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
 
@@ -42,7 +42,7 @@ TITLE = "contact_reach_ros"
 
 _FEW = topics.Qos(20, reliable=False)
 _MOST_NODES = 20
-"""That have a safety state, at most: each is kept."""
+"""Greatest number of nodes whose safety state is kept."""
 
 
 class ViewerNode(ManagedNode):
@@ -70,9 +70,9 @@ class ViewerNode(ManagedNode):
         inbox.add(topics.PLAN_MARKERS, self._on_plan, topics.NEWEST, largest=LARGEST_SCENE)
         inbox.add(topics.REFERENCE_POSE, self._on_plan_stamp, _FEW, serialized=True)
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, _FEW)
-        inbox.add(topics.PLAN_STATISTICS, self._on_statistics, _FEW)
+        inbox.add(topics.PLAN_STATISTICS, self.live.on_statistics, _FEW)
         inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        inbox.add(topics.DIAGNOSTICS, self._on_diagnostics, _FEW)
+        inbox.add(topics.DIAGNOSTICS, self.live.on_diagnostics, _FEW)
         bag = Path(settings.bag).resolve()
         source = Source(
             self.live,
@@ -91,8 +91,6 @@ class ViewerNode(ManagedNode):
                 source,
                 budget,
                 recording,
-                settings.shadows,
-                settings.dark,
             ),
         )
         port = self._server.get_port()
@@ -139,13 +137,13 @@ class ViewerNode(ManagedNode):
         self.live.on_joint_state(stamp_ns, q, time.monotonic())
 
     def _on_torque(self, message: JointState) -> None:
-        self.live.on_external_torque(self._torque_order.pick(message, "effort", topics.EXTERNAL_TORQUE.name))
+        self.live.external_torque = self._torque_order.pick(message, "effort", topics.EXTERNAL_TORQUE.name)
 
     def _on_obstacles(self, data: bytes) -> None:
-        self.live.on_obstacles(self._obstacles.read_serialized(data))
+        self.live.obstacles = self._obstacles.read_serialized(data)
 
     def _on_plan(self, message: MarkerArray) -> None:
-        self.live.on_plan(read_plan(message))
+        self.live.plan = read_plan(message)
 
     def _on_plan_stamp(self, data: bytes) -> None:
         if len(data) < STAMP_END:
@@ -164,19 +162,11 @@ class ViewerNode(ManagedNode):
         forces.pop("sum", None)
         self.live.on_contacts(forces, largest)
 
-    def _on_statistics(self, message: DiagnosticArray) -> None:
-        goal = planned_goal(message)
-        if goal is not None:
-            self.live.goal = goal
-
     def _on_safety(self, message: DiagnosticStatus) -> None:
         name = message.name
         if name not in self.live.safety and len(self.live.safety) == _MOST_NODES:
-            raise InputError(f"safety_state: name = '{name}' is that of one more node; expected {_MOST_NODES} at most")
+            raise InputError(f"safety_state: name = '{name}' is one node more than the {_MOST_NODES} that are kept")
         self.live.safety[name] = safety_status(message, self.arm)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.live.on_numbers(named_numbers(message))
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:

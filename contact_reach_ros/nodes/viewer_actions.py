@@ -22,9 +22,9 @@ from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.ros.interfaces import TUNABLE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.stopping import release, stop_arm
-from contact_reach_ros.viewer.actions import Parameter, Value
 from contact_reach_ros.viewer.frame import SafetyLevel
 from contact_reach_ros.viewer.live import LiveState
+from contact_reach_ros.viewer.tabs import Parameter, Value
 
 BRINGUP = "bringup"
 

@@ -1,9 +1,10 @@
-"""The contents of a report about one bag: signals, numbers, and notes on what is missing."""
+"""One bag as a report shows it: signals, numbers, and notes on missing data."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import shlex
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +19,25 @@ from contact_reach_ros.bags.signals import EpisodeSignals, read_signals
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
-from contact_reach_ros.reexecution.command import reexecute
-from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.outcome import Reexecution
-from contact_reach_ros.reexecution.settings import ChangedSettings
-from contact_reach_ros.report.recorded_settings import recorded_section
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
-from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest
-from contact_reach_ros.timing import PERCENTILES
+from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest, recorded_section
 
 CALLED = "stop service called"
-"""Reason of a harmless stop, which ends a run."""
+"""Reason of the stop that ends a run as planned."""
+
+_PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
+"""Percentiles of tick times."""
 
 _EXPECTED = {
     "joint_states": "joint positions, distance, tick jitter",
     "effort_controller/commands": "commanded torques, round trip",
     "external_torque": "external torque",
-    "sim/contacts": "true contact force, which only a simulation knows",
+    "sim/contacts": "true contact force, which only a simulation publishes",
     "safety_state": "safety events",
     "goal_pose": "goal, distance, verdict",
-    "reference/pose": "plan age",
-    "plan/statistics": "solve time, stop reasons and cost of each plan",
-    "intake/controller": "round trip of each tick, and re-execution",
+    "reference/pose": "number of plans, plan age",
+    "plan/statistics": "solve time, stop reason and cost of each plan",
+    "intake/controller": "round trip of each tick, re-execution",
     "settings": "limits, thresholds and configuration",
 }
 
@@ -51,25 +49,27 @@ class ReportBag:
     Attributes
     ----------
     label :
-        Its name on the page.
+        Name of the bag on the page.
     arm :
-        The arm that was recorded.
+        The recorded arm.
     reader, signals :
         The bag, and its signals.
     episode, summary :
-        None without a goal.
+        The goal and its numbers; None without a goal.
     zero :
-        Time of the signals that the page counts from: when the goal was sent, or the first joint state, s.
+        Origin of the page's times: when the goal was sent, or the first joint state, s on the clock of the signals.
     end :
-        When the run ended, before the stack was shut down, s.
+        When the run ended, before the stack was shut down, s on the same clock.
     verdict :
-        The outcome in a few words; `good` whether the goal was reached without a stop.
-    budget, torque_limits :
-        The thresholds, and the limit of each joint's torque, (n,), Nm.
-    reexecuted :
-        Controller and observer with other settings, by name; empty without.
+        The outcome in a few words.
+    good :
+        Whether the goal was reached without a stop.
+    budget :
+        Permitted contact force and torque thresholds.
+    torque_limits :
+        (n,) limit of each joint's commanded torque, Nm.
     notes :
-        What is missing or odd, one sentence each.
+        Missing or odd data, one sentence each.
     """
 
     label: str
@@ -84,31 +84,42 @@ class ReportBag:
     good: bool
     budget: ContactBudget
     torque_limits: Array
-    reexecuted: Mapping[str, Reexecution]
     notes: tuple[str, ...]
 
     @property
     def path(self) -> Path:
-        """Where the bag is."""
+        """Path of the bag."""
         return self.reader.summary.path
 
     @property
+    def quoted_path(self) -> str:
+        """Path of the bag for a shell."""
+        return shlex.quote(str(self.path))
+
+    @property
+    def origin(self) -> str:
+        """Where the bag comes from, in a few words: scene, seed, kind of time and number of messages."""
+        kept = self.reader.summary.custom_data
+        words = [f"{key} {kept[key]}" for key in ("scene", "seed") if key in kept]
+        words.append("lockstep" if self.signals.in_lockstep else "real time")
+        words.append(f"{self.reader.summary.message_count} messages")
+        words += [f"{kept['messages_lost']} lost"] if "messages_lost" in kept else []
+        return ", ".join(words)
+
+    @property
     def shown_from(self) -> float:
-        """First time that charts show until they are asked for the whole bag, s on the page."""
+        """Start of the time range that charts show at first, s on the page."""
         begin = float(self.signals.position.time[0]) if len(self.signals.position.time) else 0.0
         return (begin if self.episode is None else max(begin, self.episode.shown_from)) - self.zero
 
-    def jitter_us(self) -> Array:
-        """Deviation of each tick from 1 ms after the one before, by when joint states were sent, µs."""
-        return (np.diff(self.signals.state_sent_ns) - 1_000_000) / 1000.0
-
+    @property
     def round_trip_us(self) -> Array:
-        """From the sending of a joint state to that of its command, µs."""
+        """From the sending of each joint state to the sending of its command, µs."""
         return self.signals.answers_ns / 1000.0
 
 
-def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportBag:
-    """Read a bag, complete or not; raises `BagError` if the file is no bag."""
+def read_report_bag(path: Path, label: str) -> ReportBag:
+    """Read a bag, complete or not; raises `BagError` if the file is not a bag."""
     reader = BagReader(path, of_stack=True)
     notes = list(reader.notes)
     try:
@@ -122,12 +133,9 @@ def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportB
     lost = reader.summary.custom_data.get("messages_lost", "0")
     if lost.isdigit() and int(lost):
         notes.append(f"{lost} messages were lost while the bag was recorded")
-    lacking = [
-        f"topic {topic} is missing: no {what}"
-        for topic, what in _EXPECTED.items()
-        if f"/{topic}" not in reader.topics()
-    ]
-    notes += [*lacking, *signals.notes]
+    missing = [topic for topic in _EXPECTED if f"/{topic}" not in reader.topics()]
+    notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
+    notes += signals.notes
     budget = recorded_section(signals, "observer", "budget", load_budget(), notes).resolve(arm)
     limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]
@@ -136,12 +144,6 @@ def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportB
     episode = _episode(arm, signals, end, notes)
     summary = episode.summary() if episode is not None else None
     verdict, good = _verdict(signals, summary, end)
-    reexecuted: Mapping[str, Reexecution] = {}
-    if changes:
-        try:
-            reexecuted = reexecute(RecordedInputs(reader), changes)
-        except BagError as error:
-            notes.append(f"not executed with other settings: {error}")
     return ReportBag(
         label=label,
         arm=arm,
@@ -155,7 +157,6 @@ def read_report_bag(path: Path, label: str, changes: ChangedSettings) -> ReportB
         good=good,
         budget=budget,
         torque_limits=limits.torque_share * arm.torque_limits,
-        reexecuted=reexecuted,
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -166,7 +167,10 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     recorded = signals.contact_force, signals.external_torque, signals.command
     contact, torque, command = (series.between(bag.zero, bag.end) for series in recorded)
     nan = float("nan")
-    found: dict[str, tuple[float, str]] = {
+    solve = np.array([plan.numbers.get("took ms", nan) for plan in signals.plans])
+    # Deviation of each tick from 1 ms after the one before.
+    jitter_us = np.abs(np.diff(signals.state_sent_ns) - 1_000_000) / 1000.0
+    return {
         "time to the goal": (summary.duration_s if summary else nan, "s"),
         "limit: the least time": (summary.limit_s if summary else nan, "s"),
         "time, over the limit": (summary.time_ratio if summary else nan, "×"),
@@ -175,35 +179,19 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "largest contact force": (largest(contact.column("max")), "N"),
         "time above the permitted force": (_time_above(bag), "ms"),
         "largest external torque": (largest(np.abs(torque.values)), "Nm"),
-        "of what stops the arm": (100 * largest(threshold_share(bag)), "%"),
+        "of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
         "command above 20 Hz, rms": (largest(band_rms(*spectrum(command.time, command.values), VIBRATION)), "Nm"),
         "ticks": (float(len(signals.position.time)), ""),
         "ticks missed": (summary.missed_ticks if summary else nan, ""),
+        **{f"tick jitter {name}": (_percentile(jitter_us, p), "µs") for name, p in _PERCENTILES.items()},
+        **{f"round trip {name}": (_percentile(bag.round_trip_us, p), "µs") for name, p in _PERCENTILES.items()},
+        "plans": (float(len(signals.plan_times)), ""),
+        "plan takes p50": (_percentile(solve, 50.0), "ms"),
+        "plan takes p95": (_percentile(solve, 95.0), "ms"),
+        "plan takes at most": (_percentile(solve, 100.0), "ms"),
+        "greatest plan age": (summary.plan_age_ms_max if summary else nan, "ms"),
     }
-    for name, values in (("tick jitter", np.abs(bag.jitter_us())), ("round trip", bag.round_trip_us())):
-        for key in ("p50", "p99", "p999"):
-            percent = PERCENTILES[key]
-            found[f"{name} {_percent(percent)}"] = (float(np.percentile(values, percent)) if len(values) else nan, "µs")
-    solve = np.array([plan.numbers.get("took ms", nan) for plan in signals.plans])
-    found["plans"] = (float(len(signals.plan_times)), "")
-    for percent in (50.0, 95.0, 100.0):
-        found[f"plan takes {_percent(percent)}"] = (float(np.percentile(solve, percent)) if len(solve) else nan, "ms")
-    found["greatest plan age"] = (summary.plan_age_ms_max if summary else nan, "ms")
-    return found
-
-
-def threshold_share(bag: ReportBag) -> Array:
-    """(n,) greatest share of any joint's external torque in the threshold that stops the arm at its speed."""
-    torque, velocity = bag.signals.external_torque, bag.signals.velocity
-    if not len(torque.time):
-        return np.zeros(0)
-    thresholds = np.tile(np.array(bag.budget.torque_thresholds), (len(torque.time), 1))
-    if len(velocity.time):
-        row = np.clip(np.searchsorted(velocity.time, torque.time), 0, len(velocity.time) - 1)
-        thresholds += np.array(bag.budget.torque_per_speed) * np.abs(np.nan_to_num(velocity.values[row]))
-    # NaN only where all are.
-    return np.fmax.reduce(np.abs(torque.values) / thresholds, axis=1)
 
 
 def as_json(bag: ReportBag) -> dict[str, Any]:
@@ -221,18 +209,12 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
             {"time_s": event.time - bag.zero, "level": event.level, "source": event.name, "message": event.message}
             for event in bag.signals.safety
         ],
-        "plan_stop_reasons": stop_reasons(bag),
+        "plan_stop_reasons": dict(sorted(Counter(plan.stop_reason for plan in bag.signals.plans).items())),
         "topics": {name: topic.message_count for name, topic in sorted(bag.reader.topics().items())},
         "custom_data": dict(bag.reader.summary.custom_data),
         "settings": {node: dict(values) for node, values in bag.signals.settings.items()},
         "notes": list(bag.notes),
     }
-
-
-def stop_reasons(bag: ReportBag) -> dict[str, int]:
-    """How often each reason ended the search for a plan."""
-    reasons = [plan.stop_reason for plan in bag.signals.plans]
-    return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
 
 
 def _episode(arm: Arm, signals: EpisodeSignals, end: float, notes: list[str]) -> Episode | None:
@@ -256,7 +238,7 @@ def _verdict(signals: EpisodeSignals, summary: EpisodeSummary | None, end: float
 
 
 def _time_above(bag: ReportBag) -> float:
-    """Milliseconds with a contact force above the permitted one; NaN without any force."""
+    """Time with a contact force above the permitted force, ms; NaN without any force."""
     force = bag.signals.contact_force
     if len(force.time) < 2:
         return float("nan")
@@ -264,5 +246,18 @@ def _time_above(bag: ReportBag) -> float:
     return 1000 * float(np.diff(force.time)[above].sum())
 
 
-def _percent(percent: float) -> str:
-    return "at most" if percent == 100.0 else f"p{percent:g}"
+def _percentile(values: Array, percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
+
+
+def _threshold_share(bag: ReportBag) -> Array:
+    """(n,) greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed."""
+    torque, velocity = bag.signals.external_torque, bag.signals.velocity
+    if not len(torque.time):
+        return np.zeros(0)
+    thresholds = np.tile(np.array(bag.budget.torque_thresholds), (len(torque.time), 1))
+    if len(velocity.time):
+        row = np.clip(np.searchsorted(velocity.time, torque.time), 0, len(velocity.time) - 1)
+        thresholds += np.array(bag.budget.torque_per_speed) * np.abs(np.nan_to_num(velocity.values[row]))
+    # NaN only where all joints are unknown.
+    return np.fmax.reduce(np.abs(torque.values) / thresholds, axis=1)

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+import base64
+from collections import Counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
-from contact_reach_ros.report.bag import ReportBag, stop_reasons, threshold_share
-from contact_reach_ros.report.curves import (
-    Chart,
-    Trace,
-    curve,
-    gaps,
-    joint_curves,
-    level,
-    limits,
-    packed,
-    reexecuted_curves,
-    span,
-)
-from contact_reach_ros.report.histogram import histogram
+from contact_reach_ros.report.bag import ReportBag
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
-from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 
-TIME = "time since the goal [s]"
+Chart = dict[str, Any]
+"""`data` and `layout` of a plotly figure; empty data if the bag lacks the quantity.
+
+`linked` marks charts whose x axis is the page's time; they show the times from `from` to `to` at first.
+"""
+Trace = dict[str, Any]
+
+BINS = 1500
+"""Number of bins that a long curve is cut into, about one per column of a screen."""
+_GAP = 0.05
+"""Shortest time without messages that interrupts a curve, s."""
+_BARS = 60
+"""Number of bars of a histogram."""
 _MAXIMUM_LINES = 60
 _EVENT_COLOURS = {0: GREY, 1: ORANGE, 2: VERMILION, 3: VERMILION}
 _REASON_COLOURS = {"stagnated": BLUE, "max_steps": ORANGE, "deadline": VERMILION}
@@ -38,13 +40,13 @@ def distance_chart(bag: ReportBag) -> Chart:
     distance = bag.episode.distance
     data = [
         curve(distance.time - bag.zero, distance.column("distance"), "distance", BLUE, "m", width=1.8),
-        level(SUCCESS_DISTANCE, f"reached, {SUCCESS_DISTANCE:g} m", GREEN, span(bag)),
+        _level(bag, SUCCESS_DISTANCE, f"reached, {SUCCESS_DISTANCE:g} m", GREEN),
     ]
-    return _chart(bag, data, "distance to the goal [m]", yaxis={"type": "log", "dtick": 1, "exponentformat": "none"})
+    return _chart(bag, data, "distance to the goal [m]", type="log", dtick=1, exponentformat="none")
 
 
 def contact_chart(bag: ReportBag) -> Chart:
-    """Contact force over time, as the paper's Fig. 5, against the permitted one."""
+    """Contact force on the links over time, as in the paper's Fig. 5, against the permitted force."""
     force = bag.signals.contact_force
     if not len(force.time):
         return _chart(bag, [], "contact force [N]")
@@ -54,161 +56,107 @@ def contact_chart(bag: ReportBag) -> Chart:
         curve(time, force.column("max"), "largest of any link", BLACK, "N", width=1.8),
     ]
     for index, name in enumerate(name for name in force.names if name not in ("sum", "max")):
-        colour = JOINT_COLOURS[1 + index % (len(JOINT_COLOURS) - 1)]
-        data.append(curve(time, force.column(name), name, colour, "N", width=1.0, _visible="legendonly"))
+        link = curve(time, force.column(name), name, _other_colour(index), "N", width=1.0)
+        data.append({**link, "visible": "legendonly"})
     permitted = bag.budget.permitted_force
-    data.append(level(permitted, f"permitted, {permitted:g} N", VERMILION, span(bag)))
+    data.append(_level(bag, permitted, f"permitted, {permitted:g} N", VERMILION))
     top = 1.15 * max(permitted, float(np.nanmax(force.column("sum"), initial=0.0)))
-    return _chart(bag, data, "contact force [N]", yaxis={"range": [0.0, top]})
+    return _chart(bag, data, "contact force [N]", range=[0.0, top])
 
 
 def external_torque_chart(bag: ReportBag) -> Chart:
-    """External torque of each joint against what stops the arm at rest."""
-    torque = bag.signals.external_torque
+    """External torque of each joint against the threshold that stops the arm at rest."""
     thresholds = np.array(bag.budget.torque_thresholds)
-    data = joint_curves(bag, torque, "Nm")
-    if not data:
-        return _chart(bag, [], "external torque [Nm]")
-    data += reexecuted_curves(bag, "observer")
-    largest = float(np.nanmax(np.abs(torque.values), initial=0.0))
-    # The nearest threshold stays in view; those far above must not flatten the curves.
+    largest = float(np.nanmax(np.abs(bag.signals.external_torque.values), initial=0.0))
+    # The nearest threshold stays in view; thresholds far above would flatten the curves.
     shown = 1.15 * max(largest, float(thresholds.min()))
-    data += limits(bag, -thresholds, thresholds, "stops the arm")
-    return _chart(bag, data, "external torque [Nm]", yaxis={"range": [-shown, shown]})
-
-
-def threshold_chart(bag: ReportBag) -> Chart:
-    """Greatest share of the external torque in what stops the arm at the speed of the joint."""
-    share = threshold_share(bag)
-    time = bag.signals.external_torque.time - bag.zero
-    data = [curve(time, 100 * share, "nearest joint", BLUE, "%", width=1.6)] if len(share) else []
-    if data:
-        data.append(level(100.0, "stops the arm", VERMILION, span(bag)))
-    return _chart(bag, data, "of the stop threshold [%]", yaxis={"rangemode": "tozero"})
+    data = _joint_curves(bag, bag.signals.external_torque, "Nm", -thresholds, thresholds, "stops the arm")
+    return _chart(bag, data, "external torque [Nm]", range=[-shown, shown])
 
 
 def command_chart(bag: ReportBag) -> Chart:
-    """Commanded torque of each joint against its cap."""
-    command = bag.signals.command
-    data = joint_curves(bag, command, "Nm")
-    if not data:
-        return _chart(bag, [], "commanded torque [Nm]")
-    data += reexecuted_curves(bag, "controller")
-    largest = 1.15 * float(np.nanmax(np.abs(command.values), initial=1.0))
-    data += limits(bag, -bag.torque_limits, bag.torque_limits, "limit")
-    return _chart(bag, data, "commanded torque [Nm]", yaxis={"range": [-largest, largest]})
-
-
-def command_share_chart(bag: ReportBag) -> Chart:
-    """Share of each commanded torque in its cap."""
-    command = bag.signals.command
-    shares = Series(command.time, command.names, 100 * np.abs(command.values) / bag.torque_limits)
-    data = joint_curves(bag, shares, "%")
-    if data:
-        data.append(level(100.0, "limit", VERMILION, span(bag)))
-    return _chart(bag, data, "of the torque limit [%]", yaxis={"range": [0.0, 110.0]})
-
-
-def spectrum_chart(bag: ReportBag) -> Chart:
-    """Spectrum of each joint's commanded torque from the goal to its end."""
-    layout: dict[str, Any] = {
-        "xaxis": {"title": {"text": "frequency [Hz]"}, "type": "log"},
-        "yaxis": {"title": {"text": "commanded torque [Nm/√Hz]"}, "type": "log", "exponentformat": "power"},
-    }
-    command = bag.signals.command.between(bag.zero, bag.end)
-    frequency, density = spectrum(command.time, command.values)
-    if len(frequency) < 2:
-        return {"data": [], "layout": layout, "missing": "not recorded in this bag"}
-    data = [
-        curve(frequency[1:], np.sqrt(joint[1:]), f"A{index + 1}", JOINT_COLOURS[index % len(JOINT_COLOURS)], "Nm/√Hz")
-        for index, joint in enumerate(density.T)
-    ]
-    above = band_rms(frequency, density, VIBRATION)
-    joints = ", ".join(f"A{index + 1} {rms:.2f}" for index, rms in enumerate(above))
-    note = f"above {VIBRATION:g} Hz: {joints} Nm rms"
-    return {"data": data, "layout": layout, "note": note}
+    """Commanded torque of each joint against its limit."""
+    limits = bag.torque_limits
+    shown = 1.15 * float(np.nanmax(np.abs(bag.signals.command.values), initial=1.0))
+    data = _joint_curves(bag, bag.signals.command, "Nm", -limits, limits, "limit")
+    return _chart(bag, data, "commanded torque [Nm]", range=[-shown, shown])
 
 
 def joint_chart(bag: ReportBag) -> Chart:
     """Joint angles against their limits."""
-    data = joint_curves(bag, bag.signals.position, "rad")
     lower, upper = bag.arm.lower, bag.arm.upper
-    data += limits(bag, lower, upper, "limit") if data else []
     margin = 0.05 * float(upper.max() - lower.min())
-    return _chart(
-        bag, data, "joint angle [rad]", yaxis={"range": [float(lower.min()) - margin, float(upper.max()) + margin]}
-    )
-
-
-def plan_age_chart(bag: ReportBag) -> Chart:
-    """Age of the plan in force at each joint state."""
-    time, effects = bag.signals.position.time, bag.signals.plan_times
-    if not len(effects) or not len(time):
-        return _chart(bag, [], "plan age [ms]")
-    # Each plan at its oldest, when the next takes effect, or at the end of the recording.
-    ends = np.minimum(np.append(effects[1:], time[-1]), time[-1])
-    counts = ends > effects
-    data = [
-        curve(ends[counts] - bag.zero, 1000 * (ends - effects)[counts], "each plan at its oldest", BLUE, "ms"),
-    ]
-    return _chart(bag, data, "plan age [ms]", yaxis={"rangemode": "tozero"})
+    data = _joint_curves(bag, bag.signals.position, "rad", lower, upper, "limit")
+    shown = [float(lower.min()) - margin, float(upper.max()) + margin]
+    return _chart(bag, data, "joint angle [rad]", range=shown)
 
 
 def solve_chart(bag: ReportBag) -> Chart:
-    """Time that each plan took, by what ended the search."""
+    """Solve time of each plan, coloured by the reason that ended the search."""
     plans = bag.signals.plans
     time = np.array([plan.time for plan in plans]) - bag.zero
     took = np.array([plan.numbers.get("took ms", np.nan) for plan in plans])
     data = []
-    for reason, count in stop_reasons(bag).items():
+    for reason, count in sorted(Counter(plan.stop_reason for plan in plans).items()):
         chosen = np.array([plan.stop_reason == reason for plan in plans])
         data.append(
             {
                 "type": "scatter",
                 "mode": "markers",
                 "name": f"{reason} ({count})",
-                "x": packed(time[chosen]),
-                "y": packed(took[chosen]),
+                "x": _packed(time[chosen]),
+                "y": _packed(took[chosen]),
                 "marker": {"color": _REASON_COLOURS.get(reason, GREY), "size": 5},
                 "hovertemplate": f"%{{y:.1f}} ms at %{{x:.3f}} s<extra>{reason}</extra>",
             }
         )
-    return _chart(bag, data, "time of a plan [ms]", yaxis={"rangemode": "tozero"})
+    return _chart(bag, data, "solve time of a plan [ms]", rangemode="tozero")
 
 
 def cost_chart(bag: ReportBag) -> Chart:
-    """Terms of each plan's cost."""
+    """Cost of each plan, and its terms."""
     plans = bag.signals.plans
     time = np.array([plan.time for plan in plans]) - bag.zero
-    names = [name for name in (plans[0].numbers if plans else ()) if name == "cost" or name.startswith("cost ")]
-    values = {name: np.array([plan.numbers.get(name, np.nan) for plan in plans]) for name in sorted(names)}
-    data = []
-    for name, cost in values.items():
-        if name == "cost":
-            data.append(curve(time, cost, "sum", GREY, "", width=3.5))
-        elif np.nan_to_num(cost).any():
-            index = len(data) - 1
-            label, colour = (
-                name.removeprefix("cost ").replace("_", " "),
-                JOINT_COLOURS[1 + index % (len(JOINT_COLOURS) - 1)],
-            )
-            dash = "solid" if index < len(JOINT_COLOURS) - 1 else "dash"
-            data.append(curve(time, cost, label, colour, "", dash=dash))
+    names = sorted(name for name in (plans[0].numbers if plans else ()) if name == "cost" or name.startswith("cost "))
+    costs = {name: np.array([plan.numbers.get(name, np.nan) for plan in plans]) for name in names}
+    terms = [name for name in names if name != "cost" and np.nan_to_num(costs[name]).any()]
+    data = [curve(time, costs["cost"], "sum", GREY, "", width=3.5)] if "cost" in costs else []
+    for index, name in enumerate(terms):
+        words = name.removeprefix("cost ").replace("_", " ")
+        dash = "solid" if index < len(JOINT_COLOURS) - 1 else "dash"
+        data.append(curve(time, costs[name], words, _other_colour(index), "", dash=dash))
     return _chart(bag, data, "cost of a plan [1]")
 
 
-def jitter_chart(bag: ReportBag) -> Chart:
-    """How far each tick was from 1 ms after the one before."""
-    return histogram(bag.jitter_us(), "deviation of a tick from 1 ms [µs]", BLUE)
-
-
 def round_trip_chart(bag: ReportBag) -> Chart:
-    """From joint state to command."""
-    return histogram(bag.round_trip_us(), "joint state to command [µs]", GREEN)
+    """Histogram of the time from a joint state to its command."""
+    values = bag.round_trip_us[np.isfinite(bag.round_trip_us)]
+    layout: dict[str, Any] = {
+        "xaxis": {"title": {"text": "joint state to command [µs]"}},
+        "yaxis": {"title": {"text": "number of ticks"}, "type": "log", "dtick": 1, "exponentformat": "none"},
+        "bargap": 0.03,
+    }
+    if not len(values):
+        return {"data": [], "layout": layout}
+    # The farthest thousandth on each side shares the outermost bar.
+    low, high = np.percentile(values, (0.1, 99.9))
+    margin = 0.1 * max(high - low, 1.0)
+    edges = np.linspace(low - margin, high + margin, _BARS + 1)
+    counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
+    bars = {
+        "type": "bar",
+        "x": _packed(0.5 * (edges[1:] + edges[:-1])),
+        "y": counts.tolist(),
+        "marker": {"color": GREEN},
+        "hovertemplate": "%{y} ticks near %{x:.0f} µs<extra></extra>",
+        "showlegend": False,
+    }
+    note = f"from {values.min():.0f} to {values.max():.0f} µs; values farther out are in the outermost bars"
+    return {"data": [bars], "layout": layout, "note": note}
 
 
 def difference_chart(first: Series, second: Series, title: str, unit: str) -> Chart:
-    """First series less the second one over the time that both have, by names."""
+    """First series minus the second over the time that both cover, for the names that both have."""
     data: list[Trace] = []
     names = [name for name in first.names if name in second.names]
     if len(first.time) < 2 or len(second.time) < 2:
@@ -221,33 +169,144 @@ def difference_chart(first: Series, second: Series, title: str, unit: str) -> Ch
         others = np.interp(shared, second.time[known], second.column(name)[known])
         # Not across gaps of the other bag.
         before = np.clip(np.searchsorted(second.time, shared) - 1, 0, len(second.time) - 2)
-        others[gaps(second.time)[before]] = np.nan
+        others[_gaps(second.time)[before]] = np.nan
         change = np.interp(shared, first.time, first.column(name)) - others
-        data.append(curve(shared, change, name, JOINT_COLOURS[(index + (len(names) == 1)) % len(JOINT_COLOURS)], unit))
-    return {"data": data, "layout": _layout(title), "linked": True}
+        colour = BLUE if len(names) == 1 else _joint_colour(index)
+        data.append(curve(shared, change, name, colour, unit))
+    return {"data": data, "layout": _layout(f"difference: {title} [{unit}]"), "linked": True}
 
 
-def _chart(bag: ReportBag, data: list[Trace], title: str, yaxis: dict[str, Any] | None = None) -> Chart:
-    layout = _layout(title, yaxis)
+def curve(time: Array, values: Array, name: str, colour: str, unit: str, **line: Any) -> Trace:
+    """A curve of values (n,) over time (n,), s, interrupted where messages are missing, thinned out if it is long.
+
+    `line` are further properties of plotly's line.
+    """
+    wide = np.flatnonzero(_gaps(time))
+    thinned_time, thinned = envelope(np.insert(time, wide + 1, time[wide]), np.insert(values, wide + 1, np.nan))
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": _packed(thinned_time),
+        "y": _packed(thinned),
+        "line": {"color": colour, "width": 1.4, **line},
+        "hovertemplate": f"%{{y:.4~g}} {unit} at %{{x:.3f}} s<extra>{name}</extra>",
+    }
+
+
+def envelope(time: Array, values: Array) -> tuple[Array, Array]:
+    """The least and the greatest value of each bin, in the order of their times, so that no peak is lost.
+
+    Parameters
+    ----------
+    time
+        (n,).
+    values
+        (n,); NaN where there is none.
+
+    Returns
+    -------
+    time, values
+        At most two samples per bin; a short curve as it is. A bin without any value is a gap.
+    """
+    if len(time) <= 2 * BINS:
+        return time, values
+    size = -(-len(time) // BINS)
+    bins = -(-len(time) // size)
+    padded = np.full(bins * size, np.nan)
+    padded[: len(values)] = values
+    rows = padded.reshape(bins, size)
+    empty = np.isnan(rows).all(axis=1)
+    least = np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1)
+    greatest = np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1)
+    least[empty] = greatest[empty] = 0
+    picked = np.sort(np.stack([least, greatest], axis=1), axis=1)
+    index = np.minimum(picked + size * np.arange(bins)[:, None], len(time) - 1).ravel()
+    thinned = values[index]
+    thinned[np.repeat(empty, 2)] = np.nan
+    return time[index], thinned
+
+
+def _gaps(time: Array) -> NDArray[np.bool_]:
+    """(n - 1,) whether messages are missing between two of the times (n,)."""
+    steps = np.diff(time)
+    return steps > max(20 * float(np.median(steps)), _GAP) if len(steps) else np.zeros(0, bool)
+
+
+def _packed(values: Array) -> dict[str, str]:
+    """Numbers in single precision, in plotly's encoding."""
+    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()}
+
+
+def _joint_colour(joint: int) -> str:
+    return JOINT_COLOURS[joint % len(JOINT_COLOURS)]
+
+
+def _other_colour(index: int) -> str:
+    """Colour of a series beside a grey or black one."""
+    return JOINT_COLOURS[1 + index % (len(JOINT_COLOURS) - 1)]
+
+
+def _joint_curves(bag: ReportBag, series: Series, unit: str, lower: Array, upper: Array, limit: str) -> list[Trace]:
+    """A curve for each joint with its limits (n,), which are shown and hidden together; empty without any value."""
+    if not len(series.time) or np.isnan(series.values).all():
+        return []
+    time = series.time - bag.zero
+    curves, limits = [], []
+    for joint, name in enumerate(series.names):
+        colour = _joint_colour(joint)
+        curves.append({**curve(time, series.values[:, joint], name, colour, unit), "legendgroup": name})
+        for value in (float(lower[joint]), float(upper[joint])):
+            line = _level(bag, value, f"{name} {limit}, {abs(value):.3g}", colour)
+            limits.append({**line, "legendgroup": name, "showlegend": False, "opacity": 0.7})
+    return [*curves, *limits]
+
+
+def _level(bag: ReportBag, value: float, name: str, colour: str) -> Trace:
+    """A horizontal line."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": list(_span(bag)),
+        "y": [value, value],
+        "line": {"color": colour, "width": 1.2, "dash": "dash"},
+        "hoverinfo": "name",
+    }
+
+
+def _span(bag: ReportBag) -> tuple[float, float]:
+    """First and last time of joint states, external torques and contact forces, s on the page."""
+    signals = bag.signals
+    recorded = (signals.position.time, signals.external_torque.time, signals.contact_force.time)
+    times = [time for time in recorded if len(time)]
+    if not times:
+        return (0.0, 1.0)
+    return (float(min(time[0] for time in times)) - bag.zero, float(max(time[-1] for time in times)) - bag.zero)
+
+
+def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart:
+    """A chart over the page's time with the events marked; `yaxis` are further properties of plotly's y axis."""
+    layout = _layout(title, **yaxis)
     if not data:
-        return {"data": [], "layout": layout, "missing": "not recorded in this bag"}
+        return {"data": [], "layout": layout}
     _mark_events(bag, data, layout)
-    return {"data": data, "layout": layout, "linked": True, "from": bag.shown_from, "to": span(bag)[1]}
+    return {"data": data, "layout": layout, "linked": True, "from": bag.shown_from, "to": _span(bag)[1]}
 
 
-def _layout(title: str, yaxis: dict[str, Any] | None = None) -> dict[str, Any]:
-    return {"xaxis": {"title": {"text": TIME}}, "yaxis": {"title": {"text": title}, **(yaxis or {})}}
+def _layout(title: str, **yaxis: Any) -> dict[str, Any]:
+    return {"xaxis": {"title": {"text": "time since the goal [s]"}}, "yaxis": {"title": {"text": title}, **yaxis}}
 
 
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:
-    """Safety events, the goal and its end on the time axis: lines, and points with their texts."""
+    """Mark the goal, its end and the safety events on the time axis: lines, and points with their texts."""
     marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None else []
     if bag.episode is not None and bag.episode.reached is not None:
         marks.append((bag.episode.reached - bag.zero, GREEN, "goal reached"))
     for event in bag.signals.safety:
         words = f"{event.name}: {event.message}"
         marks.append((event.time - bag.zero, _EVENT_COLOURS.get(event.level, GREY), words))
-    # Stops first, should there be too many lines to draw.
+    # Stops first, in case there are too many lines to draw.
     important = sorted(marks, key=lambda mark: mark[1] == GREY)[:_MAXIMUM_LINES]
     layout["shapes"] = [
         {

@@ -3,44 +3,53 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader
 
-from contact_reach_ros.bags.signals import EpisodeSignals, Series
+from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, read_report_bag
-from contact_reach_ros.report.curves import Chart
-from contact_reach_ros.report.sections import configuration, events, summary
-from contact_reach_ros.report.tables import write_tables
 
-_PAGE = Path(__file__).with_name("template")
+_TEMPLATES = Path(__file__).with_name("template")
+_LEVELS = {0: "ok", 1: "contact", 2: "stop", 3: "stale"}
+_MOST_EVENTS = 500
+"""Number of events that the page lists for a bag."""
 
 
 @dataclass(frozen=True)
 class _Section:
-    """A section with charts for each bag and, for some quantities, a chart of the difference of two bags."""
+    """A section with charts for each bag, and with the difference of two bags in one quantity.
+
+    Attributes
+    ----------
+    anchor, title, caption :
+        Name in links, heading, and a sentence below it.
+    make :
+        Make the charts of a bag.
+    compared :
+        The quantity whose difference is shown, without its unit; empty for none.
+    unit :
+        Unit of the quantity.
+    pick :
+        Pick the quantity; None if the bag lacks it.
+    """
 
     anchor: str
     title: str
     caption: str
-    make: Sequence[Callable[[ReportBag], Chart]]
-    compare: Callable[[ReportBag, ReportBag], Chart] | None = None
+    make: Sequence[Callable[[ReportBag], charts.Chart]]
+    compared: str = ""
+    unit: str = ""
+    pick: Callable[[ReportBag], Series | None] = lambda bag: None
 
 
-def run_report(
-    bags: Sequence[Path],
-    output: Path | None = None,
-    file: Path | None = None,
-    csv: Path | None = None,
-    other: Path | None = None,
-) -> int:
+def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | None = None) -> int:
     """Write the report; returns 0.
 
     Parameters
@@ -48,26 +57,19 @@ def run_report(
     bags
         Directories or mcap files.
     output
-        The page; beside the first bag, with its name, when None.
+        The page; next to the first bag, with the bag's name, when None.
     file
-        For the numbers, as JSON.
-    csv
-        Directory for tables.
-    other
-        Parameter file whose effect, by re-execution, is shown as second curves.
+        JSON file for the numbers.
 
     Raises
     ------
     BagError
         If none of the bags can be read, or a file cannot be written.
-    SettingsError
-        If the other settings are not accepted.
     """
     read, failures = [], []
-    changes = ChangedSettings(other)
     for path in bags:
         try:
-            read.append(read_report_bag(path, _label(path, bags), changes))
+            read.append(read_report_bag(path, _label(path, bags)))
         except BagError as error:
             failures.append(error)
     if not read:
@@ -80,9 +82,6 @@ def run_report(
         output.write_text(page(read, [str(failure) for failure in failures]), encoding="utf-8")
         if file is not None:
             file.write_text(json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
-        if csv is not None:
-            for bag in read:
-                write_tables(bag, csv / bag.label if len(read) > 1 else csv)
     except OSError as error:
         raise BagError(f"{error.filename or output}: cannot be written: {error.strerror}") from error
     for bag in read:
@@ -94,7 +93,7 @@ def run_report(
 
 
 def report_json(bags: Sequence[ReportBag]) -> dict[str, Any]:
-    """The report for machines: each bag, and the differences of the first two."""
+    """The numbers of each bag, and the differences of the first two."""
     result: dict[str, Any] = {"bags": [as_json(bag) for bag in bags]}
     if len(bags) > 1:
         first, second = metrics(bags[0]), metrics(bags[1])
@@ -104,30 +103,32 @@ def report_json(bags: Sequence[ReportBag]) -> dict[str, Any]:
 
 
 def page(bags: Sequence[ReportBag], failures: Sequence[str] = ()) -> str:
-    """The whole page."""
+    """The whole page; `failures` are notes on bags that could not be read."""
     # The library is large, and only the page needs it.
     from plotly.offline import get_plotlyjs
 
-    figures: list[Chart] = []
-    sections = [summary(bags, failures)]
-    links = [("summary", "Summary")]
-    for section in _SECTIONS:
-        sections.append(_section(section, bags, figures))
-        links.append((section.anchor, section.title))
-    sections += [events(bags), configuration(bags)]
-    links += [("events", "Events"), ("configuration", "Configuration")]
-    parts = {
-        "title": escape("Contact reach: " + " and ".join(bag.label for bag in bags)),
-        "style": _asset("style.css"),
-        "plotly": get_plotlyjs(),
-        "links": "".join(f'<a href="#{anchor}">{escape(text)}</a>' for anchor, text in links),
-        "body": "\n".join(sections),
+    sections = [_section(section, bags) for section in _SECTIONS]
+    figures = [chart for section in sections for _, chart in section["charts"] if chart["data"]]
+    for number, chart in enumerate(figures):
+        chart["number"] = number
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"number": _number, "quantity": _quantity}
+    return environment.get_template("page.html").render(
+        title="Contact reach: " + " and ".join(bag.label for bag in bags),
+        plotly=get_plotlyjs(),
+        bags=bags,
+        failures=failures,
+        **_numbers(bags),
+        sections=sections,
         # '<' could end the script element.
-        "charts": json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "script": _asset("page.js"),
-    }
-    head, *rest = _asset("page.html").split("{{")
-    return head + "".join(parts[name] + text for name, text in (part.split("}}", 1) for part in rest))
+        figures=json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        tables=_configuration(bags),
+        longest_curve=2 * charts.BINS,
+        levels=_LEVELS,
+        most_events=_MOST_EVENTS,
+    )
 
 
 def _label(path: Path, paths: Sequence[Path]) -> str:
@@ -137,114 +138,129 @@ def _label(path: Path, paths: Sequence[Path]) -> str:
     return f"{path.parent.name}_{path.stem}" if same else path.stem
 
 
-def _asset(name: str) -> str:
-    return (_PAGE / name).read_text(encoding="utf-8")
+def _distance(bag: ReportBag) -> Series | None:
+    return None if bag.episode is None else bag.episode.distance
 
 
-def _difference(pick: Callable[[ReportBag], Series], title: str, unit: str) -> Callable[[ReportBag, ReportBag], Chart]:
-    """Make the chart of what the first bag has less what the second has, by names."""
-
-    def since_goal(bag: ReportBag) -> Series:
-        return pick(bag).since(bag.zero)
-
-    def compare(first: ReportBag, second: ReportBag) -> Chart:
-        return charts.difference_chart(since_goal(first), since_goal(second), f"difference: {title}", unit)
-
-    return compare
-
-
-def _distance(bag: ReportBag) -> Series:
-    return bag.episode.distance if bag.episode is not None else Series(np.empty(0), (), np.empty((0, 0)))
-
-
-def _force(bag: ReportBag) -> Series:
+def _largest_force(bag: ReportBag) -> Series:
     force = bag.signals.contact_force
     return Series(force.time, ("largest of any link",), force.column("max")[:, None])
-
-
-def _joints(series: Callable[[EpisodeSignals], Series]) -> Callable[[ReportBag], Series]:
-    def pick(bag: ReportBag) -> Series:
-        found = series(bag.signals)
-        return Series(found.time, tuple(f"A{joint + 1}" for joint in range(len(found.names))), found.values)
-
-    return pick
 
 
 _SECTIONS = (
     _Section(
         "distance",
         "Distance",
-        "Of the flange from the goal.",
+        "Distance of the flange from the goal.",
         [charts.distance_chart],
-        _difference(_distance, "distance [m]", "m"),
+        "distance",
+        "m",
+        _distance,
     ),
     _Section(
         "contact",
         "Contact force",
-        "As in the paper's Fig. 5: the simulation's true forces on each link, against the contact budget.",
+        "The simulation's true force on each link, as in the paper's Fig. 5, against the contact budget.",
         [charts.contact_chart],
-        _difference(_force, "contact force [N]", "N"),
+        "contact force",
+        "N",
+        _largest_force,
     ),
     _Section(
         "external-torque",
         "External torque",
-        "The observer's estimate. Dashed: the threshold that stops the arm at rest; it grows with a joint's speed, "
-        "which the chart of shares takes into account.",
-        [charts.external_torque_chart, charts.threshold_chart],
-        _difference(_joints(lambda signals: signals.external_torque), "external torque [Nm]", "Nm"),
+        "The observer's estimate. Dashed: the threshold that stops the arm at rest; it grows with the joint's speed.",
+        [charts.external_torque_chart],
+        "external torque",
+        "Nm",
+        lambda bag: bag.signals.external_torque,
     ),
     _Section(
         "command",
         "Commanded torque",
-        "Sent by the controller; the limits of the strong joints lie outside of the picture. The spectrum is that of "
-        "the way to the goal.",
-        [charts.command_chart, charts.command_share_chart, charts.spectrum_chart],
-        _difference(_joints(lambda signals: signals.command), "commanded torque [Nm]", "Nm"),
-    ),
-    _Section(
-        "plans",
-        "Plans",
-        "How old each plan became before the next took effect; the time that each took, by what ended the search; and "
-        "the terms of its cost.",
-        [charts.plan_age_chart, charts.solve_chart, charts.cost_chart],
+        "Sent by the controller. Dashed: the limits; those of the strong joints lie outside of the picture.",
+        [charts.command_chart],
+        "commanded torque",
+        "Nm",
+        lambda bag: bag.signals.command,
     ),
     _Section(
         "joints",
         "Joints",
-        "Angles against the limits of the data sheet.",
+        "Joint angles. Dashed: the limits of the data sheet.",
         [charts.joint_chart],
-        _difference(_joints(lambda signals: signals.position), "joint angle [rad]", "rad"),
+        "joint angle",
+        "rad",
+        lambda bag: bag.signals.position,
+    ),
+    _Section(
+        "plans",
+        "Plans",
+        "Solve time of each plan, by the reason that ended the search, and the terms of its cost.",
+        [charts.solve_chart, charts.cost_chart],
     ),
     _Section(
         "timing",
         "Timing",
-        "In real time, when messages were sent. In lockstep the robot's clock waits for the nodes, and this shows how "
-        "fast they were, not how regular.",
-        [charts.jitter_chart, charts.round_trip_chart],
+        "From the sending of a joint state to the sending of its command. In lockstep the robot's clock waits for the "
+        "nodes: the chart then shows their speed, not their punctuality.",
+        [charts.round_trip_chart],
     ),
 )
 
 
-def _section(section: _Section, bags: Sequence[ReportBag], figures: list[Chart]) -> str:
-    parts = []
-    for make in section.make:
-        for bag in bags:
-            parts.append(_place(make(bag), bag.label if len(bags) > 1 else "", figures))
-    if section.compare is not None and len(bags) > 1:
-        words = f"{bags[0].label} less {bags[1].label}"
-        parts.append(_place(section.compare(bags[0], bags[1]), words, figures))
-    return (
-        f'<section id="{section.anchor}"><h2>{escape(section.title)}</h2><p class="caption">{escape(section.caption)}'
-        f'</p><div class="charts">{"".join(parts)}</div></section>'
-    )
+def _section(section: _Section, bags: Sequence[ReportBag]) -> dict[str, Any]:
+    """Contents of a section for the template: its charts with their headings."""
+    several = len(bags) > 1
+    placed = [(bag.label if several else "", make(bag)) for make in section.make for bag in bags]
+    if section.compared and several:
+        placed.append((f"{bags[0].label} minus {bags[1].label}", _difference(section, *bags[:2])))
+    return {"anchor": section.anchor, "title": section.title, "caption": section.caption, "charts": placed}
 
 
-def _place(chart: Chart, heading: str, figures: list[Chart]) -> str:
-    head = f"<h3>{escape(heading)}</h3>" if heading else ""
-    if not chart["data"]:
-        what = chart["layout"].get("yaxis", {}).get("title", {}).get("text", "")
-        missing = chart.get("missing", "nothing to compare")
-        return f'<div class="chart">{head}<div class="missing">{escape(what)}<br>{escape(missing)}</div></div>'
-    figures.append(chart)
-    note = f'<p class="note">{escape(chart["note"])}</p>' if "note" in chart else ""
-    return f'<div class="chart">{head}<div class="plot" data-chart="{len(figures) - 1}"></div>{note}</div>'
+def _difference(section: _Section, *bags: ReportBag) -> charts.Chart:
+    """The first bag's quantity minus the second's."""
+    nothing = Series(np.empty(0), (), np.empty((0, 0)))
+    first, second = ((section.pick(bag) or nothing).since(bag.zero) for bag in bags)
+    return charts.difference_chart(first, second, section.compared, section.unit)
+
+
+def _numbers(bags: Sequence[ReportBag]) -> dict[str, Any]:
+    """Numbers of the summary for the template: name, unit, and the values of the bags with their difference."""
+    found = [metrics(bag) for bag in bags]
+    heads = [bag.label for bag in bags]
+    rows = [(name, unit, [numbers[name][0] for numbers in found]) for name, (_, unit) in found[0].items()]
+    if len(bags) == 2:
+        heads.append("difference")
+        rows = [(name, unit, [*values, values[0] - values[1]]) for name, unit, values in rows]
+    return {"heads": heads, "numbers": rows}
+
+
+def _configuration(bags: Sequence[ReportBag]) -> list[dict[str, Any]]:
+    """Settings of the nodes, custom data and numbers of messages of all bags, side by side."""
+    nodes = sorted({node for bag in bags for node in bag.signals.settings})
+    tables = [_table(node, [bag.signals.settings.get(node, {}) for bag in bags]) for node in nodes]
+    tables.append(_table("kept with the bag", [bag.reader.summary.custom_data for bag in bags]))
+    counts = [{name: topic.message_count for name, topic in sorted(bag.reader.topics().items())} for bag in bags]
+    return [*tables, _table("messages by topic", counts, mark=False)]
+
+
+def _table(title: str, columns: Sequence[Mapping[str, Any]], mark: bool = True) -> dict[str, Any]:
+    """Rows of a table with a column for each bag; `mark` those that differ."""
+    keys = dict.fromkeys(key for column in columns for key in column)
+    cells = {key: [column.get(key, "") for column in columns] for key in keys}
+    differs = {key: mark and any(value != values[0] for value in values) for key, values in cells.items()}
+    rows = [{"key": key, "cells": values, "differs": differs[key]} for key, values in cells.items()]
+    return {"title": title, "rows": rows, "differing": sum(differs.values())}
+
+
+def _quantity(value: float, unit: str) -> str:
+    if unit == "µs" and abs(value) >= 10_000:
+        value, unit = value / 1000, "ms"
+    return f"{_number(value)} {unit}" if np.isfinite(value) else "–"
+
+
+def _number(value: float) -> str:
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if abs(value) >= 1000 or value == round(value) else f"{value:.3g}"

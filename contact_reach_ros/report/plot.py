@@ -1,4 +1,4 @@
-"""The picture of an episode: distance to the goal, contact force and external torque over the same time."""
+"""The picture of an episode: distance to the goal, contact force and external torque over time."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _MARKER_STYLES: dict[str, dict[str, Any]] = {
     "safety": {"color": VERMILION, "linestyle": ":"},
 }
 _NAMED = 8
-"""Markers that the legend has room for."""
+"""Number of markers that the legend has room for."""
 _SHORTEST = 1e-3
 BEFORE = 2.0
-"""How much of the time before the first goal or stop is shown, s: a stack may have waited long for its goal."""
+"""Time shown before the first goal or stop, s: a stack may have waited long for its goal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,16 +56,16 @@ def episode_figure(
     Parameters
     ----------
     distance, contact, torque :
-        The column "distance", m, from flange to goal; the columns "max" and "sum", N, of the forces on the bodies; and
-        a column for each joint, Nm. Times are of one clock; a series without any leaves its panel empty.
+        Column "distance" from flange to goal, m; columns "max" and "sum" of the forces on the links, N; a column for
+        each joint, Nm. All on one clock; the panel of an empty series stays empty.
     markers :
-        Moments to mark; the earliest one of kind "goal" becomes time zero.
+        Moments to mark; the earliest of kind "goal" becomes time zero.
     title :
         One line: scene, seed, result.
     permitted_force :
         The paper's epsilon, N.
     torque_thresholds :
-        External torque per joint, Nm, above which the robot stops; none are drawn if empty.
+        External torque of each joint above which the robot stops, Nm; empty to draw none.
     """
     times = (distance.time, contact.time, torque.time)
     recorded = [time for time in times if len(time)]
@@ -78,7 +78,7 @@ def episode_figure(
     panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (1.0, 1.0, 1.25)})
     _draw_distance(panels[0], distance.time - zero, distance.column("distance"))
     _draw_contact(panels[1], contact, zero, permitted_force)
-    _draw_torque(panels[2], torque.time - zero, torque.values, torque_thresholds)
+    _draw_torque(panels[2], torque, zero, torque_thresholds)
     _draw_markers(panels, markers, zero)
     for panel, time in zip(panels, times, strict=True):
         _finish(panel, bool(len(time)))
@@ -114,19 +114,19 @@ def _draw_contact(panel: Axes, force: Series, zero: float, permitted: float) -> 
     panel.set_ylim(0.0, 1.15 * max(permitted, np.nanmax(force.column("sum"), initial=0.0)))
 
 
-def _draw_torque(panel: Axes, time: np.ndarray, torque: np.ndarray, thresholds: Sequence[float]) -> None:
-    for joint in range(torque.shape[1]):
+def _draw_torque(panel: Axes, torque: Series, zero: float, thresholds: Sequence[float]) -> None:
+    for joint, name in enumerate(torque.names):
         colour = JOINT_COLOURS[joint % len(JOINT_COLOURS)]
-        panel.plot(time, torque[:, joint], color=colour, linewidth=1.2, label=f"joint A{joint + 1}")
+        panel.plot(torque.time - zero, torque.values[:, joint], color=colour, linewidth=1.2, label=name)
     panel.set_ylabel("external torque [Nm]")
-    largest = float(np.nanmax(np.abs(torque), initial=0.0))
+    largest = float(np.nanmax(np.abs(torque.values), initial=0.0))
     for joint, threshold in enumerate(thresholds):
         colour = JOINT_COLOURS[joint % len(JOINT_COLOURS)]
         for value in (-threshold, threshold):
             panel.axhline(value, color=colour, linewidth=0.9, linestyle=_DOTS, alpha=0.7)
     if len(thresholds):
         panel.plot([], [], color=GREY, linewidth=0.9, linestyle=_DOTS, label="stop thresholds")
-        # The nearest threshold stays in view; those far above must not flatten the curves.
+        # The nearest threshold stays in view; thresholds far above would flatten the curves.
         largest = max(largest, min(thresholds))
     panel.set_ylim(-1.15 * (largest or 1.0), 1.15 * (largest or 1.0))
 

@@ -1,9 +1,8 @@
-"""Summary and plot of a recorded episode."""
+"""Numbers and plot of a recorded episode: one goal, until it is reached, the arm is stopped or the recording ends."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,19 +11,19 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
-from contact_reach_ros.bags.signals import EpisodeSignals, Series
+from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.errors import BagError
+from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.report.plot import BEFORE, SUCCESS_DISTANCE, Marker, episode_figure
-from contact_reach_ros.report.recorded_settings import recorded_section
+from contact_reach_ros.settings import Settings
 
 
 @dataclasses.dataclass(frozen=True)
 class EpisodeSummary:
-    """One goal, from the moment it was sent. The field names are those of the JSON report.
+    """Numbers of one goal, from the moment it was sent; the JSON report has the same field names.
 
     Attributes
     ----------
@@ -35,25 +34,25 @@ class EpisodeSummary:
     duration_s
         Time until the goal was reached; NaN if it was not.
     watched_s
-        From the goal's being sent to the end of the episode.
+        Time from the sending of the goal to the end of the episode.
     distance_m
-        From start to goal.
+        Distance from start to goal.
     limit_s
-        The least time that the transfer model's bound on the speed permits for this way, with the settings of the run.
+        Least time that the transfer model's speed bound permits for this distance, with the settings of the run.
     time_ratio
-        `duration_s` over `limit_s`; NaN if the goal is where the arm is.
+        `duration_s` over `limit_s`; NaN if the arm starts at the goal.
     max_contact_force_N
         Largest force on one robot body.
     max_external_torque_Nm
         Largest residual of the observer on one joint.
     ticks, missed_ticks
-        Joint states in the recording until the end, and those that the driver reported missed.
+        Joint states recorded until the end, and ticks that the driver reported as missed.
     round_trip_us
-        From a joint state to its command: p50, p99, p999.
+        Time from a joint state to its command: p50, p99, p999.
     plan_ms
         Solve time: p50, p95, max.
     plan_age_ms_max
-        Greatest age of the plan in force at a joint state: the time since it took effect.
+        Greatest time at any joint state since the plan in force took effect.
     safety_events
         Stops: time_s, source and reason.
     """
@@ -85,22 +84,21 @@ class EpisodeSummary:
 
 
 class Episode:
-    """How the goal of a bag ended; a second goal counts from the moment it is sent.
+    """The episode of a bag's first goal.
 
     Raises `BagError` if there is no goal or no joint state.
 
     Parameters
     ----------
     signals
-        Of the bag.
+        Signals of the bag.
     arm
-        Whose joints the bag records.
+        The recorded arm.
     end
-        When the episode ends, for example before the stack was shut down, s since the first joint state; the last
-        joint state when None.
+        Latest end of the episode, such as the shutdown of the stack, s since the first joint state; the last joint
+        state when None.
     timeout, settle
-        Times after the start and after the goal was reached at which the episode ends, if not earlier, s: how long a
-        recording goes on after them makes no difference.
+        Times after the start and after the goal was reached at which the episode ends at the latest, s.
 
     Attributes
     ----------
@@ -109,7 +107,7 @@ class Episode:
     reached
         When the goal was reached, on the same clock; None if it was not.
     distance
-        Of the flange from the goal: the column "distance", m.
+        Distance of the flange from the goal: the column "distance", m.
     """
 
     def __init__(
@@ -136,19 +134,20 @@ class Episode:
         self._limit = least_duration(
             start_position,
             target,
-            recorded_section(signals, "planner", "planning", PlanningSettings()),
-            recorded_section(signals, "controller", "impedance", ImpedanceSettings()),
+            recorded_section(signals, "planner", "planning", PlanningSettings(), []),
+            recorded_section(signals, "controller", "impedance", ImpedanceSettings(), []),
         )
 
     @property
     def shown_from(self) -> float:
-        """From when on it is shown: shortly before the goal was sent, or before an earlier stop."""
+        """Start of the time range to show, s: shortly before the goal was sent, or before an earlier stop."""
         return min([self.start, *(self.start + stop["time_s"] for stop in self._stops())]) - BEFORE
 
     def summary(self) -> EpisodeSummary:
         """The numbers."""
         signals = self._signals
         duration = float("nan") if self.reached is None else self.reached - self.start
+        ticks = signals.position.time[signals.position.time <= self._end]
         last = max(int(np.searchsorted(self.distance.time, self._end, side="right")) - 1, 0)
         contact = signals.contact_force.between(self.start, self._end)
         torque = signals.external_torque.between(self.start, self._end)
@@ -162,13 +161,13 @@ class Episode:
             time_ratio=duration / self._limit if self._limit > 0.0 else float("nan"),
             max_contact_force_N=largest(contact.column("max")),
             max_external_torque_Nm=largest(np.abs(torque.values)),
-            ticks=len(np.unique(signals.position.between(-np.inf, self._end).time)),
+            ticks=len(np.unique(ticks)),
             missed_ticks=int(_last(signals, "driver/missed ticks", self._end, 0.0)),
             round_trip_us={
                 key: _last(signals, f"driver/round trip {key} us", self._end) for key in ("p50", "p99", "p999")
             },
             plan_ms={key: _last(signals, f"planner/solve {key} us", self._end) / 1000 for key in ("p50", "p95", "max")},
-            plan_age_ms_max=1000 * self._greatest_plan_age(),
+            plan_age_ms_max=1000 * largest(signals.plan_age(ticks)),
             safety_events=self._stops(),
         )
 
@@ -207,49 +206,28 @@ class Episode:
             for (source, reason), time in stops.items()
         ]
 
-    def _greatest_plan_age(self) -> float:
-        """Seconds; NaN without plans."""
-        effects = self._signals.plan_times
-        if not len(effects):
-            return float("nan")
-        ticks = self._signals.position.time
-        ticks = ticks[(ticks >= effects[0]) & (ticks <= self._end)]
-        return largest(ticks - effects[np.searchsorted(effects, ticks, side="right") - 1])
 
+def recorded_section(signals: EpisodeSignals, node: str, prefix: str, default: Settings, notes: list[str]) -> Any:
+    """The section `prefix` of a node's recorded settings, of the type of `default`.
 
-def goal_distance(
-    signals: EpisodeSignals, tip_positions: Callable[[np.ndarray], np.ndarray], period: float = 0.01
-) -> Series:
-    """Distance of the flange from the goal that is in force; from the first one before it is sent.
-
-    Parameters
-    ----------
-    signals
-        The episode.
-    tip_positions
-        Forward kinematics: joint positions (n, joints) in rad to positions (n, 3) in m, in the frame of the goals.
-    period
-        Spacing of the result, s; joint states in between are left out.
-
-    Returns
-    -------
-    Series
-        The column "distance", m; empty if there is no goal or no joint state.
+    If the bag lacks the section, or this version refuses it, returns `default` and appends the reason to `notes`.
     """
-    time, positions = signals.position.time, signals.position.values
-    if not len(signals.goals.time) or not len(time):
-        return Series(np.empty(0), ("distance",), np.empty((0, 1)))
-    wanted = np.arange(time[0], time[-1] + period / 2, period)
-    # A thousandth earlier, so that rounding does not skip a joint state that comes at the very time.
-    rows = np.unique(np.clip(np.searchsorted(time, wanted - 1e-3 * period), 0, len(time) - 1))
-    rows = rows[np.all(np.isfinite(positions[rows]), axis=1)]
-    in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
-    away = tip_positions(positions[rows]) - signals.goals.values[in_force]
-    return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
+    kind = type(default)
+    recorded = signals.settings.get(node, {})
+    names = [entry.name for entry in kind.declared()]
+    values = {name: recorded[f"{prefix}.{name}"] for name in names if f"{prefix}.{name}" in recorded}
+    if not values:
+        notes.append(f"the bag lacks the {prefix} of the {node}: the package's own is assumed")
+        return default
+    try:
+        return kind.from_mapping(values, f"settings of the {node}")
+    except SettingsError as error:
+        notes.append(f"the {prefix} of the {node} cannot be used, the package's own is assumed: {error}")
+        return default
 
 
 def first_below(time: np.ndarray, values: np.ndarray, limit: float, after: float = 0.0) -> float | None:
-    """First time, not before `after`, at which the values are at or below a limit; None if they never are."""
+    """First time, from `after` on, at which the values are at or below a limit; None if they never are."""
     found = np.flatnonzero((values <= limit) & (time >= after))
     return float(time[found[0]]) if len(found) else None
 

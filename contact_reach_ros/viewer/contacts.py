@@ -11,9 +11,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, rgb
-from contact_reach_ros.viewer.colours import as_bytes
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import set_if_changed
+from contact_reach_ros.viewer.handles import as_bytes, set_if_changed
 from contact_reach_ros.world.spheres import Spheres
 
 _LEAST = 0.2

@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_reader import PlanPicture
+from contact_reach_ros.messages.safety_state import is_stopped, read_contact, read_level
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.world.spheres import Spheres
+
+ANY_MATERIAL = AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0)
+"""Material of obstacles, of which only positions, radii and edges are shown."""
 
 
 class SafetyLevel(Enum):
@@ -22,17 +30,28 @@ class SafetyLevel(Enum):
 
 @dataclass(frozen=True)
 class SafetyStatus:
-    """Safety state of one node."""
+    """Safety state of one node, with the contact that the observer has located, if any."""
 
     level: SafetyLevel
     message: str
     contact: Contact | None = None
-    """Contact that the observer has located, if any."""
+
+
+def safety_status(message: Any, arm: Arm) -> SafetyStatus:
+    """The state of a node in a safety_state message, or any object with its fields; leaves out a malformed contact."""
+    try:
+        contact = read_contact(message, arm)
+    except InputError:
+        contact = None
+    level = (
+        SafetyLevel.STOP if is_stopped(message) else SafetyLevel(min(read_level(message), SafetyLevel.CONTACT.value))
+    )
+    return SafetyStatus(level, message.message, contact)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One moment; what is unknown is None.
+    """One moment; unknown parts are None.
 
     Attributes
     ----------

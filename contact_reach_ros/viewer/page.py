@@ -1,4 +1,4 @@
-"""The page: scene, banner, buttons and tabs."""
+"""The page: scene, banner with the safety state, buttons and tabs."""
 
 from __future__ import annotations
 
@@ -12,19 +12,35 @@ from typing import Any
 import viser
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.drawing.palette import GREEN, GREY, ORANGE, VERMILION
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.viewer.actions import Actions
-from contact_reach_ros.viewer.banner import Banner
-from contact_reach_ros.viewer.goal_tab import GoalTab
+from contact_reach_ros.viewer.frame import Frame, SafetyLevel
+from contact_reach_ros.viewer.handles import share_gradient
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
 from contact_reach_ros.viewer.plots import BAG_AXIS, LIVE_AXIS, Plots
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.scene import SceneView
-from contact_reach_ros.viewer.stack_tabs import TuneTab, add_episode_controls
+from contact_reach_ros.viewer.tabs import Actions, GoalTab, TuneTab, add_episode_controls
 
 _SLOW_PERIOD = 0.2
 """Time between updates of plots and timeline, s."""
+_SILENCE = 2.0
+"""Time without a joint state after which the banner reports it, s."""
+_BANNER = {
+    SafetyLevel.OK: (GREEN, "#FFFFFF"),
+    SafetyLevel.CONTACT: (ORANGE, "#000000"),
+    SafetyLevel.STOP: (VERMILION, "#FFFFFF"),
+}
+"""Background and text colours of the banner by level."""
+_SILENT = (GREY, "#FFFFFF")
+_OVER = (
+    "position:fixed;left:10px;top:10px;z-index:1000;pointer-events:none;display:flex;flex-direction:column;gap:8px;"
+    "align-items:flex-start;max-width:min(620px,calc(100vw - 20px))"
+)
+_NOTES_BELOW = "<style>.mantine-Notifications-root{top:auto!important;bottom:16px!important}</style>"
+"""Moves viser's own notes, such as one about the graphics card, out of the banner's corner."""
+_CONTROLLER = "controller"
 
 
 @dataclass(frozen=True)
@@ -63,19 +79,17 @@ class Page:
         source: Source,
         budget: ContactBudget,
         recording: Recording | None = None,
-        shadows: bool = True,
-        dark: bool = False,
     ) -> None:
         self._server = server
         self._live = source.live
         self._slow_due = 0.0
         self._last = 0.0
-        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", dark_mode=dark)
-        server.scene.configure_default_lights(cast_shadow=shadows)
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        server.scene.configure_default_lights(cast_shadow=True)
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(360)
         self._scene = SceneView(server, arm, budget.torque_thresholds, budget.permitted_force)
-        self._banner = Banner(server, budget.torque_thresholds)
+        self._banner = _Banner(server, budget.torque_thresholds)
         self._add_stop(source.actions)
         self._line = server.gui.add_html("")
         names = ["Goal", "Plots", "Bag", "Scene", "Tune"]
@@ -87,7 +101,7 @@ class Page:
         with tabs["Goal"]:
             self._goal = GoalTab(server, arm, source.actions, self.say)
         with tabs["Plots"]:
-            self._plots = Plots(server, arm.n, budget.permitted_force)
+            self._plots = Plots(server, arm.joint_names, budget.permitted_force)
         with tabs["Bag"]:
             self._bag = BagTab(server, source.bags, source.open_bag, self.say)
         with tabs["Scene"]:
@@ -144,3 +158,59 @@ class Page:
         if len(table):
             table[:, 0] -= table[-1, 0]
         self._plots.show(table, LIVE_AXIS)
+
+
+def _banner_text(frame: Frame | None, silence: float | None) -> tuple[SafetyLevel | None, str, str]:
+    """Level, headline and details of a moment; the level is None if it is unknown.
+
+    Parameters
+    ----------
+    frame
+        The moment to describe; None before the first joint state.
+    silence
+        Time without a joint state, s; None for a recording.
+    """
+    if silence is not None and (silence >= _SILENCE or frame is None):
+        more = "the stack is not running, or starting" if frame is None else "the picture is out of date"
+        return None, f"no joint_states for {silence:.0f} s", more
+    assert frame is not None
+    stops = frame.stops()
+    if stops:
+        return SafetyLevel.STOP, "STOPPED", "; ".join(f"{name}: {reason}" for name, reason in stops.items())
+    touched = [status for status in frame.safety.values() if status.level is SafetyLevel.CONTACT]
+    if touched:
+        contact = touched[0].contact
+        return SafetyLevel.CONTACT, "contact", "" if contact is None else f"at {contact.link}"
+    controller = frame.safety.get(_CONTROLLER)
+    return (SafetyLevel.OK, controller.message, "") if controller is not None else (None, "no controller", "")
+
+
+class _Banner:
+    """Banner and legend in the upper left corner of the window."""
+
+    def __init__(self, server: viser.ViserServer, thresholds: tuple[float, ...]) -> None:
+        self._shown = ""
+        self._handle = server.gui.add_html("")
+        self._legend = (
+            '<div style="width:230px;padding:6px 10px;border-radius:6px;font-size:12px;line-height:1.4;'
+            'background:rgba(255,255,255,0.85);color:#222222">Links: external torque as a share of what stops the arm '
+            f"({min(thresholds):g} to {max(thresholds):g} Nm)"
+            f'<div style="height:10px;border-radius:3px;margin-top:3px;background:{share_gradient()}"></div>'
+            '<div style="display:flex;justify-content:space-between"><span>0 %</span><span>50 %</span>'
+            "<span>100 %</span></div></div>"
+        )
+
+    def show(self, source: str, frame: Frame | None, silence: float | None) -> None:
+        """Show the safety state of a moment; `source` is a line above it."""
+        level, headline, more = _banner_text(frame, silence)
+        ground, ink = _SILENT if level is None else _BANNER[level]
+        content = (
+            f'{_NOTES_BELOW}<div style="{_OVER}"><div id="safety" style="background:{ground};color:{ink};'
+            'border-radius:8px;padding:8px 16px;line-height:1.3">'
+            f'<div style="font-size:13px">{html.escape(source)}</div>'
+            f'<div style="font-size:26px;font-weight:700">{html.escape(headline)}</div>'
+            f'<div style="font-size:15px">{html.escape(more)}</div></div>{self._legend}</div>'
+        )
+        if content != self._shown:
+            self._shown = content
+            self._handle.content = content

@@ -1,8 +1,9 @@
-"""The tab that opens bags and plays them."""
+"""Playback of a bag, and the tab that opens bags and plays them."""
 
 from __future__ import annotations
 
 import asyncio
+import bisect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from typing import Any
 import viser
 
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.viewer.player import SPEEDS, Player
 from contact_reach_ros.viewer.recorded import Recording
 
 _MARKS = 30
@@ -18,12 +18,75 @@ _MARKS = 30
 _LABELS = {"stop": "STOP", "goal": "goal", "contact": ""}
 """Labels of the kinds of events on the timeline, the most important first."""
 _NOTHING = "nothing has happened yet"
+_SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _STEPS = {"− 1 tick": -1, "+ 1 tick": 1, "+ 10 ticks": 10}
 
 
 def bag_directory(bag: Path) -> Path:
     """Directory of a bag that is named by its directory or by one of its files."""
     return bag if bag.is_dir() else bag.parent
+
+
+class Player:
+    """Position in a recording.
+
+    Attributes
+    ----------
+    recording
+        The recording to play.
+    playing
+        Whether time advances.
+    speed
+        Seconds of the recording per second.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.playing = False
+        self.speed = 1.0
+        self._time = 0.0
+
+    @property
+    def time(self) -> float:
+        """Time since the first joint state, s."""
+        return self._time
+
+    def advance(self, seconds: float) -> None:
+        """Advance the time while playing; stops at the end of the recording."""
+        if self.playing:
+            self.seek(self._time + seconds * self.speed)
+            self.playing = self._time < self.recording.duration
+
+    def toggle(self) -> None:
+        """Play or pause; from the end, play from the start."""
+        if not self.playing and self._time >= self.recording.duration:
+            self._time = 0.0
+        self.playing = not self.playing
+
+    def seek(self, time: float) -> None:
+        """Jump to a time, s; playback continues from there if it is on."""
+        self._time = min(max(time, 0.0), self.recording.duration)
+
+    def step(self, ticks: int) -> None:
+        """Pause and move by some joint states, forward or back."""
+        self.playing = False
+        row = self.recording.tick(self._time) + ticks
+        self.seek(float(self.recording.ticks[min(max(row, 0), len(self.recording.ticks) - 1)]))
+
+    def jump(self) -> bool:
+        """Pause at the start of the next contact; returns whether there is one."""
+        time = self.recording.next_contact(self._time)
+        if time is None:
+            return False
+        self.playing = False
+        self.seek(time)
+        return True
+
+    def last_event(self) -> str:
+        """The last event in words; empty before the first."""
+        events = self.recording.events
+        row = bisect.bisect_right([event.time for event in events], self._time + 1e-6) - 1
+        return f"{events[row].time:.2f} s: {events[row].text}" if row >= 0 else ""
 
 
 class BagTab:
@@ -127,7 +190,7 @@ class BagTab:
         marks = tuple((min(round(event.time, 3), duration), _LABELS[event.kind]) for event in marked)
         self._slider: Any = gui.add_slider("Time (s)", 0.0, duration, 0.001, round(player.time, 3), marks=marks)
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
-        speed = gui.add_dropdown("Speed (s per s)", SPEEDS, initial_value="1")
+        speed = gui.add_dropdown("Speed (s per s)", _SPEEDS, initial_value="1")
         step = gui.add_button_group("Step", tuple(_STEPS))
         jump = gui.add_button("Next contact", icon=viser.Icon.PLAYER_SKIP_FORWARD)
         self._event = gui.add_markdown(player.last_event() or _NOTHING)

@@ -1,9 +1,10 @@
-"""The curves of the page."""
+"""The quantities that the page plots over time, and their plots."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,13 +12,63 @@ import viser
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, ORANGE, VERMILION
-from contact_reach_ros.viewer.history import joint_labels, quantities
 
 LIVE_AXIS = "s, 0 is now"
 BAG_AXIS = "s since the first joint state"
+SPAN = 20.0
+"""Time span of a plot, s."""
+ROUND_TRIPS = {f"round trip {name}": f"driver/round trip {name} us" for name in ("p50", "p99")}
+"""Quantities that the driver publishes, with their keys in its diagnostics."""
 
+_POINTS = 400
+"""Greatest number of points in a curve."""
+_FORCE = 2
+"""Column of the contact force."""
 _HEIGHT = 165
 _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
+
+
+def quantities(joint_names: Sequence[str]) -> tuple[str, ...]:
+    """Columns of the plotted tables.
+
+    Time, s; distance to the goal, mm; largest contact force on one link, N; external torque of each joint, Nm; age of
+    the plan, ms; two percentiles of a tick's round trip, µs.
+    """
+    return ("time", "distance", "force", *joint_names, "plan age", *ROUND_TRIPS)
+
+
+class History:
+    """Plotted quantities over the last `SPAN` seconds."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self._columns = quantities(joint_names)[1:]
+        self._rows: deque[tuple[float, ...]] = deque()
+
+    def add(self, time: float, values: Mapping[str, float]) -> None:
+        """Append the quantities known at a time, s, by name; a time before the last one clears the history."""
+        if self._rows and time < self._rows[-1][0]:
+            self._rows.clear()
+        self._rows.append((time, *(values.get(name, np.nan) for name in self._columns)))
+        while self._rows[0][0] < time - SPAN:
+            self._rows.popleft()
+
+    def table(self) -> Array:
+        """The history, thinned out: (n, `quantities`)."""
+        return thinned(np.array(self._rows, float).reshape(-1, 1 + len(self._columns)))
+
+
+def thinned(table: Array) -> Array:
+    """The last of each group of rows of a table, with the largest contact force in the group.
+
+    Every peak of the force is kept, because it is compared with the permitted force.
+    """
+    if len(table) <= _POINTS:
+        return table
+    size = -(-len(table) // _POINTS)
+    starts = np.arange(0, len(table), size)
+    rows = table[np.append(starts[1:], len(table)) - 1].copy()
+    rows[:, _FORCE] = np.fmax.reduceat(table[:, _FORCE], starts)
+    return rows
 
 
 class Curve(NamedTuple):
@@ -36,13 +87,12 @@ class Plot(NamedTuple):
     curves: tuple[Curve, ...]
 
 
-def page_plots(joints: int) -> tuple[Plot, ...]:
-    """The plots of the page for an arm with `joints` joints."""
-    names = joint_labels(joints)
+def page_plots(joint_names: Sequence[str]) -> tuple[Plot, ...]:
+    """The plots of the page for an arm with these joints."""
     return (
         Plot("Distance to the goal", "mm", (Curve("distance", "flange", BLUE),)),
         Plot("Largest contact force", "N", (Curve("force", "on one link", BLUE),)),
-        Plot("External torque", "Nm", tuple(map(Curve, names, names, itertools.cycle(JOINT_COLOURS)))),
+        Plot("External torque", "Nm", tuple(map(Curve, joint_names, joint_names, itertools.cycle(JOINT_COLOURS)))),
         Plot("Age of the plan", "ms", (Curve("plan age", "since it took effect", BLUE),)),
         Plot(
             "Round trip of a tick",
@@ -59,14 +109,14 @@ class Plots:
     ----------
     server
         Server of the page.
-    joints
-        Number of joints of the arm.
+    joint_names
+        Names of the arm's joints.
     permitted_force
         Force that a line marks among the contact forces, N.
     """
 
-    def __init__(self, server: viser.ViserServer, joints: int, permitted_force: float) -> None:
-        self._columns, self._plots = quantities(joints), page_plots(joints)
+    def __init__(self, server: viser.ViserServer, joint_names: Sequence[str], permitted_force: float) -> None:
+        self._columns, self._plots = quantities(joint_names), page_plots(joint_names)
         self._permitted = permitted_force
         self._axis = LIVE_AXIS
         self._handles = [self._add(server, plot) for plot in self._plots]

@@ -17,10 +17,9 @@ from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, rgb
 from contact_reach_ros.drawing.parts import link_shapes
 from contact_reach_ros.drawing.shapes import Capsule, Cylinder, Solid, Sphere
 from contact_reach_ros.messages.plan_reader import PlanPicture
-from contact_reach_ros.viewer.colours import as_bytes, share_colour
 from contact_reach_ros.viewer.contacts import ContactView
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import add_ball, set_if_changed
+from contact_reach_ros.viewer.handles import add_ball, as_bytes, set_if_changed, share_colour
 from contact_reach_ros.viewer.obstacles import ObstacleView
 
 _STILL = 1e-4
@@ -64,7 +63,7 @@ class SceneView:
         scene.world_axes.visible = False
         server.initial_camera.position = (1.2, -1.25, 0.95)
         server.initial_camera.look_at = (0.25, 0.0, 0.35)
-        self._goal = add_ball(server, "/goal", 0.025, rgb(SKY_BLUE))
+        self._goal = add_ball(server, "/goal", 0.025, SKY_BLUE)
         self._goal.visible = False
 
     def show(self, frame: Frame) -> None:

@@ -14,14 +14,12 @@ MAX_RATE = 30.0
 
 @dataclass(frozen=True)
 class ViewerSettings(Settings):
-    """Port, contents and appearance of the page."""
+    """Port, update rate and contents of the page."""
 
     port: int = setting(8080, "port of 127.0.0.1 to listen on; 0 takes a free one", minimum=0, maximum=65535)
     rate: float = setting(MAX_RATE, "greatest update rate of the page", unit="Hz", minimum=1.0, maximum=MAX_RATE)
     bags: str = setting("bags", "folder of the bags that the page offers")
     bag: str = setting("", "bag to show at start-up instead of the running stack")
-    dark: bool = setting(False, "dark page instead of a light one")
-    shadows: bool = setting(True, "draw shadows; false is easier on browsers without a graphics card")
     contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
 
     def page_address(self, port: int) -> str:

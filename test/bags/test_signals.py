@@ -14,12 +14,12 @@ from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import EpisodeSignals, read_signals
+from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance, read_signals
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.intake import IntakeLog, Taken
-from contact_reach_ros.report.summary import first_below, goal_distance
+from contact_reach_ros.report.summary import first_below
 
 RECEIVED_0 = 1_700_000_000_000_000_000
 STAMP_0 = 50_000_000_000

@@ -52,7 +52,7 @@ def page(tmp_path_factory):
     """A browser that shows the live page of a stack in scene `ball`."""
     folder = tmp_path_factory.mktemp("viewer")
     shutil.copytree(SAMPLE, folder / SAMPLE.name)
-    viewer = {"port": 0, "rate": 5.0, "shadows": False, "bags": str(folder)}
+    viewer = {"port": 0, "rate": 5.0, "bags": str(folder)}
     parameters = parameter_file(folder / "stack.yaml", planner=SMALL_PLANNER, viewer=viewer)
     command = [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={parameters}"]
     command += ["-p", "lockstep:=true", "-p", "view:=true", "-p", "scene:=ball", "-p", f"bag:={folder / 'run'}"]
@@ -195,7 +195,7 @@ APART = f"{BANNER}.getBoundingClientRect().bottom <= {NOTE}.getBoundingClientRec
 
 def test_a_bag_is_shown_on_its_tab_from_its_goal_on_and_the_banner_is_not_covered(page, tmp_path):
     """The viewer of one bag: what it shows before anything is clicked."""
-    parameters = parameter_file(tmp_path / "viewer.yaml", viewer={"port": 0, "rate": 5.0, "shadows": False})
+    parameters = parameter_file(tmp_path / "viewer.yaml", viewer={"port": 0, "rate": 5.0})
     log = tmp_path / "viewer.log"
     with running([*module("cli"), "view", str(SAMPLE), "--parameters", str(parameters)], environment(), log) as viewer:
         wait_for(lambda: viewer.poll() is not None or "open http" in log.read_text(), 60, "the viewer is up")

@@ -1,6 +1,5 @@
-"""The report of a bag: one page that needs nothing else, its numbers, and what it does with poor bags."""
+"""The report of a bag: one page that needs no network, its numbers, and reports of incomplete bags."""
 
-import csv
 import dataclasses
 import json
 import re
@@ -16,10 +15,8 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.report.bag import read_report_bag
-from contact_reach_ros.report.charts import external_torque_chart
-from contact_reach_ros.report.envelope import BINS, envelope
+from contact_reach_ros.report.charts import BINS, envelope, external_torque_chart
 from contact_reach_ros.report.page import page
 from contact_reach_ros.report.plot import BEFORE
 from contact_reach_ros.report.summary import Episode
@@ -34,49 +31,43 @@ def run(*arguments: object) -> int:
     return contact_reach("report", *arguments)
 
 
-def titles(text: str) -> list[str]:
-    match = CHARTS.search(text)
-    assert match is not None
-    return [chart["layout"]["yaxis"]["title"]["text"] for chart in json.loads(match[1])]
-
-
-def test_a_page_with_json_and_tables(tmp_path: Path) -> None:
-    assert run(SAMPLE, "-o", tmp_path / "r.html", "--json", tmp_path / "r.json", "--csv", tmp_path / "tables") == 0
-    text = (tmp_path / "r.html").read_text()
-    # Of its own; the library inside names addresses, which nobody asks for.
-    library = get_plotlyjs()
-    assert text.count(library) == 1
-    assert not re.search(r"https?://", text.replace(library, ""))
-    found = titles(text)
-    assert len(found) == 13 and all("[" in title or "ticks" in title for title in found)
-    assert f"contact-reach view {SAMPLE}" in text
-    (bag,) = json.loads((tmp_path / "r.json").read_text())["bags"]
-    assert bag["verdict"] == "goal reached" and bag["summary"]["reached"]
-    assert bag["notes"] == []
-    assert bag["settings"]["planner"]["planning.population"] == 200
-    counts = BagReader(SAMPLE).topics()
-    with (tmp_path / "tables" / "commands.csv").open() as file:
-        table = list(csv.reader(file))
-    assert table[0] == ["time_s", *(f"tau_A{joint}_Nm" for joint in range(1, 8))]
-    assert len(table) == 1 + counts["/effort_controller/commands"].message_count
-
-
 def charts(text: str) -> list[dict]:
     match = CHARTS.search(text)
     assert match is not None
     return list(json.loads(match[1]))
 
 
+def titles(text: str) -> list[str]:
+    return [chart["layout"]["yaxis"]["title"]["text"] for chart in charts(text)]
+
+
+def test_a_page_with_json(tmp_path: Path) -> None:
+    assert run(SAMPLE, "-o", tmp_path / "r.html", "--json", tmp_path / "r.json") == 0
+    text = (tmp_path / "r.html").read_text()
+    # The library names addresses that the page never requests.
+    library = get_plotlyjs()
+    assert text.count(library) == 1
+    assert not re.search(r"https?://", text.replace(library, ""))
+    found = titles(text)
+    assert len(found) == 8 and all("[" in title or "ticks" in title for title in found)
+    assert f"contact-reach view {SAMPLE}" in text
+    (bag,) = json.loads((tmp_path / "r.json").read_text())["bags"]
+    assert bag["verdict"] == "goal reached" and bag["summary"]["reached"]
+    assert bag["notes"] == []
+    assert bag["settings"]["planner"]["planning.population"] == 200
+
+
 def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> None:
-    bag = read_report_bag(SAMPLE, "sample", ChangedSettings())
+    bag = read_report_bag(SAMPLE, "sample")
     shown = external_torque_chart(bag)["data"][:7]
+    assert [curve["name"] for curve in shown] == list(load_arm().joint_names)
     assert [(curve["name"], curve["line"]["color"]) for curve in shown] == [
-        (curve.label, curve.colour) for curve in page_plots(7)[2].curves
+        (curve.label, curve.colour) for curve in page_plots(load_arm().joint_names)[2].curves
     ]
 
 
 def test_charts_begin_shortly_before_the_goal() -> None:
-    bag = read_report_bag(SAMPLE, "sample", ChangedSettings())
+    bag = read_report_bag(SAMPLE, "sample")
     waited = dataclasses.replace(bag.signals.goals, time=bag.signals.goals.time + 2.5)
     episode = Episode(dataclasses.replace(bag.signals, goals=waited), bag.arm)
     bag = dataclasses.replace(bag, episode=episode, zero=episode.start)
@@ -105,11 +96,22 @@ def test_an_episode_ends_where_it_is_decided_however_long_the_recording() -> Non
 
 
 def test_two_bags_side_by_side_and_their_difference() -> None:
-    bags = [read_report_bag(SAMPLE, label, ChangedSettings()) for label in ("first", "second")]
+    bags = [read_report_bag(SAMPLE, label) for label in ("first", "second")]
     text = page(bags)
     found = titles(text)
     assert found.count("joint angle [rad]") == 2 and found.count("difference: joint angle [rad]") == 1
-    assert "first less second" in text
+    assert "first minus second" in text
+
+
+def test_texts_of_a_bag_are_shown_as_they_are() -> None:
+    """A message with markup, which could end an element of the page."""
+    bag = read_report_bag(SAMPLE, "sample")
+    markup = "</script><b>bold</b>"
+    event = dataclasses.replace(bag.signals.safety[0], message=markup)
+    signals = dataclasses.replace(bag.signals, safety=(event,))
+    text = page([dataclasses.replace(bag, signals=signals)])
+    assert markup not in text and "&lt;/script&gt;&lt;b&gt;bold&lt;/b&gt;" in text
+    assert any(f"{event.name}: {markup}" in trace.get("text", ()) for trace in charts(text)[0]["data"])
 
 
 def test_a_bag_with_little_in_it_is_reported_all_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

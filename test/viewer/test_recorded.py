@@ -16,8 +16,8 @@ from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.viewer.frame import SafetyLevel
-from contact_reach_ros.viewer.history import quantities
-from contact_reach_ros.viewer.player import Player
+from contact_reach_ros.viewer.playback import Player
+from contact_reach_ros.viewer.plots import quantities
 from contact_reach_ros.viewer.recorded import Recording
 
 TICKS, START = 2000, 1000
@@ -122,12 +122,12 @@ def test_events_are_on_the_robots_clock(recording):
 
 def test_curves_have_the_values_of_their_time(recording):
     table = recording.table(recording.duration)
-    columns = dict(zip(quantities(ARM.n), table.T, strict=True))
+    columns = dict(zip(quantities(ARM.joint_names), table.T, strict=True))
     row = int(np.argmin(np.abs(columns["time"] - 1.0)))
     tick = round(1000 * columns["time"][row])
     flange = link_frames(ARM, joint_angles(tick))[1][-1]
     assert columns["distance"][row] == pytest.approx(1000.0 * np.linalg.norm(flange - GOAL), abs=0.01)
-    assert columns["A3"][row] == pytest.approx(0.001 * tick)
+    assert columns["lbr_A3"][row] == pytest.approx(0.001 * tick)
     assert columns["plan age"][row] == pytest.approx(tick % 50)
     # A contact of 10 ms is shorter than the distance of the points, and is not lost.
     assert columns["force"][np.abs(columns["time"] - 1.51) < 0.02].max() == 4.0

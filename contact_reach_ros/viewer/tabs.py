@@ -1,0 +1,236 @@
+"""The tabs that act on the running stack: a new goal, another scene, other parameters."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import viser
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.inverse_kinematics import is_attainable
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.workspace import unreachable
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.viewer.frame import Frame
+from contact_reach_ros.viewer.handles import add_ball, as_bytes, set_if_changed
+from contact_reach_ros.world.files import scene_names
+
+Value = bool | int | float | str
+
+_REACH_PERIOD = 0.15
+"""Time between runs of inverse kinematics, s."""
+_MOVED = 0.02
+"""Joint motion after which the reach of an unchanged goal is checked again, rad."""
+
+
+class Parameter(NamedTuple):
+    """A node's parameter, as declared.
+
+    Attributes
+    ----------
+    name
+        Name with its prefix.
+    value
+        Present value.
+    description
+        Description with its unit.
+    minimum, maximum
+        Limits; None for no limit.
+    """
+
+    name: str
+    value: Value
+    description: str
+    minimum: float | None
+    maximum: float | None
+
+
+class Actions(Protocol):
+    """Actions on the running stack. All may take seconds; most return their outcome as a line for the page."""
+
+    def send_goal(self, position: Array) -> str:
+        """Command a flange position (3,), m."""
+
+    def stop(self) -> str:
+        """Stop the arm."""
+
+    def reset(self) -> str:
+        """Release all stops."""
+
+    def restart(self, scene: str, seed: int) -> str:
+        """Restart the simulated stack with a scene and seed."""
+
+    def nodes(self) -> Sequence[str]:
+        """Names of the nodes whose parameters can be shown."""
+
+    def parameters(self, node: str) -> Sequence[Parameter]:
+        """The parameters of a node; raises `ContactReachError` if it does not answer."""
+
+    def apply(self, node: str, values: Mapping[str, Value]) -> str:
+        """Change parameters of a node and restart the stack."""
+
+
+class GoalTab:
+    """A goal in the scene, green where the arm can reach it, and the button that sends it."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, actions: Actions, say: Callable[[str], None]) -> None:
+        self._arm = arm
+        self._frame: Frame | None = None
+        self._due = 0.0
+        self._checked: tuple[Array, Array] | None = None
+        self._position = np.zeros(3)
+        gui = server.gui
+        gui.add_markdown("Drag the arrows in the scene, or type. Nothing moves before you send it.")
+        self._field: Any = gui.add_vector3(
+            "Goal (m)", (0.0, 0.0, 0.0), step=0.001, hint=f"flange position in {arm.base_frame}: x, y, z"
+        )
+        self._reach_text = gui.add_markdown("")
+        self._send = gui.add_button("Send goal", color="blue", icon=viser.Icon.SEND)
+        here = gui.add_button("Move it to the flange", color="gray")
+        size = arm.reach + 0.15
+        self._arrows = server.scene.add_transform_controls(
+            "/new_goal",
+            scale=0.18,
+            disable_rotations=True,
+            disable_sliders=True,
+            translation_limits=((-size, size), (-size, size), (0.0, size + arm.shoulder[2])),
+            depth_test=False,
+            visible=False,
+        )
+        self._ball = add_ball(server, "/new_goal/ball", 0.02, GREEN)
+
+        @self._arrows.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._position = np.array(event.target.position, float)
+            self._field.value = tuple(np.round(self._position, 4).tolist())
+
+        @self._field.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:
+                self._place(np.array(event.target.value, float))
+
+        @self._send.on_click
+        async def _(_: Any) -> None:
+            say(await asyncio.to_thread(actions.send_goal, self._position.copy()))
+
+        @here.on_click
+        async def _(_: Any) -> None:
+            self._place_at_flange()
+
+    def show(self, frame: Frame | None, clock: float) -> None:
+        """Show whether the running arm, whose present moment is `frame`, reaches the goal; None hides the goal.
+
+        `clock` is a steady clock, s.
+        """
+        self._frame = frame
+        set_if_changed(self._arrows, "visible", frame is not None)
+        set_if_changed(self._send, "disabled", frame is None)
+        if frame is None or clock < self._due:
+            return
+        if self._checked is None:
+            self._place_at_flange()
+        elif np.array_equal(self._checked[0], self._position) and np.abs(frame.q - self._checked[1]).max() < _MOVED:
+            return
+        self._due = clock + _REACH_PERIOD
+        self._checked = self._position.copy(), frame.q.copy()
+        reachable, text = reach(self._arm, self._position, frame.q)
+        set_if_changed(self._ball, "color", as_bytes(rgb(GREEN if reachable else VERMILION)))
+        self._reach_text.content = f"{'✔' if reachable else '✘'} {text}"
+
+    def _place(self, position: Array) -> None:
+        self._position = position
+        self._arrows.position = position
+
+    def _place_at_flange(self) -> None:
+        if self._frame is not None:
+            self._place(np.round(link_frames(self._arm, self._frame.q)[1][-1], 3))
+            self._field.value = tuple(self._position.tolist())
+
+
+def reach(arm: Arm, position: Array, q: Array) -> tuple[bool, str]:
+    """Whether some posture has the flange at `position` (3,), m, and an explanation; `q` (n,), rad, is the present one.
+
+    By the planner's rule, except for rigid bodies. Other obstacles do not count: the arm may touch them.
+    """
+    refused = unreachable(arm, position)
+    if refused:
+        return False, f"will be refused: the position {refused}"
+    rotations, origins = link_frames(arm, q)
+    away = float(np.linalg.norm(position - origins[-1]))
+    if is_attainable(arm, position, rotations[-1], q):
+        return True, f"reachable, {away:.2f} m away"
+    if is_attainable(arm, position, None, q):
+        return False, f"{away:.2f} m away, reachable only with `goal_orientation: free`, not in this orientation"
+    return False, "will be refused: the joint limits are in the way"
+
+
+def add_episode_controls(server: viser.ViserServer, actions: Actions, say: Callable[[str], None]) -> None:
+    """Add scene, seed and the button that restarts the episode; `say` shows a line on the page."""
+    gui = server.gui
+    gui.add_markdown("Simulation only: the arm is stopped, and all nodes start again with this scene.")
+    names = scene_names()
+    scene = gui.add_dropdown("Scene", names, initial_value="ball" if "ball" in names else names[0])
+    seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
+    restart = gui.add_button("Restart episode", icon=viser.Icon.RELOAD)
+
+    @restart.on_click
+    async def _(_: Any) -> None:
+        say(await asyncio.to_thread(actions.restart, str(scene.value), int(seed.value)))
+
+
+class TuneTab:
+    """Parameters of one node, with sliders for those that have a range."""
+
+    def __init__(self, server: viser.ViserServer, actions: Actions, say: Callable[[str], None]) -> None:
+        self._gui = gui = server.gui
+        self._inputs: dict[str, tuple[Parameter, Any]] = {}
+        self._node = ""
+        gui.add_markdown("Nodes read their parameters at the start: changes are applied by a restart of the stack.")
+        node = gui.add_dropdown("Node", tuple(actions.nodes()))
+        show = gui.add_button("Show parameters")
+        self._apply = gui.add_button("Apply and restart", color="orange", visible=False)
+        self._folder = gui.add_folder("Parameters", visible=False)
+
+        @show.on_click
+        async def _(_: Any) -> None:
+            try:
+                chosen = str(node.value)
+                self._fill(chosen, await asyncio.to_thread(actions.parameters, chosen))
+            except ContactReachError as error:
+                say(str(error))
+
+        @self._apply.on_click
+        async def _(_: Any) -> None:
+            changed = {
+                name: handle.value for name, (entry, handle) in self._inputs.items() if handle.value != entry.value
+            }
+            say(await asyncio.to_thread(actions.apply, self._node, changed) if changed else "nothing has changed")
+
+    def _fill(self, node: str, entries: Sequence[Parameter]) -> None:
+        for _, handle in self._inputs.values():
+            handle.remove()
+        self._inputs, self._node = {}, node
+        with self._folder:
+            for entry in entries:
+                self._inputs[entry.name] = (entry, _input(self._gui, entry))
+        self._folder.visible = self._apply.visible = True
+
+
+def _input(gui: Any, entry: Parameter) -> Any:
+    value, low, high = entry.value, entry.minimum, entry.maximum
+    if isinstance(value, bool):
+        return gui.add_checkbox(entry.name, value, hint=entry.description)
+    if isinstance(value, str):
+        return gui.add_text(entry.name, value, hint=entry.description)
+    if low is None or high is None or not low <= value <= high:
+        return gui.add_number(entry.name, value, hint=entry.description)
+    if isinstance(value, int):
+        return gui.add_slider(entry.name, int(low), int(high), 1, value, hint=entry.description)
+    # Fine enough for the present value too, which is often small compared with its range.
+    step = 10.0 ** np.floor(np.log10(min(high - low, abs(value) or high - low) / 100.0))
+    return gui.add_slider(entry.name, low, high, float(step), value, hint=entry.description)
