@@ -33,7 +33,7 @@ from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
 from contact_reach_ros.viewer.live import LiveState
-from contact_reach_ros.viewer.page import Page, Source
+from contact_reach_ros.viewer.page import Page
 from contact_reach_ros.viewer.playback import bag_directory
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
@@ -74,25 +74,13 @@ class ViewerNode(ManagedNode):
         inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         inbox.add(topics.DIAGNOSTICS, self.live.on_diagnostics, _FEW)
         bag = Path(settings.bag).resolve()
-        source = Source(
-            self.live,
-            StackActions(self, self.live),
-            bag_directory(bag).parent if settings.bag else Path(settings.bags),
-            lambda path: Recording(path, self.arm),
-        )
+        bags = bag_directory(bag).parent if settings.bag else Path(settings.bags)
+        recording = Recording(bag, self.arm) if settings.bag else None
+        arm = recording.arm if recording else self.arm
         budget = load_budget(settings.contact_budget).resolve(self.arm)
-        recording = source.open_bag(bag) if settings.bag else None
+        actions = StackActions(self, self.live)
         self._server = serve(settings.port, TITLE)
-        self._page = call(
-            self._server,
-            lambda: Page(
-                self._server,
-                recording.arm if recording else self.arm,
-                source,
-                budget,
-                recording,
-            ),
-        )
+        self._page = call(self._server, lambda: Page(self._server, arm, self.live, actions, bags, budget, recording))
         port = self._server.get_port()
         self.get_logger().info(
             f"open {settings.page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"

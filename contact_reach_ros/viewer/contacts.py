@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,15 +13,15 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, rgb
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import as_bytes, set_if_changed
+from contact_reach_ros.viewer.handles import as_bytes
 from contact_reach_ros.world.spheres import Spheres
 
 _LEAST = 0.2
 """Least force that gets an arrow, N."""
 _NEWTON = 0.02
 """Length of an arrow per newton, m."""
-_LABEL_SPACE = 0.12
-"""Distance at which two labels do not cover each other, m."""
+_ABOVE = np.array([0.0, 0.0, 0.06])
+"""Offset of the labels of estimates, which may be at the same place as true forces, m."""
 
 
 class Arrow(NamedTuple):
@@ -33,7 +34,7 @@ class Arrow(NamedTuple):
     force
         (3,), N.
     estimated
-        Whether the observer estimated it from torques, rather than the simulation knowing it.
+        Whether the observer estimated the force from torques; otherwise the simulation measured it.
     """
 
     point: Array
@@ -54,14 +55,14 @@ class ContactView:
     def show(self, frame: Frame) -> None:
         """Show the contacts of a moment."""
         found = arrows(self._arm, frame)
-        if not found:
-            if self._handle is not None:
-                set_if_changed(self._handle, "visible", False)
-            self._show_labels([])
-            return
         # From outside the arm to the point of application.
-        tips = np.array([arrow.point for arrow in found])
-        tails = tips - _NEWTON * np.array([arrow.force for arrow in found])
+        tips = np.array([arrow.point for arrow in found]).reshape(-1, 3)
+        tails = tips - _NEWTON * np.array([arrow.force for arrow in found]).reshape(-1, 3)
+        self._show_labels(found, tails)
+        if self._handle is not None:
+            self._handle.visible = bool(found)
+        if not found:
+            return
         points = np.stack([tails, tips], axis=1).astype(np.float32)
         colours = np.array([self._colour(arrow) for arrow in found], np.uint8)
         if self._handle is None or len(self._handle.points) != len(points):
@@ -71,22 +72,20 @@ class ContactView:
         else:
             self._handle.points = points
             self._handle.colors = colours
-            set_if_changed(self._handle, "visible", True)
-        self._show_labels(_labels(tails, found))
 
     def _colour(self, arrow: Arrow) -> tuple[int, int, int]:
         if arrow.estimated:
             return as_bytes(rgb(PURPLE))
         return as_bytes(rgb(VERMILION if np.linalg.norm(arrow.force) > self._permitted else ORANGE))
 
-    def _show_labels(self, texts: list[tuple[Array, str]]) -> None:
-        while len(self._labels) < len(texts):
+    def _show_labels(self, found: Sequence[Arrow], tails: Array) -> None:
+        while len(self._labels) < len(found):
             self._labels.append(self._server.scene.add_label(f"/labels/{len(self._labels)}", ""))
         for number, label in enumerate(self._labels):
-            set_if_changed(label, "visible", number < len(texts))
-            if number < len(texts):
-                label.position = texts[number][0]
-                set_if_changed(label, "text", texts[number][1])
+            label.visible = number < len(found)
+        for label, arrow, tail in zip(self._labels, found, tails, strict=False):
+            label.position = tail + _ABOVE if arrow.estimated else tail
+            label.text = f"{np.linalg.norm(arrow.force):.1f} N{' (estimated)' if arrow.estimated else ''}"
 
 
 def arrows(arm: Arm, frame: Frame) -> list[Arrow]:
@@ -132,17 +131,3 @@ def _nearest(start: Array, end: Array, radius: float, spheres: Spheres) -> tuple
     nearest = int(np.argmin(gaps))
     normal = towards[nearest] / max(lengths[nearest], 1e-9)
     return float(gaps[nearest]), start + along[nearest] * axis - radius * normal, normal
-
-
-def _labels(places: Array, found: list[Arrow]) -> list[tuple[Array, str]]:
-    """Places and texts of the labels; those that would cover each other are merged."""
-    labels: list[tuple[Array, str]] = []
-    for place, arrow in zip(places, found, strict=True):
-        text = f"{np.linalg.norm(arrow.force):.1f} N{' (estimated)' if arrow.estimated else ''}"
-        near = (row for row, (other, _) in enumerate(labels) if np.linalg.norm(other - place) < _LABEL_SPACE)
-        row = next(near, None)
-        if row is None:
-            labels.append((place, text))
-        else:
-            labels[row] = (labels[row][0], f"{labels[row][1]}, {text}")
-    return labels

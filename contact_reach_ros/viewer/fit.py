@@ -15,7 +15,7 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import SKY_BLUE, rgb
 from contact_reach_ros.drawing.parts import BODY
-from contact_reach_ros.viewer.handles import as_bytes
+from contact_reach_ros.viewer.handles import as_bytes, capsule_mesh
 
 Meshes = list[tuple[str, trimesh.Trimesh]]
 
@@ -38,10 +38,7 @@ def fit_meshes(arm: Arm, geometry: Sequence[Sequence[Array]]) -> tuple[Meshes, M
     capsules = []
     starts, ends = (points[0] for points in shape_segments(arm, np.array([arm.home])))
     for shape, (start, end, radius) in enumerate(zip(starts, ends, shape_radii(arm), strict=True)):
-        place = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end - start)
-        place[:3, 3] = 0.5 * (start + end)
-        mesh = trimesh.creation.capsule(float(np.linalg.norm(end - start)), float(radius), transform=place)
-        capsules.append((shape_name(arm, shape), mesh))
+        capsules.append((shape_name(arm, shape), capsule_mesh(start, end, radius)))
     return shown, capsules
 
 

@@ -1,34 +1,36 @@
-"""Helpers for viser's handles and colours."""
+"""Meshes and colours for viser, which sends a property to the browsers only when its value changes."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+import trimesh
 import viser
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import ORANGE, VERMILION, rgb
 from contact_reach_ros.drawing.parts import BODY
 
 Rgb = tuple[int, int, int]
 
-_STEPS = 24
-"""Number of steps in the colours of shares, since each change is sent to the browsers."""
+AROUND = 36
+"""Number of corners of a circle."""
 _SHARES = (0.0, 0.5, 1.0)
 _RAMP = np.array([BODY, rgb(ORANGE), rgb(VERMILION)])
-
-
-def set_if_changed(handle: Any, name: str, value: Any) -> None:
-    """Set a property unless it has this value already: each assignment is sent to all browsers."""
-    present = getattr(handle, name)
-    same = np.array_equal(present, value) if isinstance(present, np.ndarray) else present == value
-    if not same:
-        setattr(handle, name, value)
 
 
 def add_ball(server: viser.ViserServer, name: str, radius: float, colour: str) -> Any:
     """Add a ball with a radius, m, and a colour '#rrggbb'."""
     return server.scene.add_icosphere(name, radius=radius, color=as_bytes(rgb(colour)))
+
+
+def capsule_mesh(start: Array, end: Array, radius: float) -> trimesh.Trimesh:
+    """Mesh of a capsule from `start` (3,) to `end` (3,), m."""
+    place = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end - start)
+    place[:3, 3] = 0.5 * (start + end)
+    length = float(np.linalg.norm(end - start))
+    return trimesh.creation.capsule(length, float(radius), count=[AROUND, AROUND // 2], transform=place)
 
 
 def as_bytes(colour: tuple[float, ...]) -> Rgb:
@@ -39,8 +41,7 @@ def as_bytes(colour: tuple[float, ...]) -> Rgb:
 
 def share_colour(share: float) -> Rgb:
     """Colour from the arm's own at 0 to vermilion at 1 and beyond."""
-    stepped = round(min(max(share, 0.0), 1.0) * _STEPS) / _STEPS
-    return as_bytes(tuple(float(np.interp(stepped, _SHARES, _RAMP[:, channel])) for channel in range(3)))
+    return as_bytes(tuple(float(np.interp(share, _SHARES, channel)) for channel in _RAMP.T))
 
 
 def share_gradient() -> str:

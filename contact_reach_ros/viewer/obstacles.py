@@ -18,8 +18,6 @@ from contact_reach_ros.viewer.handles import as_bytes
 from contact_reach_ros.world.rigid import Environment, slab
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
 
-_STILL = 1e-4
-"""Motion too small to be seen, m."""
 _LONGEST = 1.5
 """Longest side of a tetrahedron that belongs to a body, in lengths of the longest edge."""
 _FLAT = 1e-3
@@ -50,8 +48,6 @@ class ObstacleView:
         self._show_rigid(() if spheres is None else spheres.environment)
         if shown is None or spheres is None or not _alike(spheres, shown):
             self._build(spheres)
-        elif np.abs(spheres.center - shown.center).max(initial=0.0) < _STILL:
-            return
         self._shown = spheres
         if spheres is None or not len(spheres):
             return

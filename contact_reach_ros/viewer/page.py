@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import html
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -43,45 +41,40 @@ _NOTES_BELOW = "<style>.mantine-Notifications-root{top:auto!important;bottom:16p
 _CONTROLLER = "controller"
 
 
-@dataclass(frozen=True)
-class Source:
-    """Sources of the page's data.
-
-    Attributes
-    ----------
-    live
-        State of the running stack.
-    actions
-        Actions on the running stack.
-    bags
-        Folder of the bags that the page offers.
-    open_bag
-        Reads a bag.
-    """
-
-    live: LiveState
-    actions: Actions
-    bags: Path
-    open_bag: Callable[[Path], Recording]
-
-
 class Page:
-    """The page on a server, which shows a recording at first if it is given one.
+    """The page on a server.
 
     Call its methods in the server's own thread (`access.call`), since viser's buffers are not safe in others. Slow
     actions run in threads of their own.
+
+    Parameters
+    ----------
+    server
+        Server of the page.
+    arm
+        The arm to show.
+    live, actions
+        State of the running stack, and actions on it.
+    bags
+        Folder of the bags that the page offers.
+    budget
+        Permitted contact force and torque thresholds.
+    recording
+        Recording to show at first; None for the running stack.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         arm: Arm,
-        source: Source,
+        live: LiveState,
+        actions: Actions,
+        bags: Path,
         budget: ContactBudget,
         recording: Recording | None = None,
     ) -> None:
         self._server = server
-        self._live = source.live
+        self._live = live
         self._slow_due = 0.0
         self._last = 0.0
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
@@ -90,7 +83,7 @@ class Page:
         server.gui.main_panel.set_width(360)
         self._scene = SceneView(server, arm, budget.torque_thresholds, budget.permitted_force)
         self._banner = _Banner(server, budget.torque_thresholds)
-        self._add_stop(source.actions)
+        self._add_stop(actions)
         self._line = server.gui.add_html("")
         names = ["Goal", "Plots", "Bag", "Scene", "Tune"]
         if recording is not None:
@@ -99,15 +92,15 @@ class Page:
         group = server.gui.add_tab_group()
         tabs = {name: group.add_tab(name) for name in names}
         with tabs["Goal"]:
-            self._goal = GoalTab(server, arm, source.actions, self.say)
+            self._goal = GoalTab(server, arm, actions, self.say)
         with tabs["Plots"]:
             self._plots = Plots(server, arm.joint_names, budget.permitted_force)
         with tabs["Bag"]:
-            self._bag = BagTab(server, source.bags, source.open_bag, self.say)
+            self._bag = BagTab(server, bags, arm, self.say)
         with tabs["Scene"]:
-            add_episode_controls(server, source.actions, self.say)
+            add_episode_controls(server, actions, self.say)
         with tabs["Tune"]:
-            TuneTab(server, source.actions, self.say)
+            TuneTab(server, actions, self.say)
         self._bag.open(recording)
 
     def turn(self, clock: float) -> None:
@@ -189,7 +182,6 @@ class _Banner:
     """Banner and legend in the upper left corner of the window."""
 
     def __init__(self, server: viser.ViserServer, thresholds: tuple[float, ...]) -> None:
-        self._shown = ""
         self._handle = server.gui.add_html("")
         self._legend = (
             '<div style="width:230px;padding:6px 10px;border-radius:6px;font-size:12px;line-height:1.4;'
@@ -204,13 +196,10 @@ class _Banner:
         """Show the safety state of a moment; `source` is a line above it."""
         level, headline, more = _banner_text(frame, silence)
         ground, ink = _SILENT if level is None else _BANNER[level]
-        content = (
+        self._handle.content = (
             f'{_NOTES_BELOW}<div style="{_OVER}"><div id="safety" style="background:{ground};color:{ink};'
             'border-radius:8px;padding:8px 16px;line-height:1.3">'
             f'<div style="font-size:13px">{html.escape(source)}</div>'
             f'<div style="font-size:26px;font-weight:700">{html.escape(headline)}</div>'
             f'<div style="font-size:15px">{html.escape(more)}</div></div>{self._legend}</div>'
         )
-        if content != self._shown:
-            self._shown = content
-            self._handle.content = content

@@ -10,6 +10,7 @@ from typing import Any
 
 import viser
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.viewer.recorded import Recording
 
@@ -98,8 +99,8 @@ class BagTab:
         Server of the page.
     folder
         Folder of the bags to choose from.
-    open_bag
-        Reads a bag; raises `ContactReachError` if it cannot.
+    arm
+        The arm of the page.
     say
         Shows a line on the page.
 
@@ -109,12 +110,10 @@ class BagTab:
         Player of the open bag; None while the running stack is shown.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, folder: Path, open_bag: Callable[[Path], Recording], say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, folder: Path, arm: Arm, say: Callable[[str], None]) -> None:
         self.player: Player | None = None
         self._bags = folder
-        self._open_bag = open_bag
+        self._arm = arm
         self._say = say
         self._gui = gui = server.gui
         self._controls: list[Any] = []
@@ -177,7 +176,7 @@ class BagTab:
             return
         self._say(f"opening {name} ...")
         try:
-            self.open(await asyncio.to_thread(self._open_bag, self._bags / name))
+            self.open(await asyncio.to_thread(Recording, self._bags / name, self._arm))
         except ContactReachError as error:
             self._say(str(error))
             return

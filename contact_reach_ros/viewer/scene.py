@@ -19,17 +19,13 @@ from contact_reach_ros.drawing.shapes import Capsule, Cylinder, Solid, Sphere
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.viewer.contacts import ContactView
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import add_ball, as_bytes, set_if_changed, share_colour
+from contact_reach_ros.viewer.handles import AROUND, add_ball, as_bytes, capsule_mesh, share_colour
 from contact_reach_ros.viewer.obstacles import ObstacleView
 
-_STILL = 1e-4
-"""Change of a joint angle too small to be seen, rad."""
 _BASE_PARTS = 2
 """Number of base shapes that show the first joint's torque if its link has no shape of its own."""
 _GHOST_OPACITY = 0.22
-_AROUND, _POLE_TO_POLE = 36, 18
-"""Numbers of corners of a circle, and from pole to pole of a capsule."""
-_UNIT_CYLINDER = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=_AROUND).smooth_shaded
+_UNIT_CYLINDER = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=AROUND).smooth_shaded
 
 
 class SceneView:
@@ -75,9 +71,9 @@ class SceneView:
             self._obstacles.show(frame.obstacles)
             self._plan.show(frame.plan)
             self._contacts.show(frame)
-            set_if_changed(self._goal, "visible", frame.goal is not None)
+            self._goal.visible = frame.goal is not None
             if frame.goal is not None:
-                set_if_changed(self._goal, "position", tuple(frame.goal.tolist()))
+                self._goal.position = frame.goal
 
 
 class _ArmView:
@@ -87,8 +83,6 @@ class _ArmView:
         self._model = arm
         self._frames: list[Any] = []
         self._tinted: list[list[Any]] = [[] for _ in arm.joints]
-        self._q: Array | None = None
-        self._colours: list[tuple[int, int, int]] = [(0, 0, 0)] * arm.n
         parts = link_shapes(arm)
         for link, shapes in enumerate(parts):
             self._frames.append(server.scene.add_frame(f"/arm/{link}", show_axes=False))
@@ -101,20 +95,16 @@ class _ArmView:
                     self._tinted[link - 1].append(handle)
 
     def move(self, q: Array) -> None:
-        if self._q is not None and np.abs(q - self._q).max() < _STILL:
-            return
-        self._q = q
+        """Show the links at joint angles `q` (n,), rad."""
         for frame, rotation, origin in zip(self._frames[1:], *link_frames(self._model, q), strict=False):
             frame.wxyz = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
             frame.position = origin
 
     def colour(self, shares: Array) -> None:
-        for joint, share in enumerate(shares.tolist()):
-            colour = share_colour(share)
-            if colour != self._colours[joint]:
-                self._colours[joint] = colour
-                for handle in self._tinted[joint]:
-                    handle.color = colour
+        """Colour the links by shares (n,) of the torque that stops the arm."""
+        for share, handles in zip(shares.tolist(), self._tinted, strict=True):
+            for handle in handles:
+                handle.color = share_colour(share)
 
 
 class _PlanView:
@@ -127,6 +117,7 @@ class _PlanView:
         self._ghost: Any = None
 
     def show(self, plan: PlanPicture | None) -> None:
+        """Show a plan; None hides it."""
         if plan is self._shown:
             return
         self._shown = plan
@@ -137,7 +128,7 @@ class _PlanView:
             self._line(name, colour, points)
         if plan is None or not len(plan.ghost_radii):
             if self._ghost is not None:
-                set_if_changed(self._ghost, "visible", False)
+                self._ghost.visible = False
             return
         axes = plan.ghost_ends - plan.ghost_starts
         lengths = np.linalg.norm(axes, axis=1)
@@ -162,13 +153,13 @@ class _PlanView:
         self._ghost.batched_wxyzs = turns.astype(np.float32)
         self._ghost.batched_positions = middles.astype(np.float32)
         self._ghost.batched_scales = scales
-        set_if_changed(self._ghost, "visible", True)
+        self._ghost.visible = True
 
     def _line(self, name: str, colour: str, points: Array | None) -> None:
         line = self._lines.get(name)
         if points is None or len(points) < 2:
             if line is not None:
-                set_if_changed(line, "visible", False)
+                line.visible = False
             return
         segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         if line is None:
@@ -177,7 +168,7 @@ class _PlanView:
             )
             return
         line.points = segments
-        set_if_changed(line, "visible", True)
+        line.visible = True
 
 
 def _turn_to(axis: Array) -> Array:
@@ -196,11 +187,7 @@ def _mesh(server: viser.ViserServer, name: str, shape: Solid) -> Any:
     elif isinstance(shape, Cylinder):
         ends = np.stack([shape.start, shape.end])
         # Split at its edges; otherwise viser would shade the flat ends and the side as one round surface.
-        mesh = trimesh.creation.cylinder(shape.radius, segment=ends, sections=_AROUND).smooth_shaded
+        mesh = trimesh.creation.cylinder(shape.radius, segment=ends, sections=AROUND).smooth_shaded
     else:
-        axis = shape.end - shape.start
-        placed = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], axis)
-        placed[:3, 3] = 0.5 * (shape.start + shape.end)
-        size = float(np.linalg.norm(axis))
-        mesh = trimesh.creation.capsule(size, shape.radius, count=[_AROUND, _POLE_TO_POLE], transform=placed)
+        mesh = capsule_mesh(shape.start, shape.end, shape.radius)
     return server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=as_bytes(shape.colour))

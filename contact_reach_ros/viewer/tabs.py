@@ -17,7 +17,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import add_ball, as_bytes, set_if_changed
+from contact_reach_ros.viewer.handles import add_ball, as_bytes
 from contact_reach_ros.world.files import scene_names
 
 Value = bool | int | float | str
@@ -128,8 +128,8 @@ class GoalTab:
         `clock` is a steady clock, s.
         """
         self._frame = frame
-        set_if_changed(self._arrows, "visible", frame is not None)
-        set_if_changed(self._send, "disabled", frame is None)
+        self._arrows.visible = frame is not None
+        self._send.disabled = frame is None
         if frame is None or clock < self._due:
             return
         if self._checked is None:
@@ -139,7 +139,7 @@ class GoalTab:
         self._due = clock + _REACH_PERIOD
         self._checked = self._position.copy(), frame.q.copy()
         reachable, text = reach(self._arm, self._position, frame.q)
-        set_if_changed(self._ball, "color", as_bytes(rgb(GREEN if reachable else VERMILION)))
+        self._ball.color = as_bytes(rgb(GREEN if reachable else VERMILION))
         self._reach_text.content = f"{'✔' if reachable else '✘'} {text}"
 
     def _place(self, position: Array) -> None:
