@@ -3,14 +3,11 @@
 import http.client
 import queue
 import socket
-from types import SimpleNamespace
 
 import msgspec
 import pytest
 import viser
-import websockets.asyncio.server
 from contact_reach_command import contact_reach
-from viser import _messages as viser_messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -93,13 +90,14 @@ def test_no_visitor_gets_a_public_address(server, port, monkeypatch):
     def answer(*arguments):
         answers.put(original(*arguments))
 
-    answers = queue.SimpleQueue()
+    answers, tunnels = queue.SimpleQueue(), []
+    monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda *_: tunnels.append("a public address"))
     original = type(server).request_share_url
     monkeypatch.setattr(type(server), "request_share_url", answer)
-    monkeypatch.setattr("viser._viser.ViserTunnel", None)
     with websocket(port) as page:
-        page.send(msgspec.msgpack.encode(viser_messages.ShareUrlRequest().as_serializable_dict()))
+        page.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
         assert answers.get(timeout=10) is None
+    assert not tunnels
 
 
 def test_a_port_in_use_is_refused(port):
@@ -109,10 +107,12 @@ def test_a_port_in_use_is_refused(port):
 
 def test_a_server_that_cannot_be_guarded_is_not_served(monkeypatch):
     """As with a viser that serves in another way."""
-    other = SimpleNamespace(server=SimpleNamespace(serve=websockets.asyncio.server.serve))
-    monkeypatch.setattr("viser.infra._infra.websockets", SimpleNamespace(asyncio=other))
+    stopped = []
+    monkeypatch.setattr(viser.ViserServer, "__init__", lambda *_, **options: None)
+    monkeypatch.setattr(viser.ViserServer, "stop", lambda server: stopped.append(server))
     with pytest.raises(ContactReachError, match="cannot be guarded"):
         serve(0, "test")
+    assert stopped
 
 
 @pytest.mark.parametrize("name", ["address", "token"])
