@@ -15,11 +15,13 @@ from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.resources import share_directory
 from contact_reach_ros.viewer.frame import SafetyLevel
 from contact_reach_ros.viewer.playback import Player
 from contact_reach_ros.viewer.plots import quantities
 from contact_reach_ros.viewer.recorded import Recording
 
+SAMPLE = share_directory() / "bags" / "sample"
 TICKS, START = 2000, 1000
 GOAL = np.array([0.5, 0.1, 0.3])
 REFUSED = np.array([2.0, 0.0, 0.0])
@@ -112,6 +114,17 @@ def test_a_moment_is_shown_as_it_was(recording):
     assert recording.frame(0.2).goal is None
     stopped = recording.frame(1.9)
     assert stopped.safety["controller"].level is SafetyLevel.STOP and stopped.stops() == {"controller": "said at 1800"}
+
+
+def test_obstacles_and_plan_are_those_of_the_moment():
+    sample = Recording(SAMPLE, ARM)
+    before, after = sample.frame(sample.first_goal - 0.1), sample.frame(sample.first_goal + 0.5)
+    assert before.plan is None and len(before.obstacles) == 1
+    # The path begins near the flange of the moment for which it was planned.
+    flange = link_frames(ARM, after.q)[1][-1]
+    assert np.linalg.norm(after.plan.flange[0] - flange) < 0.03
+    assert np.linalg.norm(after.plan.flange[-1] - after.goal) < np.linalg.norm(flange - after.goal)
+    assert len(after.obstacles) == 1
 
 
 def test_events_are_on_the_robots_clock(recording):
