@@ -16,7 +16,7 @@ from contact_reach_ros.viewer.frame import Frame, SafetyLevel
 from contact_reach_ros.viewer.handles import share_gradient
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
-from contact_reach_ros.viewer.plots import BAG_AXIS, LIVE_AXIS, Plots
+from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.scene import SceneView
 from contact_reach_ros.viewer.tabs import Actions, GoalTab, TuneTab, add_episode_controls
@@ -145,12 +145,13 @@ class Page:
     def _show_plots(self) -> None:
         player = self._bag.player
         if player is not None:
-            self._plots.show(player.recording.table(player.time), BAG_AXIS)
+            self._plots.show(player.recording.table(player.time))
             return
         table = self._live.history.table()
         if len(table):
+            # Zero is now.
             table[:, 0] -= table[-1, 0]
-        self._plots.show(table, LIVE_AXIS)
+        self._plots.show(table)
 
 
 def _banner_text(frame: Frame | None, silence: float | None) -> tuple[SafetyLevel | None, str, str]:

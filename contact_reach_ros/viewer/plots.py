@@ -13,8 +13,6 @@ import viser
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, ORANGE, VERMILION
 
-LIVE_AXIS = "s, 0 is now"
-BAG_AXIS = "s since the first joint state"
 SPAN = 20.0
 """Time span of a plot, s."""
 ROUND_TRIPS = {f"round trip {name}": f"driver/round trip {name} us" for name in ("p50", "p99")}
@@ -25,6 +23,13 @@ _POINTS = 400
 _FORCE = 2
 """Column of the contact force."""
 _HEIGHT = 165
+_AXIS: dict[str, Any] = {
+    "size": 28,
+    "labelSize": 18,
+    "labelFont": "12px system-ui",
+    "font": "11px system-ui",
+    "gap": 2,
+}
 _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 
 
@@ -118,21 +123,17 @@ class Plots:
     def __init__(self, server: viser.ViserServer, joint_names: Sequence[str], permitted_force: float) -> None:
         self._columns, self._plots = quantities(joint_names), page_plots(joint_names)
         self._permitted = permitted_force
-        self._axis = LIVE_AXIS
         self._handles = [self._add(server, plot) for plot in self._plots]
 
-    def show(self, table: Array, axis: str) -> None:
-        """Show a table with the columns `quantities`; `axis` labels its times."""
+    def show(self, table: Array) -> None:
+        """Show a table with the columns `quantities`."""
         columns = dict(zip(self._columns, table.T, strict=True))
         for plot, handle in zip(self._plots, self._handles, strict=True):
-            if axis != self._axis:
-                handle.axes = _axes(axis, plot.unit)
             data = self._data(plot, columns)
             scales = _scales(data[1:])
             if scales != handle.scales:
                 handle.scales = scales
             handle.data = data
-        self._axis = axis
 
     def _add(self, server: viser.ViserServer, plot: Plot) -> Any:
         empty = dict.fromkeys(self._columns, np.zeros(0))
@@ -144,7 +145,7 @@ class Plots:
             self._data(plot, empty),
             tuple(series),
             title=f"{plot.title} ({plot.unit})",
-            axes=_axes(self._axis, plot.unit),
+            axes=({**_AXIS, "label": "s"}, {**_AXIS, "label": plot.unit, "size": 46, "labelSize": 16}),
             scales=_scales(()),
             legend={"show": len(series) > 2, "live": False},
             height=_HEIGHT,
@@ -175,8 +176,3 @@ def _round_up(value: float) -> float:
         return 0.0
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * next(step for step in _STEPS if step * power >= 0.999 * value))
-
-
-def _axes(time: str, unit: str) -> Any:
-    plain = {"size": 28, "labelSize": 18, "labelFont": "12px system-ui", "font": "11px system-ui", "gap": 2}
-    return ({**plain, "label": time}, {**plain, "label": unit, "size": 46, "labelSize": 16})
