@@ -12,7 +12,6 @@ import http
 import io
 import logging
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -28,8 +27,6 @@ from contact_reach_ros.viewer.settings import ADDRESS
 T = TypeVar("T")
 
 _LOOPBACK_NAMES = ("localhost", ADDRESS, "::1")
-
-_patching = threading.Lock()
 
 _QUIET = logging.getLogger(__name__)
 """Logger for the server, which writes a traceback for each connection that closes without a request."""
@@ -125,12 +122,11 @@ def _guarded(listener: socket.socket) -> Iterator[list[bool]]:
         used.append(True)
         return original(handler, sock=listener.dup(), **{**options, "process_request": process, "logger": _QUIET})
 
-    with _patching:
-        websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
-        try:
-            yield used
-        finally:
-            websockets.asyncio.server.serve = original  # type: ignore[assignment,misc]
+    websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
+    try:
+        yield used
+    finally:
+        websockets.asyncio.server.serve = original  # type: ignore[assignment,misc]
 
 
 def _forbid(reason: str) -> Response:
