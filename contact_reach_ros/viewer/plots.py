@@ -141,11 +141,12 @@ class Plots:
         series += [{"label": curve.label, "stroke": curve.colour, "width": 2} for curve in plot.curves]
         if plot.unit == "N":
             series.append({"label": "permitted", "stroke": VERMILION, "width": 2, "dash": (6, 4)})
+        axes: Any = ({**_AXIS, "label": "s"}, {**_AXIS, "label": plot.unit, "size": 46, "labelSize": 16})
         return server.gui.add_uplot(
             self._data(plot, empty),
             tuple(series),
             title=f"{plot.title} ({plot.unit})",
-            axes=({**_AXIS, "label": "s"}, {**_AXIS, "label": plot.unit, "size": 46, "labelSize": 16}),
+            axes=axes,
             scales=_scales(()),
             legend={"show": len(series) > 2, "live": False},
             height=_HEIGHT,
