@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from contact_reach_ros.bags import metadata as bag_metadata
 from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import ROS2MSG, RecordedTopic, TypeDefinition
+from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition
 from contact_reach_ros.errors import BagError
 
 COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
@@ -105,7 +105,7 @@ class BagWriter:
     @property
     def file(self) -> Path:
         """The newest mcap file, which is being written."""
-        return self._directory / self._files[-1].name
+        return self._directory / self._files[-1].path
 
     @property
     def message_count(self) -> int:
@@ -139,10 +139,7 @@ class BagWriter:
             raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
         if topic.name in self._channels:
             raise BagError(f"bag '{self._directory}': topic '{topic.name}' is added twice")
-        if definition is None:
-            text = self._types.definition(topic.type).encode()
-            definition = TypeDefinition(ROS2MSG, text, self._types.type_hash(topic.type))
-        channel = _Channel(topic, definition)
+        channel = _Channel(topic, definition or self._types.definition(topic.type))
         self._register(channel)
         self._channels[topic.name] = channel
 
@@ -259,13 +256,9 @@ class BagWriter:
         if schema_id is None:
             schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
             self._schema_ids[topic.type] = schema_id
-        offered_qos = bag_metadata.dump_yaml([qos.as_mapping() for qos in topic.offered_qos])
-        channel.number = self._writer.register_channel(
-            topic.name,
-            topic.encoding,
-            schema_id,
-            {"offered_qos_profiles": offered_qos, "topic_type_hash": definition.type_hash},
-        )
+        profiles = bag_metadata.dump_yaml([dataclasses.asdict(qos) for qos in topic.offered_qos])
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
+        channel.number = self._writer.register_channel(topic.name, topic.encoding, schema_id, about)
 
     def _wait_for_disk(self) -> None:
         """Wait for the last `flush` to reach the disk; raises its error."""
@@ -283,7 +276,7 @@ class BagWriter:
 
     def _information(self) -> dict[str, Any]:
         topics = [
-            bag_metadata.TopicCount(channel.topic, channel.definition.type_hash, channel.message_count)
+            (dataclasses.replace(channel.topic, message_count=channel.message_count), channel.definition.type_hash)
             for channel in self._channels.values()
         ]
         return bag_metadata.information(self._files, topics, self._custom_data)

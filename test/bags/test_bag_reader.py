@@ -167,6 +167,18 @@ def test_bag_that_is_stored_otherwise(sample: SampleBag, key: str, value: object
         BagReader(sample.directory)
 
 
+@pytest.mark.parametrize(("key", "value"), [("storage_identifier", ""), ("compression_mode", "NONE")])
+def test_metadata_of_other_writers(sample: SampleBag, key: str, value: str) -> None:
+    """`ros2 bag reindex` names no storage, and some recorders spell out that there is no compression."""
+    path = sample.directory / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["rosbag2_bagfile_information"][key] = value
+    path.write_text(yaml.safe_dump(content))
+    reader = BagReader(sample.directory)
+    assert reader.notes == ()
+    assert len(list(reader.raw_messages())) == len(sample.written)
+
+
 def test_bag_in_several_files(tmp_path: Path) -> None:
     first, second = SampleBag(tmp_path / "first", 40), SampleBag(tmp_path / "second", 60)
     path = first.directory / "metadata.yaml"

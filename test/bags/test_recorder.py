@@ -270,7 +270,7 @@ def test_existing_bag_is_refused(recorder: Recorder) -> None:
         ("files:=[a=/no/such/file]", "parameter files, entry 'a': /no/such/file cannot be read"),
         ("storage.min_free_mb:=1e15", "is not begun: "),
         ("storage.split_s:=-1.0", "storage.split_s"),
-        ("topics:=['joint_states:JointState']", "expected package/msg/Type"),
+        ("topics:=['joint_states:sensor_msgs/msg/JointState']", "is no topic name"),
         ("bag:=5", "bag"),
     ],
 )
@@ -283,7 +283,7 @@ def test_refused_parameter_is_named(recorder: Recorder, argument: str, message: 
     assert not recorder.directory.exists()
 
 
-def test_topic_of_another_type_is_not_recorded(recorder: Recorder) -> None:
+def test_topic_of_two_types_is_not_recorded(recorder: Recorder) -> None:
     said: list[str] = []
     recorder.node.create_subscription(Log, "/rosout", lambda line: said.append(line.msg), RELIABLE)
     executor = SingleThreadedExecutor(context=recorder.node.context)
@@ -293,11 +293,12 @@ def test_topic_of_another_type_is_not_recorded(recorder: Recorder) -> None:
         executor.spin_once(timeout_sec=0.05)
         return any("/state" in line for line in said)
 
-    recorder.start("topics:=['state:sensor_msgs/msg/JointState', text]")
-    recorder.publisher(String, "text", RELIABLE)
     recorder.publisher(String, "state", RELIABLE, wait=False)
-    recorder.until(complained, "a complaint about the type")
+    recorder.publisher(JointState, "state", RELIABLE, wait=False)
+    recorder.start("topics:=[state, text]")
+    recorder.publisher(String, "text", RELIABLE)
+    recorder.until(complained, "a complaint about the types")
     exit_code, output = recorder.end()
     assert exit_code == 0
-    assert "topic '/state' has the type std_msgs/msg/String, expected sensor_msgs/msg/JointState" in output
+    assert "'/state' has the types sensor_msgs/msg/JointState, std_msgs/msg/String, expected one" in output
     assert list(BagReader(recorder.directory).topics()) == ["/text"]
