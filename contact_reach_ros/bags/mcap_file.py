@@ -23,7 +23,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
@@ -64,8 +64,6 @@ class McapFile:
 
     Attributes
     ----------
-    profile :
-        Convention that the file follows: "ros2" for a bag; None if the file is cut before its header.
     schemas, channels :
         By their number in the file.
     message_counts :
@@ -78,7 +76,6 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.profile: str | None = None
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.message_counts: Counter[int] = Counter()
@@ -96,7 +93,10 @@ class McapFile:
         if not beginning:
             raise BagError(f"{path}: is empty; the recording stopped before anything was written")
         if beginning != MCAP0_MAGIC:
-            raise BagError(f"{path}: is no mcap file (its first bytes are {beginning.hex(' ')})")
+            raise BagError(
+                f"{path}: is no mcap file (its first bytes are {beginning.hex(' ')}); "
+                "`ros2 bag convert` can convert other recordings"
+            )
         if not self._open_by_index():
             self._scan()
         self._parts.sort(key=lambda part: (part.first_ns, part.start))
@@ -159,7 +159,6 @@ class McapFile:
                 if summary is None or summary.statistics is None or not _is_complete(summary):
                     return False
                 self.metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-                self.profile = reader.get_header().profile
         except _DAMAGE:
             return False
         self.schemas, self.channels = summary.schemas, summary.channels
@@ -196,9 +195,7 @@ class McapFile:
 
     def _add_part(self, start: int, end: int, records: Sequence[McapRecord]) -> None:
         for record in records:
-            if isinstance(record, Header):
-                self.profile = record.profile
-            elif isinstance(record, Metadata):
+            if isinstance(record, Metadata):
                 self.metadata[record.name] = record.metadata
             elif isinstance(record, Schema):
                 self.schemas[record.id] = record

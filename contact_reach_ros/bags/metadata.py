@@ -84,14 +84,11 @@ def _span(file: FileSpan) -> dict[str, Any]:
 
 
 def write(directory: Path, content: Mapping[str, Any]) -> None:
-    """Write metadata.yaml; the file is renamed into place once it is on the disk, so that it is always complete."""
-    target = directory / _FILE_NAME
-    partial = target.with_suffix(".yaml.partial")
-    with partial.open("w", encoding="utf-8") as stream:
+    """Write metadata.yaml, and flush it to the disk."""
+    with (directory / _FILE_NAME).open("w", encoding="utf-8") as stream:
         stream.write(dump_yaml({_ROOT: dict(content)}))
         stream.flush()
         os.fsync(stream.fileno())
-    os.replace(partial, target)
     sync_directory(directory)
 
 
@@ -120,27 +117,6 @@ def read(directory: Path) -> dict[str, Any] | None:
     if not isinstance(inner, dict):
         raise BagError(f"{path}: expected the metadata of a rosbag2 bag, with the key '{_ROOT}'")
     return inner
-
-
-def named_files(directory: Path, content: Mapping[str, Any]) -> list[Path]:
-    """Return the mcap files that the metadata of a bag name.
-
-    Raises `BagError` if there are none, or the bag is stored in another way than in mcap files.
-    """
-    # `ros2 bag reindex` leaves the identifier empty.
-    storage = content.get("storage_identifier") or "mcap"
-    if storage != "mcap":
-        raise BagError(f"bag '{directory}' is stored as {storage}, expected mcap; `ros2 bag convert` can convert it")
-    mode = content.get("compression_mode") or "none"
-    if str(mode).lower() != "none":
-        raise BagError(
-            f"bag '{directory}' is compressed by {mode}, expected none or the compression of mcap itself; "
-            "`ros2 bag convert` can convert it"
-        )
-    names = content.get("relative_file_paths")
-    if not isinstance(names, list) or not names:
-        raise BagError(f"{directory / _FILE_NAME}: names no file in relative_file_paths")
-    return [directory / Path(str(name)).name for name in names]
 
 
 def custom_data(content: Mapping[str, Any]) -> dict[str, str]:

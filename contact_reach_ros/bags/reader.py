@@ -20,8 +20,6 @@ from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, read_of
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
-PROFILE = "ros2"
-"""Profile of the mcap files that rosbag2 writes."""
 _STATES, _SAFETY = "/joint_states", "/safety_state"
 """Topics that every stack has."""
 
@@ -82,8 +80,7 @@ class BagSummary:
 class BagReader:
     """A recorded bag: a directory as rosbag2 makes it, or one mcap file.
 
-    Raises `BagError` if it is missing, empty or no bag, or if it is not stored as mcap, or compressed by other means
-    than mcap's own; with `of_stack` also if it has several stacks.
+    Raises `BagError` if it is missing, empty or not stored as mcap; with `of_stack` also if it has several stacks.
 
     Parameters
     ----------
@@ -99,7 +96,7 @@ class BagReader:
         if not os.path.exists(self._path):
             raise BagError(f"bag '{self._path}' does not exist")
         self._notes: list[str] = []
-        information = self._read_information() if self._path.is_dir() else None
+        information = self._read_information() if self._path.is_dir() else {}
         self._files = self._open(self._find_files(information))
         if of_stack:
             self._leave_namespace()
@@ -180,30 +177,30 @@ class BagReader:
             known = ", ".join(sorted(self.topics())) or "none"
             raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
 
-    def _read_information(self) -> Mapping[str, Any] | None:
-        """Read metadata.yaml; a missing or damaged one becomes a note if there are mcap files."""
-        has_files = any(self._path.glob("*.mcap"))
+    def _read_information(self) -> Mapping[str, Any]:
+        """Read metadata.yaml; a missing or damaged one becomes a note."""
         try:
             information = bag_metadata.read(self._path)
         except BagError as error:
-            if not has_files:
-                raise
             self._notes.append(f"{error}; the mcap files are read without it")
-            return None
-        if information is None and has_files:
+            return {}
+        if information is None:
             self._notes.append(
                 "metadata.yaml is missing: the recording was not closed; `contact-reach bag repair` closes it"
             )
-        return information
+        return information or {}
 
-    def _find_files(self, information: Mapping[str, Any] | None) -> Sequence[Path]:
-        if information is not None:
-            return bag_metadata.named_files(self._path, information)
+    def _find_files(self, information: Mapping[str, Any]) -> Sequence[Path]:
         if not self._path.is_dir():
             return [self._path]
+        if str(information.get("compression_mode")).lower() == "message":
+            raise BagError(f"the messages of bag '{self._path}' are compressed; `ros2 bag convert` can convert it")
+        named = information.get("relative_file_paths")
+        if isinstance(named, list) and named:
+            return [self._path / Path(str(name)).name for name in named]
         files = sorted(self._path.glob("*.mcap"), key=_file_number)
         if not files:
-            raise BagError(f"'{self._path}' is no bag: it has neither metadata.yaml nor an mcap file")
+            raise BagError(f"'{self._path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         return files
 
     def _open(self, paths: Sequence[Path]) -> list[McapFile]:
@@ -238,11 +235,6 @@ class BagReader:
     def _summarise(self, information: Mapping[str, Any]) -> BagSummary:
         topics: dict[str, RecordedTopic] = {}
         for file in self._files:
-            if file.profile not in (None, PROFILE):
-                self._notes.append(
-                    f"{file.path.name} has the profile '{file.profile}', expected '{PROFILE}':"
-                    " it may be no recording of ROS 2"
-                )
             for number, channel in file.channels.items():
                 found = self._topic(channel, file.schemas.get(channel.schema_id))
                 known = topics.setdefault(channel.topic, found)
