@@ -138,10 +138,9 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
             file.write_text(json.dumps(dataclasses.asdict(info), indent=2) + "\n")
         except OSError as error:
             raise BagError(f"--json {file}: cannot be written ({error.strerror}); name a file that can be") from error
-    if console is None:
-        console = Console()
-        if not console.is_terminal:
-            console = Console(width=_WIDE)
+    console = console or Console()
+    if not console.is_terminal:
+        console.width = _WIDE
     began = datetime.fromtimestamp(info.start_ns / NANOSECONDS).isoformat(" ", "milliseconds") if info.start_ns else "-"
     console.print(
         f"[bold]{info.path}[/]: {info.message_count} messages in {info.duration_s:.3f} s from {began},"

@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from mcap.writer import CompressionType, Writer
@@ -35,8 +34,7 @@ class BagWriter:
     """A bag that is being written: a directory with metadata.yaml and one or more mcap files.
 
     Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
-    can still be read. Raises `BagError` if the directory exists or cannot be written, a type is unknown, or a parameter
-    is not accepted.
+    can still be read. Raises `BagError` if the directory exists or cannot be written, or a type is unknown.
 
     Parameters
     ----------
@@ -63,17 +61,11 @@ class BagWriter:
         split_bytes: int = 0,
         split_ns: int = 0,
     ) -> None:
-        if compression not in COMPRESSIONS:
-            raise BagError(f"bag compression '{compression}': expected one of {', '.join(COMPRESSIONS)}")
-        if split_bytes < 0 or split_ns < 0:
-            raise BagError(f"bag split at {split_bytes} bytes or {split_ns} ns: expected 0 or more for both")
         self._directory = Path(directory)
         self._compression = COMPRESSIONS[compression]
         self._split_bytes, self._split_ns = split_bytes, split_ns
-        self._custom_data: dict[str, str] = {}
+        self._custom_data = dict(custom_data or {})
         self._custom_data_written = True
-        for key, value in (custom_data or {}).items():
-            self.set_custom_data(key, value)
         self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
@@ -103,22 +95,12 @@ class BagWriter:
         return self._directory
 
     @property
-    def file(self) -> Path:
-        """The newest mcap file, which is being written."""
-        return self._directory / self._files[-1].path
-
-    @property
     def message_count(self) -> int:
         """Number of messages written so far."""
         return sum(channel.message_count for channel in self._channels.values())
 
     def set_custom_data(self, key: str, value: str) -> None:
-        """Store text in the bag, replacing an earlier one of the same key; the next `flush` writes it.
-
-        Raises `BagError` if key or value is not a string.
-        """
-        if not isinstance(key, str) or not isinstance(value, str):
-            raise BagError(f"bag custom data {key!r} = {value!r}: expected text for both")
+        """Store text in the bag, replacing an earlier one of the same key; the next `flush` writes it."""
         if self._custom_data.get(key) != value:
             self._custom_data[key] = value
             self._custom_data_written = False
@@ -217,9 +199,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _open_file(self) -> None:
