@@ -106,9 +106,8 @@ class BagReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of the summary, and those on damaged chunks and undecodable messages found since."""
-        found = [*self._file_notes(), *self._decoder.notes()]
-        return (*self.summary.notes, *(note for note in found if note not in self.summary.notes))
+        """Notes of the summary, with damaged chunks and undecodable messages found since."""
+        return (*self._notes, *self._file_notes(), *self._decoder.notes())
 
     def topics(self) -> Mapping[str, RecordedTopic]:
         """The topics of the bag by name."""
