@@ -175,7 +175,7 @@ class McapFile:
         read: list[McapRecord] = []
         with self.path.open("rb") as stream:
             try:
-                for record in StreamReader(stream, emit_chunks=True, record_size_limit=self._size).records:
+                for record in self._records(stream):
                     try:
                         read += _unpacked(record)
                         end = stream.tell()
@@ -214,7 +214,7 @@ class McapFile:
         try:
             with self.path.open("rb") as stream:
                 stream.seek(start)
-                for record in StreamReader(stream, skip_magic=True, emit_chunks=True).records:
+                for record in self._records(stream, skip_magic=True):
                     records += _unpacked(record)
                     if stream.tell() >= end:
                         break
@@ -222,6 +222,9 @@ class McapFile:
             self._damaged.add(start)
             return []
         return self._known_messages(start, records)
+
+    def _records(self, stream: BinaryIO, skip_magic: bool = False) -> Iterator[McapRecord]:
+        return StreamReader(stream, skip_magic, emit_chunks=True, record_size_limit=self._size).records
 
     def _known_messages(self, start: int, records: Sequence[McapRecord]) -> list[Message]:
         """Return the messages of known channels, and note how many have times that ROS cannot express."""
