@@ -8,7 +8,7 @@ from conftest import START_NS, STEP_NS, SampleBag
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import IndexType, Writer
+from mcap.writer import Writer
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -78,14 +78,6 @@ def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:
     bag = write_stacks(tmp_path / "bag", *names, *(f"/left{name}" for name in names))
     with pytest.raises(BagError, match=r"several stacks: /, /left; expected one"):
         BagReader(bag, of_stack=True)
-
-
-def test_messages_come_by_time_of_reception(tmp_path: Path) -> None:
-    times = [5, 3, 9, 1, 7]
-    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "std_msgs/msg/String")]) as writer:
-        for time in times:
-            writer.write("/a", serialize_message(String(data=str(time))), time)
-    assert [int(item.message.data) for item in BagReader(tmp_path / "bag").messages()] == sorted(times)
 
 
 def test_bytes_behind_the_end_of_a_message_are_ignored(tmp_path: Path) -> None:
@@ -203,30 +195,6 @@ def test_directory_without_metadata_is_read_with_a_note(sample: SampleBag) -> No
     assert "metadata.yaml is missing" in reader.summary.notes[0]
 
 
-def test_file_without_index_is_read(tmp_path: Path) -> None:
-    """Other writers may leave out index, summary and chunks."""
-    path = tmp_path / "plain.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(
-            stream,
-            index_types=IndexType.NONE,
-            repeat_channels=False,
-            repeat_schemas=False,
-            use_chunking=False,
-            use_statistics=False,
-            use_summary_offsets=False,
-        )
-        writer.start(profile="ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-        channel = writer.register_channel("/text", "cdr", schema)
-        for time in range(3):
-            writer.add_message(channel, time, serialize_message(String(data=str(time))), time)
-        writer.finish()
-    reader = BagReader(path)
-    assert reader.summary.notes == ()
-    assert [item.message.data for item in reader.messages()] == ["0", "1", "2"]
-
-
 def chunk_ends(path: Path) -> list[int]:
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -298,27 +266,6 @@ def test_topic_that_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_p
     }.items():
         assert f"topic '{topic}' is left out" in notes
         assert reason in notes
-
-
-def test_reception_times_with_and_without_index(shared_sample: SampleBag, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(shared_sample.file.read_bytes()[:-10])
-    expected = [received for topic, received, *_ in shared_sample.written if topic == "/goal_pose"]
-    for path in (shared_sample.directory, cut):
-        assert BagReader(path).reception_times("/goal_pose").tolist() == expected
-
-
-def test_overlapping_chunks_come_by_time_of_reception(tmp_path: Path) -> None:
-    random = np.random.default_rng(0)
-    times = random.permutation(500)
-    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "std_msgs/msg/String")]) as writer:
-        for number, time in enumerate(times):
-            writer.write("/a", serialize_message(String(data=str(time))), int(time))
-            if number % 30 == 29:
-                writer.flush()
-    reader = BagReader(tmp_path / "bag")
-    assert [raw.log_time_ns for raw in reader.raw_messages()] == list(range(500))
-    assert reader.reception_times("/a").tolist() == times.tolist()
 
 
 @pytest.mark.parametrize(

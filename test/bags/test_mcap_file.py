@@ -2,13 +2,14 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import DataEnd, Footer, Message
-from mcap.writer import MCAP0_MAGIC, IndexType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 
 from contact_reach_ros.bags import mcap_file
 from contact_reach_ros.bags.mcap_file import McapFile
@@ -16,16 +17,14 @@ from contact_reach_ros.bags.mcap_file import McapFile
 COUNT = 50
 
 
-def write(
-    path: Path, index_types: IndexType = IndexType.ALL, times: dict[int, int] | None = None, **options: bool
-) -> list[tuple[str, Message]]:
+def write(path: Path, times: dict[int, int] | None = None, **options: Any) -> list[tuple[str, Message]]:
     """A file of several chunks with two channels that take turns; what was written, in its order.
 
     `times` are times of reception by number of the message, in place of the usual ones.
     """
     written: list[tuple[str, Message]] = []
     with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=2000, index_types=index_types, **options)
+        writer = Writer(stream, chunk_size=2000, **options)
         writer.start(profile="ros2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
         channels = {name: writer.register_channel(name, "cdr", schema) for name in ("/a", "/b")}
@@ -57,9 +56,20 @@ def check(path: Path, written: list[tuple[str, Message]]) -> McapFile:
     return file
 
 
-@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.ALL & ~IndexType.MESSAGE])
-def test_messages_are_as_written(tmp_path, index_types):
-    written = write(tmp_path / "a.mcap", index_types)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": CompressionType.NONE},
+        {"compression": CompressionType.LZ4},
+        {"index_types": IndexType.ALL & ~IndexType.MESSAGE},
+        {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False},
+        {"repeat_channels": False, "repeat_schemas": False},
+    ],
+)
+def test_messages_are_as_written(tmp_path, options):
+    """Other writers may leave out parts of index and summary."""
+    written = write(tmp_path / "a.mcap", **options)
     assert list(check(tmp_path / "a.mcap", written).notes()) == []
 
 
