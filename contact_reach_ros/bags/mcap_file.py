@@ -79,6 +79,7 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.message_counts: Counter[int] = Counter()
+        self.span_ns: tuple[int, int] | None = None
         self.metadata: dict[str, dict[str, str]] = {}
         self._parts: list[_Part] = []
         self._cut_at: int | None = None
@@ -100,8 +101,6 @@ class McapFile:
         if not self._open_by_index():
             self._scan()
         self._parts.sort(key=lambda part: (part.first_ns, part.start))
-        last_ns = max((part.last_ns for part in self._parts), default=0)
-        self.span_ns = (self._parts[0].first_ns, last_ns) if self._parts else None
         # The next request often lies close by: the viewer reads topic by topic and moment by moment.
         self._read_cached = lru_cache(4)(self._read)
 
@@ -162,7 +161,10 @@ class McapFile:
         except _DAMAGE:
             return False
         self.schemas, self.channels = summary.schemas, summary.channels
-        self.message_counts.update(summary.statistics.channel_message_counts)
+        statistics = summary.statistics
+        self.message_counts.update(statistics.channel_message_counts)
+        if statistics.message_count:
+            self.span_ns = statistics.message_start_time, statistics.message_end_time
         for chunk in summary.chunk_indexes:
             start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
             times = chunk.message_start_time, chunk.message_end_time
@@ -204,8 +206,11 @@ class McapFile:
         messages = self._known_messages(start, records)
         if messages:
             times = [message.log_time for message in messages]
+            first_ns, last_ns = min(times), max(times)
             counts = Counter(message.channel_id for message in messages)
-            self._parts.append(_Part(min(times), max(times), start, end, dict.fromkeys(counts, 0)))
+            self._parts.append(_Part(first_ns, last_ns, start, end, dict.fromkeys(counts, 0)))
+            earlier_ns, later_ns = self.span_ns or (first_ns, last_ns)
+            self.span_ns = min(first_ns, earlier_ns), max(last_ns, later_ns)
             self.message_counts += counts
 
     def _read(self, start: int, end: int) -> list[Message]:
