@@ -1,14 +1,10 @@
-"""Overview of a bag from its index: topics, rates, gaps and lost messages.
-
-In lockstep messages come as fast as the machine computes them, which is no property of the robot: rates and gaps are
-then on the robot's clock, to which the stamps of the joint states translate the times of reception.
-"""
+"""Overview of a bag from its index: topics, rates, gaps and lost messages."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,10 +13,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from contact_reach_ros.bags.columns import Stamps, read_raw
 from contact_reach_ros.bags.loss import LOST
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
 GAP_RATIO = 5.0
@@ -29,10 +25,8 @@ GAP_LEAST_S = 0.01
 """... and not shorter than this, s."""
 _FEW = 100
 """With fewer messages the median time between them means little, and gaps are not counted."""
-_MEGA = 1e6
-_STATES, _LOCKSTEP = "/joint_states", "/clock"
-"""The robot's clock, and a topic of which there are messages in lockstep only."""
-_Clock = Callable[[np.ndarray], np.ndarray]
+_LOCKSTEP = "/clock"
+"""A topic of which there are messages in lockstep only."""
 _WIDE = 150
 """Width of a table that includes the types, characters."""
 
@@ -48,11 +42,11 @@ class TopicInfo:
     qos :
         Offered quality of service in words, such as "reliable, latched".
     rate_hz :
-        Mean rate from the first to the last message, Hz; NaN for fewer than two.
+        Mean rate from the first to the last message, Hz; None for fewer than two.
     gaps :
         Number of gaps, see `GAP_RATIO`; None for fewer than 100 messages.
     longest_gap_s :
-        Longest time between two messages, s; NaN for fewer than two.
+        Longest time between two messages, s; None for fewer than two.
     out_of_order :
         Number of messages received before their predecessor in the file.
     lost :
@@ -63,112 +57,66 @@ class TopicInfo:
     type: str
     message_count: int
     qos: str
-    rate_hz: float
+    rate_hz: float | None
     gaps: int | None
-    longest_gap_s: float
+    longest_gap_s: float | None
     out_of_order: int
     lost: int | None
 
 
 @dataclasses.dataclass(frozen=True)
 class BagInfo:
-    """A bag: size in bytes, start in ns since the epoch, durations in s, topics, custom data and notes.
+    """A bag: size in bytes, start in ns since the epoch, duration in s, topics, custom data and notes.
 
-    `robot_duration_s` is that of a run in lockstep on the robot's clock, on which the rates and gaps of the topics are
-    then; None in real time.
+    In lockstep, rates and gaps show the pace of the machine that computed, not that of the robot.
     """
 
-    path: Path
+    path: str
     size: int
     start_ns: int
     duration_s: float
-    robot_duration_s: float | None
     message_count: int
+    in_lockstep: bool
     topics: tuple[TopicInfo, ...]
     custom_data: dict[str, str]
     notes: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return plain values for JSON; NaN becomes None."""
-        content = dataclasses.asdict(self) | {"path": str(self.path), "notes": list(self.notes)}
-        for topic in content["topics"]:
-            topic |= {key: None for key, value in topic.items() if isinstance(value, float) and np.isnan(value)}
-        return content
 
 
 def read_info(path: Path) -> BagInfo:
     """Summarise a bag; raises `BagError` if nothing of it can be read."""
     reader = BagReader(path)
     summary = reader.summary
-    on_clock = _robot_clock(reader)
-    topics = tuple(
-        _topic_info(topic, reader.reception_times(name), summary.custom_data, on_clock)
-        for name, topic in sorted(summary.topics.items())
-    )
+    data = dict(summary.custom_data)
+    topics = tuple(_topic_info(summary.topics[name], reader, data) for name in sorted(summary.topics))
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return BagInfo(
-        path,
+        str(path),
         sum(file.stat().st_size for file in files),
         summary.start_ns,
         summary.duration,
-        None if on_clock is None else float(np.ptp(on_clock(reader.reception_times(_STATES)))) / NANOSECONDS,
         summary.message_count,
+        _LOCKSTEP in summary.topics,
         topics,
-        dict(summary.custom_data),
+        data,
         reader.notes,
     )
 
 
-def _robot_clock(reader: BagReader) -> _Clock | None:
-    """Translates times of reception, ns, to the robot's clock; None in real time, or without joint states."""
-    if _LOCKSTEP not in reader.topics() or _STATES not in reader.topics():
-        return None
-    stamps = Stamps()
-    read_raw(reader, {_STATES: stamps})
-    states = stamps.column()
-    received_ns, first = np.unique(states.log_ns, return_index=True)
-    if not len(received_ns):
-        return None
-    begin_ns = states.stamp_ns[0]
-    since = (states.stamp_ns[first] - begin_ns).astype(float)
-    return lambda times_ns: np.interp(times_ns, received_ns, since)
-
-
-def _topic_info(
-    topic: RecordedTopic, times_ns: np.ndarray, custom_data: Mapping[str, str], on_clock: _Clock | None
-) -> TopicInfo:
-    steps = np.diff(times_ns)
-    if on_clock is not None:
-        times_ns = np.sort(on_clock(times_ns))
-        # Before time begins, everything is repeated until everybody has received it.
-        times_ns = times_ns[max(np.count_nonzero(times_ns == 0.0) - 1, 0) :]
-    rate = gap = float("nan")
-    gaps = None
-    if len(times_ns) > 1:
-        span = float(times_ns.max() - times_ns.min()) / NANOSECONDS
-        rate = (len(times_ns) - 1) / span if span > 0.0 else float("nan")
-        forward = np.diff(np.sort(times_ns)) / NANOSECONDS
-        gap = float(forward.max())
-        if len(times_ns) >= _FEW:
-            gaps = int(np.count_nonzero(forward > max(GAP_RATIO * float(np.median(forward)), GAP_LEAST_S)))
+def _topic_info(topic: RecordedTopic, reader: BagReader, custom_data: Mapping[str, str]) -> TopicInfo:
+    times_ns = reader.reception_times(topic.name)
+    out_of_order = int(np.count_nonzero(np.diff(times_ns) < 0))
+    steps = np.diff(np.sort(times_ns)) / NANOSECONDS
+    rate = gap = gaps = None
+    if len(steps):
+        gap = float(steps.max())
+        rate = len(steps) / float(steps.sum()) if gap > 0.0 else None
+    if len(times_ns) >= _FEW:
+        gaps = int(np.count_nonzero(steps > max(GAP_RATIO * float(np.median(steps)), GAP_LEAST_S)))
+    lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
+    known_lost = int(lost) if lost.isdigit() else None
     return TopicInfo(
-        topic.name,
-        topic.type,
-        topic.message_count,
-        _qos(topic),
-        rate,
-        gaps,
-        gap,
-        int(np.count_nonzero(steps < 0)),
-        _lost(topic.name, custom_data),
+        topic.name, topic.type, topic.message_count, _qos(topic), rate, gaps, gap, out_of_order, known_lost
     )
-
-
-def _lost(topic: str, custom_data: Mapping[str, str]) -> int | None:
-    if not custom_data.get(LOST, "").isdigit():
-        return None
-    of_topic = custom_data.get(f"{LOST}{topic}", "0")
-    return int(of_topic) if of_topic.isdigit() else None
 
 
 def _qos(topic: RecordedTopic) -> str:
@@ -182,37 +130,33 @@ def _qos(topic: RecordedTopic) -> str:
 def bag_info(path: Path, file: Path | None, console: Console | None = None) -> None:
     """Print an overview of a bag, and write it as JSON if a file is given.
 
-    Raises `BagError` if nothing of it can be read.
+    Raises `BagError` if nothing of it can be read, or the file cannot be written.
     """
     info = read_info(path)
     if file is not None:
-        file.write_text(json.dumps(info.as_json(), indent=2) + "\n")
-    console = console or _console()
+        try:
+            file.write_text(json.dumps(dataclasses.asdict(info), indent=2) + "\n")
+        except OSError as error:
+            raise BagError(f"--json {file}: cannot be written ({error.strerror}); name a file that can be") from error
+    console = console or Console()
+    if not console.is_terminal:
+        console.width = _WIDE
     began = datetime.fromtimestamp(info.start_ns / NANOSECONDS).isoformat(" ", "milliseconds") if info.start_ns else "-"
     console.print(
         f"[bold]{info.path}[/]: {info.message_count} messages in {info.duration_s:.3f} s from {began},"
-        f" {info.size / _MEGA:.1f} MB",
+        f" {info.size / 1e6:.1f} MB",
         highlight=False,
     )
-    if info.robot_duration_s is not None:
-        console.print(
-            f"lockstep: {info.robot_duration_s:.3f} s on the robot's clock; rates and gaps are on it, too",
-            highlight=False,
-        )
+    if info.in_lockstep:
+        console.print("lockstep: rates and gaps show the pace of the machine that computed, not that of the robot")
     console.print(_table(info.topics, with_type=console.width >= _WIDE))
     for key, value in sorted(info.custom_data.items()):
         if not key.startswith(f"{LOST}/"):
-            lines = value.splitlines()
-            shown = value if len(lines) <= 1 else f"({len(lines)} lines)"
+            lines = len(value.splitlines())
+            shown = value if lines <= 1 else f"({lines} lines)"
             console.print(f"  {key}: {shown}", highlight=False, markup=False)
     for note in info.notes:
         console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
-
-
-def _console() -> Console:
-    """Return a console as wide as the terminal, or wide enough for every column if the output is a file or pipe."""
-    console = Console()
-    return console if console.is_terminal else Console(width=_WIDE)
 
 
 def _table(topics: Sequence[TopicInfo], with_type: bool) -> Table:
@@ -231,13 +175,13 @@ def _table(topics: Sequence[TopicInfo], with_type: bool) -> Table:
             *([topic.type] if with_type else []),
             f"{topic.message_count}{late}",
             _number(topic.rate_hz),
-            "-" if topic.gaps is None else str(topic.gaps),
-            _number(1e3 * topic.longest_gap_s),
+            _number(topic.gaps),
+            "-" if topic.longest_gap_s is None else f"{1e3 * topic.longest_gap_s:.1f}",
             f"[red]{lost}[/]" if topic.lost else lost,
             topic.qos,
         )
     return table
 
 
-def _number(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.1f}"
+def _number(value: Any) -> str:
+    return "-" if value is None else f"{value:.1f}" if isinstance(value, float) else str(value)

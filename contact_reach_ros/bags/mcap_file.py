@@ -1,87 +1,62 @@
-"""One mcap file: what it holds, and its messages by time, also when its end is missing.
+"""One mcap file: its contents, and its messages by time of reception.
 
-The `mcap` package reads the records. The chunks are opened here, one by one: its `SeekingReader.iter_messages` gives up
-the whole file for one damaged chunk, and needs an index, which a recording that was not closed lacks.
+The `mcap` package reads the records. A file is opened by its index; one without a complete index, such as that of a
+recorder that was killed or whose disk was full, is read up to its end, or to where it is cut. Chunks are read one by
+one, since `SeekingReader.iter_messages` gives up the whole file for a damaged one.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import os
-from array import array
+import struct
 from bisect import bisect_left
-from collections.abc import Collection, Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import lru_cache
+from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
+import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, ChunkIndex, Header, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from contact_reach_ros.bags.mcap_records import DAMAGE, LATEST_NS, messages_of, summary_is_sound, unpacked
 from contact_reach_ros.errors import BagError
 
-PROFILE = "ros2"
-"""Profile of the mcap files that rosbag2 writes."""
-
-_LOOSE_BYTES = 2**20
+_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError, OSError)
+"""What the libraries raise where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text, or a
+length that nothing can have."""
+_LATEST_NS = 2**63 - 1
+"""Last time that ROS can express."""
+_RECORD_HEAD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+"""Beginnings of a record, opcode and length, and of a message: channel, sequence, times of reception and sending."""
+_INDEX_HEAD, _INDEX_ENTRY = struct.Struct("<BQHI"), np.dtype([("time", "<u8"), ("position", "<u8")])
+"""Beginning of a message index: opcode, length, channel, bytes of the entries that follow."""
+_PART_BYTES = 2**20
 """Messages outside of chunks are read in portions of this size."""
-_CACHED_PARTS = 4
-"""Parts kept for the next request, which often lies close by: the viewer reads topic by topic and moment by moment."""
 _RECEPTION = attrgetter("log_time")
-
-Times = NDArray[np.int64]
-
-
-@dataclasses.dataclass
-class McapContents:
-    """What an mcap file holds.
-
-    Attributes
-    ----------
-    profile :
-        Convention that the file follows: "ros2" for a bag; None if the file is cut before that.
-    schemas, channels :
-        By their number in the file.
-    message_counts :
-        Messages by channel number.
-    start_ns, end_ns :
-        Time of reception of the first and the last message, ns since the epoch; 0 if there is none.
-    metadata :
-        Metadata records by name; the last one of a name counts.
-    cut_at :
-        Byte position up to which a damaged file could be read, None for a whole one.
-    """
-
-    profile: str | None = None
-    schemas: dict[int, Schema] = dataclasses.field(default_factory=dict)
-    channels: dict[int, Channel] = dataclasses.field(default_factory=dict)
-    message_counts: dict[int, int] = dataclasses.field(default_factory=dict)
-    start_ns: int = 0
-    end_ns: int = 0
-    metadata: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
-    cut_at: int | None = None
 
 
 class _Part(NamedTuple):
-    """Bytes `start` to `end` of the file, read at once: a chunk, or messages outside of chunks.
+    """Messages that are read together, from byte `start` to `end`: mostly a chunk.
 
-    The messages were received from `first_ns` to `last_ns`, on `channels`; these are empty if unknown.
+    They were received from `first_ns` to `last_ns`. `channels` are the numbers of their channels, with the positions of
+    the message indexes: 0 where there is none.
     """
 
-    start: int
-    end: int
     first_ns: int
     last_ns: int
-    channels: frozenset[int]
+    start: int
+    end: int
+    channels: Mapping[int, int]
 
 
 class McapFile:
@@ -89,184 +64,223 @@ class McapFile:
 
     Attributes
     ----------
-    path :
-        The file.
-    contents :
-        What it holds.
+    schemas, channels :
+        By their number in the file.
+    message_counts :
+        Messages by channel number.
+    span_ns :
+        Times of reception of the first and of the last message, ns since the epoch; None without messages.
+    metadata :
+        Metadata records by name; the last one of a name counts.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.message_counts: Counter[int] = Counter()
+        self.span_ns: tuple[int, int] | None = None
+        self.metadata: dict[str, dict[str, str]] = {}
+        self._parts: list[_Part] = []
+        self._cut_at: int | None = None
+        self._damaged: set[int] = set()
+        self._untimely: Counter[int] = Counter()
         try:
             with path.open("rb") as stream:
-                start = stream.read(len(MCAP0_MAGIC))
-                self._size = os.fstat(stream.fileno()).st_size
+                beginning = stream.read(len(MCAP0_MAGIC))
+            self._size = path.stat().st_size
         except OSError as error:
             raise BagError(f"{path}: cannot be opened: {error.strerror}") from error
-        if not start:
+        if not beginning:
             raise BagError(f"{path}: is empty; the recording stopped before anything was written")
-        if start != MCAP0_MAGIC:
-            raise BagError(f"{path}: is no mcap file (its first bytes are {start.hex(' ')})")
-        self._chunks: list[ChunkIndex] = []
-        self._parts: list[_Part] = []
-        self._damaged: set[int] = set()
-        self._times: dict[int, array[int]] = {}
-        self._read = lru_cache(_CACHED_PARTS)(self._read_part)
-        self.contents = self._read_summary() or self._scan()
+        if beginning != MCAP0_MAGIC:
+            raise BagError(
+                f"{path}: is no mcap file (its first bytes are {beginning.hex(' ')}); "
+                "`ros2 bag convert` can convert other recordings"
+            )
+        if not self._open_by_index():
+            self._scan()
         self._parts.sort(key=lambda part: (part.first_ns, part.start))
+        # The next request often lies close by: the viewer reads topic by topic and moment by moment.
+        self._read_cached = lru_cache(4)(self._read)
 
-    @property
-    def damaged_chunks(self) -> int:
-        """Number of chunks found damaged so far; their messages are lost."""
-        return len(self._damaged)
+    def notes(self) -> Iterator[str]:
+        """Yield a sentence about each kind of defect found so far."""
+        name = self.path.name
+        if self._cut_at is not None:
+            yield f"{name} is cut or damaged: readable up to byte {self._cut_at} of {self._size}"
+        if self._damaged:
+            yield f"{name}: {len(self._damaged)} chunks are damaged, their messages are left out"
+        if self._untimely.total():
+            yield f"{name}: {self._untimely.total()} messages with a time after the year 2262 are left out"
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[tuple[str, Message]]:
         """Yield topic and message by time of reception, from a time in ns since the epoch on.
 
         Messages are held back only as long as a later part may have older ones. Damaged chunks are left out.
         """
-        names = {number: channel.topic for number, channel in self.contents.channels.items() if channel.topic in topics}
+        names = {number: channel.topic for number, channel in self.channels.items() if channel.topic in topics}
         waiting: list[Message] = []
         for part in self._parts:
-            unwanted = part.channels and part.channels.isdisjoint(names)
-            if unwanted or part.last_ns < start_ns:
+            if names.keys().isdisjoint(part.channels) or part.last_ns < start_ns:
                 continue
             ready = bisect_left(waiting, part.first_ns, key=_RECEPTION)
             yield from ((names[message.channel_id], message) for message in waiting[:ready])
-            found = [m for m in self._read(part) if m.channel_id in names and m.log_time >= start_ns]
+            read = self._read_cached(part.start, part.end)
+            found = [message for message in read if message.channel_id in names and message.log_time >= start_ns]
             # Stable: messages of the same time stay in the order of the file.
             waiting = sorted(waiting[ready:] + found, key=_RECEPTION)
         yield from ((names[message.channel_id], message) for message in waiting)
 
-    def reception_times(self) -> dict[int, Times]:
+    def reception_times(self) -> dict[int, NDArray[np.int64]]:
         """Return times of reception, (n,) in ns since the epoch, by channel number, in the order of the file."""
-        if self._chunks:
-            try:
-                found = self._indexed_times()
-            except DAMAGE:
-                found = {}
-            if all(len(found.get(channel, ())) == count for channel, count in self.contents.message_counts.items()):
-                return found
-        if not self._times:
-            # The file has no message indexes, or damaged ones.
-            for part in sorted(self._parts):
-                self._keep_times(self._read_part(part))
-        return {channel: np.array(times, np.int64) for channel, times in self._times.items()}
+        parts = sorted(self._parts, key=lambda part: part.start)
+        times: dict[int, list[NDArray[np.int64]]] = {number: [np.zeros(0, np.int64)] for number in self.channels}
+        with self.path.open("rb") as stream:
+            for part in parts:
+                try:
+                    found = {number: _indexed_times(stream, number, at) for number, at in part.channels.items()}
+                except _DAMAGE:
+                    read = self._read(part.start, part.end)
+                    found = {
+                        n: np.array([m.log_time for m in read if m.channel_id == n], np.int64) for n in part.channels
+                    }
+                for number, values in found.items():
+                    times[number].append(values)
+        return {number: np.concatenate(parts) for number, parts in times.items()}
 
-    def _read_part(self, part: _Part) -> list[Message]:
+    def _open_by_index(self) -> bool:
+        """Take contents and chunks from the summary; returns False if it is missing, damaged or incomplete."""
+        try:
+            with self.path.open("rb") as stream:
+                reader = SeekingReader(stream)
+                summary = reader.get_summary()
+                if summary is None or summary.statistics is None or not _is_complete(summary):
+                    return False
+                self.metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        except _DAMAGE:
+            return False
+        self.schemas, self.channels = summary.schemas, summary.channels
+        statistics = summary.statistics
+        self.message_counts.update(statistics.channel_message_counts)
+        if statistics.message_count:
+            self.span_ns = statistics.message_start_time, statistics.message_end_time
+        for chunk in summary.chunk_indexes:
+            start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+            times = chunk.message_start_time, chunk.message_end_time
+            self._parts.append(_Part(*times, start, end, chunk.message_index_offsets))
+        return True
+
+    def _scan(self) -> None:
+        """Read the file from its beginning to its end, or to where it is cut."""
+        start = end = len(MCAP0_MAGIC)
+        read: list[McapRecord] = []
+        with self.path.open("rb") as stream:
+            try:
+                for record in self._records(stream):
+                    try:
+                        read += _unpacked(record)
+                        end = stream.tell()
+                    except _DAMAGE:
+                        if stream.tell() >= self._size:
+                            # Nothing follows: this is where the file is cut.
+                            raise
+                        self._damaged.add(end)
+                        self._add_part(start, end, read)
+                        start, end, read = stream.tell(), stream.tell(), []
+                    if isinstance(record, Chunk) or end - start > _PART_BYTES:
+                        self._add_part(start, end, read)
+                        start, read = end, []
+            except _DAMAGE:
+                self._cut_at = end
+        self._add_part(start, end, read)
+
+    def _add_part(self, start: int, end: int, records: Sequence[McapRecord]) -> None:
+        for record in records:
+            if isinstance(record, Metadata):
+                self.metadata[record.name] = record.metadata
+            elif isinstance(record, Schema):
+                self.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self.channels[record.id] = record
+        messages = self._known_messages(start, records)
+        if messages:
+            times = [message.log_time for message in messages]
+            first_ns, last_ns = min(times), max(times)
+            counts = Counter(message.channel_id for message in messages)
+            self._parts.append(_Part(first_ns, last_ns, start, end, dict.fromkeys(counts, 0)))
+            earlier_ns, later_ns = self.span_ns or (first_ns, last_ns)
+            self.span_ns = min(first_ns, earlier_ns), max(last_ns, later_ns)
+            self.message_counts += counts
+
+    def _read(self, start: int, end: int) -> list[Message]:
         """Read the messages of a part in the order of the file; none if it is damaged."""
         records: list[McapRecord] = []
         try:
             with self.path.open("rb") as stream:
-                stream.seek(part.start)
+                stream.seek(start)
                 for record in self._records(stream, skip_magic=True):
-                    records += unpacked(record)
-                    if stream.tell() >= part.end:
+                    records += _unpacked(record)
+                    if stream.tell() >= end:
                         break
-        except DAMAGE:
-            self._damaged.add(part.start)
+        except _DAMAGE:
+            self._damaged.add(start)
             return []
-        return messages_of(records, self.contents.channels)
+        return self._known_messages(start, records)
 
     def _records(self, stream: BinaryIO, skip_magic: bool = False) -> Iterator[McapRecord]:
-        reader = StreamReader(stream, skip_magic=skip_magic, emit_chunks=True, record_size_limit=self._size)
-        return reader.records
+        return StreamReader(stream, skip_magic, emit_chunks=True, record_size_limit=self._size).records
 
-    def _read_summary(self) -> McapContents | None:
-        """Read the summary at the end of the file; None if it is missing, damaged, or lacks what reading needs."""
-        with self.path.open("rb") as stream:
-            reader = SeekingReader(stream)
-            try:
-                summary = reader.get_summary() if summary_is_sound(stream) else None
-                if summary is None or summary.statistics is None or not self._is_complete(summary):
-                    return None
-                metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-                profile = reader.get_header().profile
-            except (*DAMAGE, OSError):
-                # OSError: a file that is shorter than a footer.
-                return None
-        self._chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
-        for chunk in self._chunks:
-            start, end = chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
-            channels = frozenset(chunk.message_index_offsets)
-            self._parts.append(_Part(start, end, chunk.message_start_time, chunk.message_end_time, channels))
-        counts, statistics = summary.statistics.channel_message_counts, summary.statistics
-        start_ns, end_ns = statistics.message_start_time, statistics.message_end_time
-        return McapContents(profile, summary.schemas, summary.channels, dict(counts), start_ns, end_ns, metadata)
+    def _known_messages(self, start: int, records: Sequence[McapRecord]) -> list[Message]:
+        """Return the messages of known channels, and note how many have times that ROS cannot express."""
+        found = [record for record in records if isinstance(record, Message) and record.channel_id in self.channels]
+        kept = [message for message in found if max(message.log_time, message.publish_time) <= _LATEST_NS]
+        self._untimely[start] = len(found) - len(kept)
+        return kept
 
-    def _is_complete(self, summary: Summary) -> bool:
-        """Return whether a summary has what reading by index needs: files of other writers may leave parts out."""
-        counted = summary.statistics.channel_message_counts if summary.statistics else {}
-        channels = [summary.channels.get(number) for number in counted]
-        known = all(channel is not None and channel.schema_id in summary.schemas for channel in channels)
-        inside = all(chunk.chunk_start_offset + chunk.chunk_length <= self._size for chunk in summary.chunk_indexes)
-        return known and inside and bool(summary.chunk_indexes or not counted)
 
-    def _scan(self) -> McapContents:
-        """Read the file from its beginning to its end, or to where it is cut."""
-        contents, position = McapContents(), 0
-        with self.path.open("rb") as stream:
-            try:
-                for record in self._records(stream):
-                    start, end = position, stream.tell()
-                    try:
-                        records = unpacked(record)
-                    except DAMAGE:
-                        if end >= self._size:
-                            # Nothing follows: this is where the file is cut.
-                            raise
-                        self._damaged.add(start)
-                        records = []
-                    for found in records:
-                        if isinstance(found, Header):
-                            contents.profile = found.profile
-                        elif isinstance(found, Metadata):
-                            contents.metadata[found.name] = found.metadata
-                        elif isinstance(found, Schema):
-                            contents.schemas[found.id] = found
-                        elif isinstance(found, Channel):
-                            contents.channels[found.id] = found
-                    if messages := messages_of(records, contents.channels):
-                        self._add_part(start, end, messages, is_loose=isinstance(record, Message))
-                    position = end
-            except DAMAGE:
-                contents.cut_at = position
-        contents.message_counts = {channel: len(times) for channel, times in self._times.items()}
-        contents.start_ns = min((part.first_ns for part in self._parts), default=0)
-        contents.end_ns = max((part.last_ns for part in self._parts), default=0)
-        return contents
+def _unpacked(record: McapRecord) -> Sequence[McapRecord]:
+    """Return the records of a chunk, or the record itself; raises one of `_DAMAGE` if it is damaged."""
+    if not isinstance(record, Chunk):
+        return [record]
+    # With `breakup_chunk` instead, a report takes twice as long.
+    stream, size = get_chunk_data_stream(record, validate_crc=True)
+    data, at = stream.read(size), 0
+    records: list[McapRecord] = []
+    while at < size:
+        opcode, length = _RECORD_HEAD.unpack_from(data, at)
+        start, at = at + _RECORD_HEAD.size, at + _RECORD_HEAD.size + length
+        if at > size:
+            raise ValueError(f"a record of a chunk ends {at - size} bytes beyond it")
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(data, start)
+            content = data[start + _MESSAGE_HEAD.size : at]
+            records.append(Message(channel, log_time, content, publish_time, sequence))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            kind = Schema if opcode == Opcode.SCHEMA else Channel
+            records.append(kind.read(ReadDataStream(BytesIO(data[start:at]))))
+    return records
 
-    def _add_part(self, start: int, end: int, messages: Sequence[Message], is_loose: bool) -> None:
-        self._keep_times(messages)
-        times = [message.log_time for message in messages]
-        part = _Part(start, end, min(times), max(times), frozenset(message.channel_id for message in messages))
-        if is_loose and self._parts and self._parts[-1].end == start and end - self._parts[-1].start <= _LOOSE_BYTES:
-            last = self._parts.pop()
-            first_ns, last_ns = min(last.first_ns, part.first_ns), max(last.last_ns, part.last_ns)
-            part = _Part(last.start, end, first_ns, last_ns, last.channels | part.channels)
-        self._parts.append(part)
 
-    def _keep_times(self, messages: Sequence[Message]) -> None:
-        for message in messages:
-            self._times.setdefault(message.channel_id, array("q")).append(message.log_time)
+def _indexed_times(stream: BinaryIO, channel: int, position: int) -> NDArray[np.int64]:
+    """Read the times of a message index; raises one of `_DAMAGE` if there is none."""
+    # `MessageIndex.read` takes seconds for the three million messages of ten minutes.
+    stream.seek(position)
+    opcode, _, number, size = _INDEX_HEAD.unpack(stream.read(_INDEX_HEAD.size))
+    if (opcode, number) != (Opcode.MESSAGE_INDEX, channel):
+        raise ValueError(f"no message index of channel {channel} at byte {position}")
+    return np.frombuffer(stream.read(size), _INDEX_ENTRY)["time"].astype(np.int64)
 
-    def _indexed_times(self) -> dict[int, Times]:
-        """Read times of reception by channel from the message indexes; raises one of `DAMAGE` if one is damaged."""
-        # Not by `MessageIndex.read`, which takes seconds for the three million messages of ten minutes.
-        found: dict[int, list[Times]] = {}
-        with self.path.open("rb") as stream:
-            data = ReadDataStream(stream)
-            for chunk in self._chunks:
-                for number, position in chunk.message_index_offsets.items():
-                    if position >= self._size:
-                        raise ValueError(f"message index at byte {position}, beyond the end of the file")
-                    stream.seek(position)
-                    opcode, _, channel, size = data.read1(), data.read8(), data.read2(), data.read4()
-                    if (opcode, channel) != (Opcode.MESSAGE_INDEX, number):
-                        raise ValueError(f"no message index at byte {position}")
-                    # Pairs of time and position.
-                    entries = np.frombuffer(data.read(size), "<u8").reshape(-1, 2)
-                    if entries.max(initial=0) > LATEST_NS:
-                        raise ValueError(f"message index at byte {position} has times that ROS cannot express")
-                    found.setdefault(channel, []).append(entries[:, 0].astype(np.int64))
-        return {channel: np.concatenate(parts) for channel, parts in found.items()}
+
+def _is_complete(summary: Summary) -> bool:
+    """Return whether a summary has the types of all channels, and finds all messages, at possible times."""
+    if summary.statistics is None or summary.statistics.message_end_time > _LATEST_NS:
+        return False
+    counts = summary.statistics.channel_message_counts
+    channels = [summary.channels.get(number) for number in counts]
+    indexed = sum(
+        (chunk.message_index_length - _INDEX_HEAD.size * len(chunk.message_index_offsets)) // _INDEX_ENTRY.itemsize
+        for chunk in summary.chunk_indexes
+    )
+    is_known = all(channel is not None and channel.schema_id in summary.schemas for channel in channels)
+    return is_known and indexed == sum(counts.values())

@@ -1,23 +1,33 @@
-"""Definitions and hashes of message types.
+"""Message types: definitions for writing bags, and decoding by the definitions in a bag, without a ROS installation.
 
-The standard types come from tables that are part of `rosbags`, so bags can be written without a ROS
-installation. Other types are read from the .msg files of the sourced workspaces (AMENT_PREFIX_PATH).
+The standard types come from tables that are part of `rosbags`. Other types are read from the .msg files of the sourced
+workspaces (AMENT_PREFIX_PATH).
 """
 
 from __future__ import annotations
 
 import os
+import struct
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
 
-from contact_reach_ros.bags.topics import check_type_name
+from contact_reach_ros.bags.topics import CDR, ROS2MSG, RecordedTopic, TypeDefinition, check_type_name
 from contact_reach_ros.errors import BagError
+
+_UNCLEAR = (TypesysError, UnicodeDecodeError, KeyError, SyntaxError, RecursionError)
+"""What rosbags raises for invalid definitions: it turns them into Python code, even if a name is no identifier or a
+type contains itself."""
+_UNDECODABLE = (SerdeError, struct.error, IndexError, ValueError)
+"""What rosbags raises for bytes that are no message of the type."""
 
 
 class MessageTypes:
@@ -26,29 +36,15 @@ class MessageTypes:
     def __init__(self) -> None:
         self._store = get_typestore(Stores.ROS2_JAZZY)
 
-    def definition(self, name: str) -> str:
+    def definition(self, name: str) -> TypeDefinition:
         """Return the text of the .msg file followed by each dependency once, as in `ros2msg` schemas.
 
         Raises `BagError` if the type is neither a standard type nor in a sourced workspace.
         """
-        self._require(name)
-        text, _ = self._store.generate_msgdef(name, ros_version=2)
-        return text
-
-    def type_hash(self, name: str) -> str:
-        """Return the hash of the type in the form RIHS01_<64 hexadecimal digits>.
-
-        Raises
-        ------
-        BagError
-            See `definition`.
-        """
-        self._require(name)
-        return self._store.hash_rihs01(name)
-
-    def _require(self, name: str) -> None:
         if check_type_name(name) not in self._store.fielddefs:
             self._store.register(self._read_with_dependencies(name))
+        text, _ = self._store.generate_msgdef(name, ros_version=2)
+        return TypeDefinition(ROS2MSG, text.encode(), self._store.hash_rihs01(name))
 
     def _read_with_dependencies(self, name: str) -> Typesdict:
         found: Typesdict = {}
@@ -60,13 +56,78 @@ class MessageTypes:
                 found.update(get_types_from_msg(path.read_text(encoding="utf-8"), current))
             except TypesysError as error:
                 raise BagError(f"{path}: not a message definition that can be read: {error}") from error
-            for _, description in found[current][1]:
-                missing.extend(
-                    nested
-                    for nested in _nested_types(description)
-                    if nested not in found and nested not in self._store.fielddefs
-                )
+            nested = (name for _, description in found[current][1] for name in _nested_types(description))
+            missing.extend(name for name in nested if name not in found and name not in self._store.fielddefs)
         return found
+
+
+class Decoder:
+    """Decodes messages, and keeps account of topics and messages for which that fails.
+
+    Parameters
+    ----------
+    topics :
+        The topics of the bag by name.
+    definition :
+        Returns the definition of a type; raises `BagError` if the bag has none.
+    """
+
+    def __init__(self, topics: Mapping[str, RecordedTopic], definition: Callable[[str], TypeDefinition]) -> None:
+        self._topics = topics
+        self._definition = definition
+        self._store = get_typestore(Stores.EMPTY)
+        self._decodable: set[str] = set()
+        self._left_out: dict[str, BagError] = {}
+        self._undecoded: Counter[str] = Counter()
+        self._first_error: dict[str, str] = {}
+
+    def decode(self, topic: str, data: bytes, log_time_ns: int) -> Any:
+        """Decode a message; returns None if that fails, which `notes` reports afterwards."""
+        if not self._is_decodable(topic):
+            return None
+        # Not by `deserialize_cdr`, which refuses bytes after the end: rclpy's `serialize_message` leaves up to eight.
+        definition = self._store.get_msgdef(self._topics[topic].type)
+        try:
+            little_endian = data[1] & 1
+            decode = definition.deserialize_cdr_le if little_endian else definition.deserialize_cdr_be
+            return decode(data[4:], 0, definition.cls, self._store)[0]
+        except _UNDECODABLE as error:
+            self._undecoded[topic] += 1
+            self._first_error.setdefault(topic, f"the first was received at {log_time_ns} ns: {error}")
+            return None
+
+    def notes(self) -> Iterator[str]:
+        """Yield one sentence about each topic of which messages could not be decoded."""
+        for topic, reason in self._left_out.items():
+            yield f"topic '{topic}' is left out: {reason}"
+        for topic, count in self._undecoded.items():
+            kind = self._topics[topic].type
+            yield f"topic '{topic}': {count} messages are no {kind} and left out; {self._first_error[topic]}"
+
+    def _is_decodable(self, topic: str) -> bool:
+        if topic not in self._decodable and topic not in self._left_out:
+            try:
+                self._prepare(self._topics[topic])
+                self._decodable.add(topic)
+            except BagError as error:
+                self._left_out[topic] = error
+        return topic in self._decodable
+
+    def _prepare(self, topic: RecordedTopic) -> None:
+        if topic.encoding != CDR:
+            raise BagError(f"is serialised as {topic.encoding or 'nothing known'}, expected {CDR}")
+        definition = self._definition(topic.type)
+        if definition.encoding != ROS2MSG:
+            raise BagError(
+                f"type '{topic.type}' has a definition in the encoding '{definition.encoding}', expected {ROS2MSG}"
+            )
+        try:
+            if topic.type not in self._store.fielddefs:
+                self._store.register(get_types_from_msg(definition.text.decode(), topic.type))
+            # Compiles the decoder, which shows whether a dependency is missing.
+            self._store.get_msgdef(topic.type)
+        except _UNCLEAR as error:
+            raise BagError(f"type '{topic.type}' has no clear definition: {error}") from error
 
 
 def _definition_path(name: str) -> Path:

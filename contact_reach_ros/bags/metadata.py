@@ -4,39 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from contact_reach_ros.bags.topics import RecordedTopic
+from contact_reach_ros.bags.topics import CDR, RecordedTopic
 from contact_reach_ros.errors import BagError
 
-FILE_NAME = "metadata.yaml"
 VERSION = 9
 ROS_DISTRO = "jazzy"
 MCAP_NAME = "rosbag2"
 MCAP_KEY = "serialized_metadata"
 """Record and key under which rosbag2 keeps a copy of the metadata inside the mcap file."""
 
+_FILE_NAME = "metadata.yaml"
 _ROOT = "rosbag2_bagfile_information"
-
-
-@dataclasses.dataclass(frozen=True)
-class TopicCount:
-    """A topic of a bag with the hash of its type and the number of messages written so far."""
-
-    topic: RecordedTopic
-    type_hash: str
-    message_count: int
 
 
 @dataclasses.dataclass
 class FileSpan:
     """A file of a bag: its name, the number of its messages, and the times of the first and the last, ns."""
 
-    name: str
+    path: str
     message_count: int = 0
     start_ns: int | None = None
     end_ns: int = 0
@@ -49,65 +40,55 @@ class FileSpan:
         if time_ns > self.end_ns:
             self.end_ns = time_ns
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return start, duration and count under rosbag2's names."""
-        start_ns = self.start_ns or 0
-        return {
-            "starting_time": {"nanoseconds_since_epoch": start_ns},
-            "duration": {"nanoseconds": max(0, self.end_ns - start_ns)},
-            "message_count": self.message_count,
-        }
-
 
 def information(
-    files: Sequence[FileSpan], topics: Sequence[TopicCount], custom_data: Mapping[str, str]
+    files: Sequence[FileSpan], topics: Iterable[tuple[RecordedTopic, str]], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the metadata that rosbag2 keeps about a bag of one or more mcap files."""
-    filled = [file for file in files if file.start_ns is not None]
-    whole = FileSpan(
-        "",
-        sum(file.message_count for file in files),
-        min((file.start_ns for file in filled if file.start_ns is not None), default=None),
-        max((file.end_ns for file in filled), default=0),
-    ).as_mapping()
+    """Return the metadata that rosbag2 keeps about a bag of mcap files; topics come with the hash of their type."""
+    start_ns = min((file.start_ns for file in files if file.start_ns is not None), default=None)
+    whole = FileSpan("", sum(file.message_count for file in files), start_ns, max(file.end_ns for file in files))
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": whole["duration"],
-        "starting_time": whole["starting_time"],
-        "message_count": whole["message_count"],
+        **_span(whole),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": entry.topic.name,
-                    "type": entry.topic.type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": [qos.as_mapping() for qos in entry.topic.offered_qos],
-                    "type_description_hash": entry.type_hash,
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": CDR,
+                    "offered_qos_profiles": [dataclasses.asdict(qos) for qos in topic.offered_qos],
+                    "type_description_hash": type_hash,
                 },
-                "message_count": entry.message_count,
+                "message_count": topic.message_count,
             }
-            for entry in topics
+            for topic, type_hash in topics
         ],
         # These two concern whole messages or files, not chunks inside an mcap file.
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file.name for file in files],
-        "files": [{"path": file.name, **file.as_mapping()} for file in files],
+        "relative_file_paths": [file.path for file in files],
+        "files": [{"path": file.path, **_span(file)} for file in files],
         "custom_data": dict(custom_data) or None,
         "ros_distro": ROS_DISTRO,
     }
 
 
+def _span(file: FileSpan) -> dict[str, Any]:
+    start_ns = file.start_ns or 0
+    return {
+        "duration": {"nanoseconds": max(0, file.end_ns - start_ns)},
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "message_count": file.message_count,
+    }
+
+
 def write(directory: Path, content: Mapping[str, Any]) -> None:
-    """Write metadata.yaml; the file is renamed into place once it is on the disk, so that it is always complete."""
-    target = directory / FILE_NAME
-    partial = target.with_suffix(".yaml.partial")
-    with partial.open("w", encoding="utf-8") as stream:
+    """Write metadata.yaml, and flush it to the disk."""
+    with (directory / _FILE_NAME).open("w", encoding="utf-8") as stream:
         stream.write(dump_yaml({_ROOT: dict(content)}))
         stream.flush()
         os.fsync(stream.fileno())
-    os.replace(partial, target)
     sync_directory(directory)
 
 
@@ -125,7 +106,7 @@ def read(directory: Path) -> dict[str, Any] | None:
 
     Raises `BagError` if the file is no rosbag2 metadata or cannot be read.
     """
-    path = directory / FILE_NAME
+    path = directory / _FILE_NAME
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -138,9 +119,9 @@ def read(directory: Path) -> dict[str, Any] | None:
     return inner
 
 
-def custom_data(content: Mapping[str, Any] | None) -> dict[str, str]:
+def custom_data(content: Mapping[str, Any]) -> dict[str, str]:
     """Return the text stored with a bag, by key; empty if there is none."""
-    found = (content or {}).get("custom_data")
+    found = content.get("custom_data")
     return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
 
 

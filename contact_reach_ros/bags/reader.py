@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,13 +14,13 @@ import yaml
 from mcap.records import Channel, Schema
 
 from contact_reach_ros.bags import metadata as bag_metadata
-from contact_reach_ros.bags.decoder import Decoder
-from contact_reach_ros.bags.files import find_files, leave_namespace
-from contact_reach_ros.bags.mcap_file import PROFILE, McapFile
+from contact_reach_ros.bags.mcap_file import McapFile
+from contact_reach_ros.bags.message_types import Decoder
 from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, read_offered_qos
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.units import NANOSECONDS
 
+_STATES, _SAFETY = "/joint_states", "/safety_state"
 """Topics that every stack has."""
 
 
@@ -79,8 +80,7 @@ class BagSummary:
 class BagReader:
     """A recorded bag: a directory as rosbag2 makes it, or one mcap file.
 
-    Raises `BagError` if it is missing, empty or no bag, or if it is not stored as mcap, or compressed by other means
-    than mcap's own; with `of_stack` also if it has several stacks.
+    Raises `BagError` if it is missing, empty or not stored as mcap; with `of_stack` also if it has several stacks.
 
     Parameters
     ----------
@@ -96,19 +96,18 @@ class BagReader:
         if not os.path.exists(self._path):
             raise BagError(f"bag '{self._path}' does not exist")
         self._notes: list[str] = []
-        information = self._read_information() if self._path.is_dir() else None
-        self._files = self._open(find_files(self._path, information))
+        information = self._read_information() if self._path.is_dir() else {}
+        self._files = self._open(self._find_files(information))
         if of_stack:
-            leave_namespace(self._path, self._files)
-        self._times: list[dict[int, np.ndarray]] | None = None
-        self.summary = self._summarise(information)
+            self._leave_namespace()
+        self._times: list[dict[int, np.ndarray]] = []
+        self.summary = self._summarise(information or self._embedded_information())
         self._decoder = Decoder(self.summary.topics, self.definition)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of the summary, and those on damaged chunks and undecodable messages found since."""
-        found = [*self._damages(), *self._decoder.notes()]
-        return (*self.summary.notes, *(note for note in found if note not in self.summary.notes))
+        """Notes of the summary, with damaged chunks and undecodable messages found since."""
+        return (*self._notes, *self._file_notes(), *self._decoder.notes())
 
     def topics(self) -> Mapping[str, RecordedTopic]:
         """The topics of the bag by name."""
@@ -121,10 +120,7 @@ class BagReader:
         afterwards. Raises `BagError` if the bag has no such topic.
         """
         wanted = set(self.topics()) if topics is None else set(topics)
-        missing = sorted(wanted - set(self.topics()))
-        if missing:
-            known = ", ".join(sorted(self.topics())) or "none"
-            raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
+        self._check_topics(wanted)
         types = {name: topic.type for name, topic in self.topics().items()}
         for file in self._files:
             for name, message in file.messages(wanted, start_ns):
@@ -151,48 +147,60 @@ class BagReader:
 
         Raises `BagError` if the bag has no such topic.
         """
-        if topic not in self.topics():
-            raise BagError(f"bag '{self._path}' has no topic '{topic}'")
-        if self._times is None:
-            self._times = [file.reception_times() for file in self._files]
+        self._check_topics([topic])
+        self._times = self._times or [file.reception_times() for file in self._files]
         parts = [
             times[number]
             for file, times in zip(self._files, self._times, strict=True)
-            for number, channel in file.contents.channels.items()
-            if channel.topic == topic and number in times
+            for number, channel in file.channels.items()
+            if channel.topic == topic
         ]
-        return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
+        return np.concatenate(parts)
 
     def definition(self, type_name: str) -> TypeDefinition:
         """Return the definition of a type from the bag; raises `BagError` if the bag has none."""
-        for file in self._files:
-            for schema in file.contents.schemas.values():
-                if schema.name == type_name:
-                    return TypeDefinition(schema.encoding, schema.data, self._type_hash(type_name))
-        raise BagError(f"bag '{self._path}' has no definition of the type '{type_name}'")
+        schemas = [schema for file in self._files for schema in file.schemas.values() if schema.name == type_name]
+        if not schemas:
+            raise BagError(f"bag '{self._path}' has no definition of the type '{type_name}'")
+        hashes = (
+            channel.metadata.get("topic_type_hash", "")
+            for file in self._files
+            for channel in file.channels.values()
+            if channel.schema_id in file.schemas and file.schemas[channel.schema_id].name == type_name
+        )
+        return TypeDefinition(schemas[0].encoding, schemas[0].data, next(filter(None, hashes), ""))
 
-    def _type_hash(self, type_name: str) -> str:
-        """Return the first hash that a channel has of this type, or an empty text."""
-        for file in self._files:
-            for channel in file.contents.channels.values():
-                schema = file.contents.schemas.get(channel.schema_id)
-                if schema is not None and schema.name == type_name and channel.metadata.get("topic_type_hash"):
-                    return channel.metadata["topic_type_hash"]
-        return ""
+    def _check_topics(self, names: Collection[str]) -> None:
+        missing = sorted(set(names) - set(self.topics()))
+        if missing:
+            known = ", ".join(sorted(self.topics())) or "none"
+            raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
 
-    def _read_information(self) -> Mapping[str, Any] | None:
+    def _read_information(self) -> Mapping[str, Any]:
+        """Read metadata.yaml; a missing or damaged one becomes a note."""
         try:
             information = bag_metadata.read(self._path)
         except BagError as error:
-            if not any(self._path.glob("*.mcap")):
-                raise
             self._notes.append(f"{error}; the mcap files are read without it")
-            return None
-        if information is None and any(self._path.glob("*.mcap")):
+            return {}
+        if information is None:
             self._notes.append(
                 "metadata.yaml is missing: the recording was not closed; `contact-reach bag repair` closes it"
             )
-        return information
+        return information or {}
+
+    def _find_files(self, information: Mapping[str, Any]) -> Sequence[Path]:
+        if not self._path.is_dir():
+            return [self._path]
+        if str(information.get("compression_mode")).lower() == "message":
+            raise BagError(f"the messages of bag '{self._path}' are compressed; `ros2 bag convert` can convert it")
+        named = information.get("relative_file_paths")
+        if isinstance(named, list) and named:
+            return [self._path / Path(str(name)).name for name in named]
+        files = sorted(self._path.glob("*.mcap"), key=_file_number)
+        if not files:
+            raise BagError(f"'{self._path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
+        return files
 
     def _open(self, paths: Sequence[Path]) -> list[McapFile]:
         """Open the files that can be read; one that cannot becomes a note if there are others."""
@@ -207,70 +215,67 @@ class BagReader:
         self._notes += [str(error) for error in errors]
         return files
 
-    def _summarise(self, information: Mapping[str, Any] | None) -> BagSummary:
+    def _leave_namespace(self) -> None:
+        """Take the namespace of the joint states off all topics; raises `BagError` if there are several stacks."""
+        channels = [file.channels for file in self._files]
+        names = {channel.topic for channel in chain.from_iterable(known.values() for known in channels)}
+        found = (name.removesuffix(_STATES) for name in names if name.endswith(_STATES))
+        spaces = sorted(space for space in found if space + _SAFETY in names)
+        if len(spaces) > 1:
+            raise BagError(
+                f"bag '{self._path}' has several stacks: {', '.join(space or '/' for space in spaces)}; expected one: "
+                "record each with its own bring-up"
+            )
+        for known in channels if spaces and spaces[0] else ():
+            for number, channel in known.items():
+                if channel.topic.startswith(f"{spaces[0]}/"):
+                    known[number] = dataclasses.replace(channel, topic=channel.topic.removeprefix(spaces[0]))
+
+    def _summarise(self, information: Mapping[str, Any]) -> BagSummary:
         topics: dict[str, RecordedTopic] = {}
         for file in self._files:
-            contents = file.contents
-            if contents.profile not in (None, PROFILE):
-                self._notes.append(
-                    f"{file.path.name} has the profile '{contents.profile}', expected '{PROFILE}':"
-                    " it may be no recording of ROS 2"
-                )
-            for number, channel in contents.channels.items():
-                schema = contents.schemas.get(channel.schema_id)
-                found = self._topic(channel, schema, contents.message_counts.get(number, 0))
-                known = topics.setdefault(channel.topic, dataclasses.replace(found, message_count=0))
+            for number, channel in file.channels.items():
+                found = self._topic(channel, file.schemas.get(channel.schema_id))
+                known = topics.setdefault(channel.topic, found)
                 if known.type != found.type:
                     raise BagError(
                         f"{file.path}: topic '{channel.topic}' has both type {known.type} and {found.type},"
                         " expected one"
                     )
-                count = known.message_count + found.message_count
+                count = known.message_count + file.message_counts[number]
                 topics[channel.topic] = dataclasses.replace(known, message_count=count)
-            if contents.cut_at is not None:
-                self._notes.append(
-                    f"{file.path.name} is cut or damaged: readable up to byte {contents.cut_at}"
-                    f" of {file.path.stat().st_size}"
-                )
-        self._notes += self._damages()
-        filled = [file.contents for file in self._files if any(file.contents.message_counts.values())]
-        start_ns = min((contents.start_ns for contents in filled), default=0)
-        end_ns = max((contents.end_ns for contents in filled), default=0)
-        return BagSummary(
-            self._path,
-            topics,
-            start_ns,
-            (end_ns - start_ns) / NANOSECONDS,
-            bag_metadata.custom_data(information or self._embedded_information()),
-            tuple(self._notes),
-        )
+        spans = [file.span_ns for file in self._files if file.span_ns is not None]
+        start_ns, end_ns = min((start for start, _ in spans), default=0), max((end for _, end in spans), default=0)
+        notes = (*self._notes, *self._file_notes())
+        duration = (end_ns - start_ns) / NANOSECONDS
+        return BagSummary(self._path, topics, start_ns, duration, bag_metadata.custom_data(information), notes)
 
-    def _topic(self, channel: Channel, schema: Schema | None, message_count: int) -> RecordedTopic:
+    def _topic(self, channel: Channel, schema: Schema | None) -> RecordedTopic:
         try:
             offered_qos = read_offered_qos(channel.metadata.get("offered_qos_profiles", ""))
         except BagError as error:
             self._notes.append(f"topic '{channel.topic}': {error}")
             offered_qos = ()
-        type_name = schema.name if schema else ""
-        return RecordedTopic(channel.topic, type_name, offered_qos, channel.message_encoding, message_count)
+        return RecordedTopic(channel.topic, schema.name if schema else "", offered_qos, channel.message_encoding)
 
-    def _embedded_information(self) -> Mapping[str, Any] | None:
-        """Return the copy of the metadata in the last file that has one."""
+    def _embedded_information(self) -> Mapping[str, Any]:
+        """Return the copy of the metadata in the last file that has one; empty if there is none."""
         for file in reversed(self._files):
-            text = file.contents.metadata.get(bag_metadata.MCAP_NAME, {}).get(bag_metadata.MCAP_KEY)
-            if text is not None:
-                try:
-                    content = yaml.safe_load(text)
-                except yaml.YAMLError as error:
-                    self._notes.append(f"the metadata inside {file.path.name} cannot be read: {error}")
-                    continue
-                if isinstance(content, dict):
-                    return content
-        return None
+            text = file.metadata.get(bag_metadata.MCAP_NAME, {}).get(bag_metadata.MCAP_KEY, "")
+            try:
+                content = yaml.safe_load(text)
+            except yaml.YAMLError as error:
+                self._notes.append(f"the metadata inside {file.path.name} cannot be read: {error}")
+                continue
+            if isinstance(content, dict):
+                return content
+        return {}
 
-    def _damages(self) -> list[str]:
-        return [
-            f"{file.path.name}: {file.damaged_chunks} chunks are damaged, their messages are left out"
-            for file in self._files
-            if file.damaged_chunks
-        ]
+    def _file_notes(self) -> Iterator[str]:
+        return chain.from_iterable(file.notes() for file in self._files)
+
+
+def _file_number(path: Path) -> tuple[int, str]:
+    """Sort key for the files of a split bag: the number at the end of the name, then the name."""
+    number = path.stem.rpartition("_")[2]
+    return (int(number) if number.isdigit() else 0, path.name)

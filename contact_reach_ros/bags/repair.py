@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
 
 from contact_reach_ros.bags.reader import BagReader
@@ -17,17 +16,7 @@ REPAIRED_FROM = "repaired_from"
 
 @dataclasses.dataclass(frozen=True)
 class Repair:
-    """Result of a repair.
-
-    Attributes
-    ----------
-    bag :
-        The new bag.
-    message_count, topic_count :
-        Number of its messages and topics.
-    notes :
-        Defects of the old bag, and what is left out of the new one.
-    """
+    """The new bag, its messages and topics, and notes: defects of the old bag, and what the new one leaves out."""
 
     bag: Path
     message_count: int
@@ -48,31 +37,18 @@ def repair_bag(path: Path, output: Path | None = None) -> Repair:
         Directory to create; when None, the old bag's name with "_repaired" appended.
     """
     reader = BagReader(path)
-    if output is None:
-        whole = path.resolve()
-        name = whole.name if path.is_dir() else whole.stem
-        output = _free(whole.parent / f"{name}{ENDING}")
-    notes = []
-    data = {**reader.summary.custom_data, REPAIRED_FROM: path.resolve().name}
+    whole = path.resolve()
+    output = output or whole.with_name(f"{whole.name if path.is_dir() else whole.stem}{ENDING}")
+    left_out = []
+    data = {**reader.summary.custom_data, REPAIRED_FROM: whole.name}
     with BagWriter(output, custom_data=data) as writer:
         kept = []
         for topic in reader.topics().values():
             try:
-                definition = reader.definition(topic.type)
+                writer.add_topic(topic, reader.definition(topic.type))
+                kept.append(topic.name)
             except BagError as error:
-                notes.append(f"topic '{topic.name}' is left out: {error}")
-                continue
-            writer.add_topic(topic, definition)
-            kept.append(topic.name)
+                left_out.append(f"topic '{topic.name}' is left out: {error}")
         for raw in reader.raw_messages(kept):
             writer.write(raw.topic, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
-    return Repair(writer.directory, writer.message_count, len(kept), (*reader.notes, *notes))
-
-
-def _free(base: Path) -> Path:
-    """Return `base`, or the first of `base`_2, `base`_3, ... that does not exist."""
-    candidate, number = base, 2
-    while os.path.exists(candidate):
-        candidate = base.with_name(f"{base.name}_{number}")
-        number += 1
-    return candidate
+    return Repair(writer.directory, writer.message_count, len(kept), (*reader.notes, *left_out))

@@ -19,59 +19,6 @@ CDR = "cdr"
 INFINITE_NS = 2**63 - 1
 """ROS's value for a duration without limit, ns."""
 
-
-@dataclasses.dataclass(frozen=True)
-class OfferedQos:
-    """The quality of service that a publisher offers, in the words of a rosbag2 file (`keep_last`, ...)."""
-
-    history: str = "keep_last"
-    depth: int = 10
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    deadline_ns: int = INFINITE_NS
-    lifespan_ns: int = INFINITE_NS
-    liveliness: str = "automatic"
-    liveliness_lease_ns: int = INFINITE_NS
-    avoid_ros_namespace_conventions: bool = False
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the profile under the names that rosbag2 (version 9) uses in YAML."""
-        return {
-            "history": self.history,
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": _seconds_and_nanoseconds(self.deadline_ns),
-            "lifespan": _seconds_and_nanoseconds(self.lifespan_ns),
-            "liveliness": self.liveliness,
-            "liveliness_lease_duration": _seconds_and_nanoseconds(self.liveliness_lease_ns),
-            "avoid_ros_namespace_conventions": self.avoid_ros_namespace_conventions,
-        }
-
-    @classmethod
-    def from_mapping(cls, profile: Mapping[str, Any]) -> OfferedQos:
-        """Read a profile from a bag; older versions of rosbag2 wrote numbers in place of words.
-
-        Raises `BagError` if the mapping is no such profile.
-        """
-        try:
-            return cls(
-                history=_word("history", profile),
-                depth=int(profile["depth"]),
-                reliability=_word("reliability", profile),
-                durability=_word("durability", profile),
-                deadline_ns=_nanoseconds(profile["deadline"]),
-                lifespan_ns=_nanoseconds(profile["lifespan"]),
-                liveliness=_word("liveliness", profile),
-                liveliness_lease_ns=_nanoseconds(profile["liveliness_lease_duration"]),
-                avoid_ros_namespace_conventions=bool(profile["avoid_ros_namespace_conventions"]),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise BagError(
-                f"quality of service {profile!r}: expected the profile of a rosbag2 file ({error})"
-            ) from error
-
-
 _NUMBERED: Mapping[str, Mapping[Any, str]] = {
     "history": {0: "system_default", 1: "keep_last", 2: "keep_all", 3: "unknown"},
     "reliability": {0: "system_default", 1: "reliable", 2: "best_effort", 3: "unknown", 4: "best_available"},
@@ -81,6 +28,34 @@ _NUMBERED: Mapping[str, Mapping[Any, str]] = {
 """Meaning of rmw's numbers, which files up to version 8 have."""
 
 
+def duration(nanoseconds: int) -> dict[str, int]:
+    """Return a duration as rosbag2 writes it."""
+    seconds, rest = divmod(nanoseconds, NANOSECONDS)
+    return {"sec": seconds, "nsec": rest}
+
+
+def _unlimited() -> Any:
+    return dataclasses.field(default_factory=lambda: duration(INFINITE_NS))
+
+
+@dataclasses.dataclass(frozen=True)
+class OfferedQos:
+    """The quality of service that a publisher offers, in the names and words of a rosbag2 file (version 9).
+
+    Durations are mappings of `sec` and `nsec`.
+    """
+
+    history: str = "keep_last"
+    depth: int = 10
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    deadline: Mapping[str, int] = _unlimited()
+    lifespan: Mapping[str, int] = _unlimited()
+    liveliness: str = "automatic"
+    liveliness_lease_duration: Mapping[str, int] = _unlimited()
+    avoid_ros_namespace_conventions: bool = False
+
+
 def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
     """Read the profiles that an mcap channel holds as YAML; empty if there are none.
 
@@ -88,11 +63,12 @@ def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
     """
     try:
         profiles = yaml.safe_load(text) or []
-    except yaml.YAMLError as error:
-        raise BagError(f"quality of service: not valid YAML: {error}") from error
-    if not isinstance(profiles, list):
-        raise BagError(f"quality of service {profiles!r}: expected a list of profiles")
-    return tuple(OfferedQos.from_mapping(profile) for profile in profiles)
+        return tuple(
+            OfferedQos(**{k: _NUMBERED[k].get(v, v) if k in _NUMBERED else v for k, v in profile.items()})
+            for profile in profiles
+        )
+    except (yaml.YAMLError, TypeError, AttributeError) as error:
+        raise BagError(f"quality of service {text!r}: expected profiles as in a rosbag2 file ({error})") from error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,27 +121,3 @@ def check_type_name(name: str) -> str:
     if len(parts) != 3 or parts[1] != "msg" or not all(part.isidentifier() for part in parts):
         raise BagError(f"message type '{name}': expected package/msg/Type, as in sensor_msgs/msg/JointState")
     return name
-
-
-def parse_topic(text: str) -> tuple[str, str | None]:
-    """Split `name` or `name:package/msg/Type` into name and type; the type is None if not given.
-
-    Raises `BagError` if the name is empty or the type is malformed.
-    """
-    name, colon, type_name = text.strip().partition(":")
-    if not name or any(character.isspace() for character in name):
-        raise BagError(f"topic '{text}': expected a topic name, or name:package/msg/Type")
-    return name, check_type_name(type_name) if colon else None
-
-
-def _seconds_and_nanoseconds(duration_ns: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(duration_ns, NANOSECONDS)
-    return {"sec": seconds, "nsec": nanoseconds}
-
-
-def _nanoseconds(duration: Mapping[str, int]) -> int:
-    return duration["sec"] * NANOSECONDS + duration["nsec"]
-
-
-def _word(field: str, profile: Mapping[str, Any]) -> str:
-    return _NUMBERED[field].get(profile[field], str(profile[field]))

@@ -7,14 +7,13 @@ import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from mcap.writer import CompressionType, Writer
 
 from contact_reach_ros.bags import metadata as bag_metadata
 from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import ROS2MSG, RecordedTopic, TypeDefinition
+from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition
 from contact_reach_ros.errors import BagError
 
 COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
@@ -35,8 +34,7 @@ class BagWriter:
     """A bag that is being written: a directory with metadata.yaml and one or more mcap files.
 
     Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
-    can still be read. Raises `BagError` if the directory exists or cannot be written, a type is unknown, or a parameter
-    is not accepted.
+    can still be read. Raises `BagError` if the directory exists or cannot be written, or a type is unknown.
 
     Parameters
     ----------
@@ -63,17 +61,11 @@ class BagWriter:
         split_bytes: int = 0,
         split_ns: int = 0,
     ) -> None:
-        if compression not in COMPRESSIONS:
-            raise BagError(f"bag compression '{compression}': expected one of {', '.join(COMPRESSIONS)}")
-        if split_bytes < 0 or split_ns < 0:
-            raise BagError(f"bag split at {split_bytes} bytes or {split_ns} ns: expected 0 or more for both")
         self._directory = Path(directory)
         self._compression = COMPRESSIONS[compression]
         self._split_bytes, self._split_ns = split_bytes, split_ns
-        self._custom_data: dict[str, str] = {}
+        self._custom_data = dict(custom_data or {})
         self._custom_data_written = True
-        for key, value in (custom_data or {}).items():
-            self.set_custom_data(key, value)
         self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
@@ -103,22 +95,12 @@ class BagWriter:
         return self._directory
 
     @property
-    def file(self) -> Path:
-        """The newest mcap file, which is being written."""
-        return self._directory / self._files[-1].name
-
-    @property
     def message_count(self) -> int:
         """Number of messages written so far."""
         return sum(channel.message_count for channel in self._channels.values())
 
     def set_custom_data(self, key: str, value: str) -> None:
-        """Store text in the bag, replacing an earlier one of the same key; the next `flush` writes it.
-
-        Raises `BagError` if key or value is not a string.
-        """
-        if not isinstance(key, str) or not isinstance(value, str):
-            raise BagError(f"bag custom data {key!r} = {value!r}: expected text for both")
+        """Store text in the bag, replacing an earlier one of the same key; the next `flush` writes it."""
         if self._custom_data.get(key) != value:
             self._custom_data[key] = value
             self._custom_data_written = False
@@ -139,10 +121,7 @@ class BagWriter:
             raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
         if topic.name in self._channels:
             raise BagError(f"bag '{self._directory}': topic '{topic.name}' is added twice")
-        if definition is None:
-            text = self._types.definition(topic.type).encode()
-            definition = TypeDefinition(ROS2MSG, text, self._types.type_hash(topic.type))
-        channel = _Channel(topic, definition)
+        channel = _Channel(topic, definition or self._types.definition(topic.type))
         self._register(channel)
         self._channels[topic.name] = channel
 
@@ -220,9 +199,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _open_file(self) -> None:
@@ -259,13 +236,9 @@ class BagWriter:
         if schema_id is None:
             schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
             self._schema_ids[topic.type] = schema_id
-        offered_qos = bag_metadata.dump_yaml([qos.as_mapping() for qos in topic.offered_qos])
-        channel.number = self._writer.register_channel(
-            topic.name,
-            topic.encoding,
-            schema_id,
-            {"offered_qos_profiles": offered_qos, "topic_type_hash": definition.type_hash},
-        )
+        profiles = bag_metadata.dump_yaml([dataclasses.asdict(qos) for qos in topic.offered_qos])
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
+        channel.number = self._writer.register_channel(topic.name, topic.encoding, schema_id, about)
 
     def _wait_for_disk(self) -> None:
         """Wait for the last `flush` to reach the disk; raises its error."""
@@ -283,7 +256,7 @@ class BagWriter:
 
     def _information(self) -> dict[str, Any]:
         topics = [
-            bag_metadata.TopicCount(channel.topic, channel.definition.type_hash, channel.message_count)
+            (dataclasses.replace(channel.topic, message_count=channel.message_count), channel.definition.type_hash)
             for channel in self._channels.values()
         ]
         return bag_metadata.information(self._files, topics, self._custom_data)

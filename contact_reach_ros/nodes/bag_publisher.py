@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
 
@@ -19,7 +19,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -27,9 +27,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from contact_reach_ros.bags.playback import Playback, read_ahead
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.topics import OfferedQos
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_time
-from contact_reach_ros.nodes.recorded_qos import publisher_qos
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.replay_guard import Guard
@@ -250,3 +250,23 @@ def _progress(duration: float) -> Iterator[Any]:
             progress.update(task, completed=seconds, word=word, refresh=True)
 
         yield show
+
+
+def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:
+    """Return the best quality of service that any recorded publisher offered: it reaches everybody they reached.
+
+    A recorder has it from discovery, which does not report depths. The depth is then that of the stack's topic, or one
+    message for a latched topic and a deep queue for any other.
+    """
+    if not offered:
+        return QoSProfile(depth=topics.STREAM.depth)
+    reliable = any(profile.reliability != "best_effort" for profile in offered)
+    latched = any(profile.durability == "transient_local" for profile in offered)
+    known = topics.find(name)
+    usual = known.qos if known is not None else topics.LATCHED if latched else topics.STREAM
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if any(p.history == "keep_all" for p in offered) else HistoryPolicy.KEEP_LAST,
+        depth=max(profile.depth for profile in offered) or usual.depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

@@ -10,12 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.logging import LoggingSeverity
 from rclpy.utilities import get_rmw_implementation_identifier
+from rclpy.validate_topic_name import validate_topic_name
 
-from contact_reach_ros.bags.contents import MEGA, custom_data_of, provenance, shortage_in
-from contact_reach_ros.bags.settings import RECORDER_SECTIONS, RecorderSettings, StorageSettings
-from contact_reach_ros.bags.topics import parse_topic
+from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, StorageSettings
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages import topics
@@ -25,6 +26,7 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.versions import git_revision, versions
 
 DRAIN_PERIOD = 0.02
 DISCOVERY_PERIOD = 0.1
@@ -44,7 +46,6 @@ class RecorderNode(ManagedNode):
         super().__init__()
         self.lockstep = self.settings[""].lockstep
         self._lockstep = self.make_lockstep()
-        self._writer: BagWriter | None = None
         self._recorder: TopicRecorder | None = None
         self._next_discovery = self._next_flush = 0.0
         self._ended_early = ""
@@ -57,19 +58,19 @@ class RecorderNode(ManagedNode):
         storage: StorageSettings = self.settings["storage"]
         directory = Path(settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}")
         self._ended_early = ""
-        wanted = [parse_topic(text) for text in settings.topics or [topic.name for topic in topics.ALL]]
-        custom_data = {**provenance(get_rmw_implementation_identifier()), **custom_data_of(settings)}
-        shortage = shortage_in(directory, storage)
+        wanted = [self._resolved(name) for name in settings.topics or [topic.name for topic in topics.ALL]]
+        custom_data = _provenance() | settings.texts()
+        shortage = storage.shortage_in(directory)
         if shortage:
             raise BagError(f"bag '{directory}' is not begun: {shortage}")
-        self._writer = BagWriter(
+        writer = BagWriter(
             directory,
             compression=storage.compression,
             custom_data=custom_data,
             split_bytes=int(storage.split_mb * MEGA),
             split_ns=int(storage.split_s * NANOSECONDS),
         )
-        self._recorder = TopicRecorder(self, self._writer, wanted)
+        self._recorder = TopicRecorder(self, writer, wanted)
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
 
@@ -81,10 +82,10 @@ class RecorderNode(ManagedNode):
         """Messages written and lost."""
         if self._ended_early:
             return f"not recording: {self._ended_early}", {}
-        if self._writer is None or self._recorder is None:
+        if self._recorder is None:
             return "", {}
-        lost = self._recorder.lost
-        return f"{lost} messages lost" if lost else "", {"messages": self._writer.message_count, "messages lost": lost}
+        lost, written = self._recorder.lost, self._recorder.writer.message_count
+        return f"{lost} messages lost" if lost else "", {"messages": written, "messages lost": lost}
 
     def turn(self) -> None:
         """Write what has arrived; now and then look for new topics and flush the data to the disk.
@@ -93,10 +94,17 @@ class RecorderNode(ManagedNode):
         """
         self._stop.wait(DRAIN_PERIOD)
         with self._lock:
-            if self._writer is not None and self._recorder is not None:
-                self._record(self._writer, self._recorder)
+            if self._recorder is not None:
+                self._record(self._recorder)
 
-    def _record(self, writer: BagWriter, recorder: TopicRecorder) -> None:
+    def _resolved(self, name: str) -> str:
+        try:
+            validate_topic_name(name)
+        except InvalidTopicNameException as error:
+            raise BagError(f"parameter topics: '{name}' is no topic name; expected one, without a type") from error
+        return self.resolve_topic_name(name)
+
+    def _record(self, recorder: TopicRecorder) -> None:
         now = time.monotonic()
         if now >= self._next_discovery:
             self._next_discovery = now + DISCOVERY_PERIOD
@@ -107,9 +115,8 @@ class RecorderNode(ManagedNode):
             self._lockstep.promise(min(recorder.stamp_ns + AHEAD_NS, FOREVER_NS))
         if now >= self._next_flush:
             self._next_flush = now + FLUSH_PERIOD
-            recorder.note_losses()
-            writer.flush(durable=True)
-            self._ended_early = shortage_in(writer.directory, self.settings["storage"])
+            recorder.flush()
+            self._ended_early = self.settings["storage"].shortage_in(recorder.writer.directory)
             if self._ended_early:
                 # Others need the disk as well, and the end of a recording is not a reason to stop the arm.
                 self.say(LoggingSeverity.ERROR, f"the recording ends here: {self._ended_early}")
@@ -122,16 +129,22 @@ class RecorderNode(ManagedNode):
         self.write_out()
 
     def _complete(self) -> None:
-        if self._writer is None or self._recorder is None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
             return
-        writer, recorder = self._writer, self._recorder
-        self._writer = self._recorder = None
         self._lockstep.promise(FOREVER_NS)
-        with writer:
-            recorder.stop()
-        size = sum(file.stat().st_size for file in writer.directory.iterdir()) / MEGA
-        line = f"recorded {writer.message_count} messages ({recorder.lost} lost), {size:.1f} MB, in {writer.directory}"
+        recorder.stop()
+        written, directory = recorder.writer.message_count, recorder.writer.directory
+        size = sum(file.stat().st_size for file in directory.iterdir()) / MEGA
+        line = f"recorded {written} messages ({recorder.lost} lost), {size:.1f} MB, in {directory}"
         self.say(LoggingSeverity.INFO, line)
+
+
+def _provenance() -> dict[str, str]:
+    """Return the versions that record, as custom data."""
+    made_by = {"versions": yaml.safe_dump({**versions(), "rmw": get_rmw_implementation_identifier()})}
+    revision = git_revision()
+    return made_by if revision is None else {**made_by, "git_revision": revision}
 
 
 def main() -> None:

@@ -5,32 +5,33 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from operator import itemgetter
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.bags.loss import LOST, LossCounter
-from contact_reach_ros.bags.topics import RecordedTopic, check_type_name
+from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic, check_type_name, duration
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.cdr import stamp_in
-from contact_reach_ros.messages.topics import JOINT_STATES
-from contact_reach_ros.nodes.recorded_qos import HISTORY_DEPTH, acceptable_qos, asks_too_much, offered_qos
+from contact_reach_ros.messages.topics import JOINT_STATES, KEPT_STREAM
 from contact_reach_ros.ros.inbox import LoopGroup
 from contact_reach_ros.ros.lockstep import FOREVER_NS
 
 SETTLING_TIME = 0.05
 """Time to wait for messages in transit when the recording ends, s."""
+HISTORY_DEPTH = KEPT_STREAM.depth
+"""Messages per topic that wait in the middleware while the recorder is held up: all that publishers keep, or 4 s."""
 
 
 @dataclasses.dataclass
 class _Recorded:
-    topic: RecordedTopic
+    name: str
     message_class: type
     qos: QoSProfile
     subscription: Subscription
@@ -45,9 +46,9 @@ class TopicRecorder:
     node :
         Owner of the subscriptions.
     writer :
-        The bag; the caller keeps it and closes it after `stop`.
+        The bag, which `stop` closes.
     topics :
-        Names, relative ones to be resolved by the node, each with its required type or None.
+        Full names.
 
     Attributes
     ----------
@@ -55,16 +56,21 @@ class TopicRecorder:
         Of the last joint state that is in the bag; None before the first, `FOREVER_NS` if none are recorded.
     """
 
-    def __init__(self, node: Node, writer: BagWriter, topics: Iterable[tuple[str, str | None]]) -> None:
+    def __init__(self, node: Node, writer: BagWriter, topics: Sequence[str]) -> None:
+        self.writer = writer
         self._node = node
-        self._writer = writer
         # Waking up for every message costs ten times as much as taking those gathered in 20 ms.
         self._group = LoopGroup()
         self._recorded: dict[str, _Recorded] = {}
         self._publisher_counts: dict[str, int] = {}
-        self._wanted = {node.resolve_topic_name(name): type_name for name, type_name in topics}
+        self._wanted = topics
         self._states = node.resolve_topic_name(JOINT_STATES.name)
         self.stamp_ns: int | None = None if self._states in self._wanted else FOREVER_NS
+
+    @property
+    def lost(self) -> int:
+        """Number of messages that were sent while their topic was recorded, but did not arrive."""
+        return sum(recorded.loss.lost for recorded in self._recorded.values())
 
     def discover(self) -> None:
         """Subscribe to the wanted topics that have appeared since the last call; raises `BagError` if writing fails."""
@@ -75,8 +81,13 @@ class TopicRecorder:
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
             self._publisher_counts[name] = len(publishers)
-            if publishers:
-                self._meet(name, publishers)
+            if publishers and name not in self._recorded:
+                try:
+                    self._begin(name, publishers)
+                except BagError as error:
+                    self._node.get_logger().error(f"not recorded: {error}")
+            elif publishers:
+                self._relax(self._recorded[name], acceptable_qos(publishers))
 
     def drain(self) -> None:
         """Write what has arrived, in the order of arrival; raises `BagError` if writing fails."""
@@ -95,69 +106,86 @@ class TopicRecorder:
             sequence = about["publication_sequence_number"]
             recorded.loss.count(sequence, recorded.subscription.get_publisher_count)
             sent_ns = about["source_timestamp"] or received_ns
-            self._writer.write(recorded.topic.name, data, received_ns, sent_ns, sequence or 0)
-            if recorded.topic.name == self._states:
+            self.writer.write(recorded.name, data, received_ns, sent_ns, sequence or 0)
+            if recorded.name == self._states:
                 self.stamp_ns = stamp_in(data)
 
+    def flush(self) -> None:
+        """Note in the bag what was lost so far, and start writing it to the disk; raises `BagError` if that fails."""
+        self._note_losses()
+        self.writer.flush(durable=True)
+
     def stop(self) -> None:
-        """Write what is still in transit, note what was lost, and unsubscribe; raises `BagError` if writing fails."""
-        self.drain()
-        time.sleep(SETTLING_TIME)
-        self.drain()
-        self.note_losses()
+        """Write what is still in transit, complete the bag and unsubscribe; raises `BagError` if writing fails."""
+        with self.writer:
+            self.drain()
+            time.sleep(SETTLING_TIME)
+            self.drain()
+            self._note_losses()
         for recorded in self._recorded.values():
             self._node.destroy_subscription(recorded.subscription)
 
-    def note_losses(self) -> None:
-        """Note in the bag how many messages have been lost so far."""
+    def _note_losses(self) -> None:
         known = all(recorded.loss.known for recorded in self._recorded.values())
-        self._writer.set_custom_data(LOST, str(self.lost) if known else "unknown")
+        self.writer.set_custom_data(LOST, str(self.lost) if known else "unknown")
         for name, recorded in self._recorded.items():
             if recorded.loss.lost:
-                self._writer.set_custom_data(f"{LOST}{name}", str(recorded.loss.lost))
-
-    @property
-    def lost(self) -> int:
-        """Number of messages that were sent while their topic was recorded, but did not arrive."""
-        return sum(recorded.loss.lost for recorded in self._recorded.values())
-
-    def _meet(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
-        recorded = self._recorded.get(name)
-        if recorded is None:
-            try:
-                self._begin(name, publishers)
-            except BagError as error:
-                self._node.get_logger().error(f"not recorded: {error}")
-        elif asks_too_much(recorded.qos, publishers):
-            # A publisher that offers less has joined: with the previous request, nothing would come from it.
-            self.drain()
-            self._node.destroy_subscription(recorded.subscription)
-            recorded.qos = acceptable_qos(publishers)
-            recorded.subscription = self._subscribe(name, recorded.message_class, recorded.qos)
+                self.writer.set_custom_data(f"{LOST}{name}", str(recorded.loss.lost))
 
     def _begin(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
         types = sorted({publisher.topic_type for publisher in publishers})
-        expected = self._wanted[name] or types[0]
-        if types != [expected]:
-            raise BagError(f"topic '{name}' has the type {', '.join(types)}, expected {expected}")
-        recorded_class = message_class(expected)
+        if len(types) > 1:
+            raise BagError(f"topic '{name}' has the types {', '.join(types)}, expected one")
+        kind = message_class(types[0])
         qos = acceptable_qos(publishers)
-        offered = tuple(offered_qos(publisher.qos_profile) for publisher in publishers)
-        topic = RecordedTopic(name, expected, offered)
-        self._writer.add_topic(topic)
-        subscription = self._subscribe(name, recorded_class, qos)
-        self._recorded[name] = _Recorded(topic, recorded_class, qos, subscription, LossCounter())
+        self.writer.add_topic(RecordedTopic(name, types[0], tuple(map(_offered_qos, publishers))))
+        self._recorded[name] = _Recorded(name, kind, qos, self._subscribe(name, kind, qos), LossCounter())
 
-    def _subscribe(self, name: str, recorded_class: type, qos: QoSProfile) -> Subscription:
-        return self._node.create_subscription(
-            recorded_class, name, lambda _: None, qos, callback_group=self._group, raw=True
-        )
+    def _relax(self, recorded: _Recorded, acceptable: QoSProfile) -> None:
+        """Subscribe again if a publisher has joined that offers less: the earlier request would not match it."""
+        loses_reliability = acceptable.reliability != recorded.qos.reliability == ReliabilityPolicy.RELIABLE
+        loses_latching = acceptable.durability != recorded.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        if loses_reliability or loses_latching:
+            self.drain()
+            self._node.destroy_subscription(recorded.subscription)
+            recorded.qos = acceptable
+            recorded.subscription = self._subscribe(recorded.name, recorded.message_class, acceptable)
+
+    def _subscribe(self, name: str, kind: type, qos: QoSProfile) -> Subscription:
+        return self._node.create_subscription(kind, name, lambda _: None, qos, callback_group=self._group, raw=True)
+
+
+def acceptable_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """Return the strictest quality of service that every publisher offers, with a deep queue."""
+    offered = [publisher.qos_profile for publisher in publishers]
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+    return QoSProfile(
+        depth=HISTORY_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
 
 
 def message_class(type_name: str) -> type:
-    """The class of a message type; raises `BagError` if the type is not installed."""
+    """Return the class of a message type; raises `BagError` if the type is not installed."""
     package, _, name = check_type_name(type_name).split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as error:
         raise BagError(f"message type '{type_name}' is not installed; source the workspace that has it") from error
+
+
+def _offered_qos(publisher: TopicEndpointInfo) -> OfferedQos:
+    profile = publisher.qos_profile
+    return OfferedQos(
+        profile.history.short_key,
+        profile.depth,
+        profile.reliability.short_key,
+        profile.durability.short_key,
+        duration(profile.deadline.nanoseconds),
+        duration(profile.lifespan.nanoseconds),
+        profile.liveliness.short_key,
+        duration(profile.liveliness_lease_duration.nanoseconds),
+        profile.avoid_ros_namespace_conventions,
+    )

@@ -40,7 +40,7 @@ def test_hashes_are_those_of_the_middleware() -> None:
             topic = f"/{package}/{type_name}"
             node.create_publisher(message_class, topic, 1)
             (publisher,) = node.get_publishers_info_by_topic(topic)
-            assert types.type_hash(name) == str(publisher.topic_type_hash), name
+            assert types.definition(name).type_hash == str(publisher.topic_type_hash), name
         node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
@@ -49,15 +49,15 @@ def test_hashes_are_those_of_the_middleware() -> None:
 @pytest.mark.parametrize("name", STACK_TYPES)
 def test_definition_is_complete(name: str) -> None:
     """Parsing the definition alone gives a type of the same hash: no dependency is missing or changed."""
-    types = MessageTypes()
+    definition = MessageTypes().definition(name)
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(types.definition(name), name))
-    assert store.hash_rihs01(name) == types.type_hash(name)
+    store.register(get_types_from_msg(definition.text.decode(), name))
+    assert store.hash_rihs01(name) == definition.type_hash
 
 
 def test_dependencies_come_once_behind_separators() -> None:
     definition = MessageTypes().definition("geometry_msgs/msg/PoseStamped")
-    parts = definition.split("=" * 80 + "\n")
+    parts = definition.text.decode().split("=" * 80 + "\n")
     heads = [part.splitlines()[0] for part in parts[1:]]
     assert sorted(heads) == [
         "MSG: builtin_interfaces/Time",
@@ -74,11 +74,10 @@ def test_types_of_a_sourced_workspace(tmp_path: Path, monkeypatch: pytest.Monkey
     (messages / "ArmState.msg").write_text("std_msgs/Header header\nJoint[<=7] joints # measured\nJoint tool\n")
     (messages / "Joint.msg").write_text("float64[2] position\nstring<=20 name\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(["/nonexistent", str(tmp_path)]))
-    types = MessageTypes()
-    definition = types.definition("arm_msgs/msg/ArmState")
-    assert "MSG: arm_msgs/Joint" in definition
-    assert "MSG: builtin_interfaces/Time" in definition
-    assert types.type_hash("arm_msgs/msg/ArmState").startswith("RIHS01_")
+    definition = MessageTypes().definition("arm_msgs/msg/ArmState")
+    assert b"MSG: arm_msgs/Joint" in definition.text
+    assert b"MSG: builtin_interfaces/Time" in definition.text
+    assert definition.type_hash.startswith("RIHS01_")
 
 
 def test_unreadable_definition_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,4 +99,4 @@ def test_unknown_type_says_where_it_was_looked_for() -> None:
 )
 def test_malformed_name_is_refused(name: str) -> None:
     with pytest.raises(BagError, match="expected package/msg/Type"):
-        MessageTypes().type_hash(name)
+        MessageTypes().definition(name)

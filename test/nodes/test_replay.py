@@ -22,7 +22,7 @@ from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.nodes.recorded_qos import publisher_qos
+from contact_reach_ros.nodes.bag_publisher import publisher_qos
 from contact_reach_ros.nodes.replay import main
 from contact_reach_ros.ros.replay_guard import Endpoints, Guard, signs_of_a_stack
 
