@@ -53,7 +53,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
+class PointForce:
     """A force (3,) N, base frame, on a point (3,) m of a link, in the frame of that link."""
 
     link: str
@@ -119,7 +119,6 @@ class Plant:
         self._joints = joints
         self._friction_scale = mismatch.friction_scale
         self._noise_scale = mismatch.noise_scale
-        self._rigidities: tuple[Array, Array] | None = None
         self._random = np.random.default_rng(scene.seed if noise_seed is None else noise_seed)
         self._arm = slice(0, scene.arm.n)
         self._torque_limits = scene.arm.torque_limits
@@ -127,10 +126,11 @@ class Plant:
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
         self._first_obstacle = self.model.nbody - len(everything)
         self.has_spare_obstacle = spare_obstacle
-        self._pushes: list[Push] = []
+        self._pushes: list[PointForce] = []
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
-        self._foam = self._make_foam(1.0)
+        has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
+        self._foam = Foam(scene.obstacles, scene.foam_scale) if has_edges else None
         self._obstacles = slice(scene.arm.n, self.model.nv)
         self._contacts = ContactReader(self.model, self.data, self.contact_links)
         self.data.qpos[self._arm] = scene.start
@@ -270,19 +270,7 @@ class Plant:
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
         soften_fixed(self.model)
 
-    def scale_foam(self, factor: float) -> None:
-        """Multiply all stiffnesses of the obstacles by a factor, relative to those of the scene."""
-        model = self.model
-        if self._rigidities is None:
-            self._rigidities = (model.jnt_stiffness.copy(), model.geom_solref.copy())
-        stiffness, solref = self._rigidities
-        model.jnt_stiffness[self._obstacles] = factor * stiffness[self._obstacles]
-        bodies = model.geom_bodyid
-        foam = (bodies >= self._first_obstacle) & (bodies < self._first_obstacle + len(self._rests))
-        model.geom_solref[foam, 0] = factor * solref[foam, 0]
-        self._foam = self._make_foam(factor)
-
-    def set_pushes(self, pushes: Sequence[Push]) -> None:
+    def set_pushes(self, pushes: Sequence[PointForce]) -> None:
         """Replace the external forces on links."""
         self._pushes = list(pushes)
         self.data.xfrc_applied[:] = 0.0
@@ -302,14 +290,9 @@ class Plant:
         self.data.mocap_pos[0] = position
 
     def remove_spare_obstacle(self) -> None:
-        """Move it out of reach again."""
-        self.data.mocap_pos[0] = SPARE_PLACE
-
-    def _make_foam(self, factor: float) -> Foam | None:
-        obstacles = self.scene.obstacles
-        if not any(obstacle.is_deformable for obstacle in obstacles):
-            return None
-        return Foam(obstacles, factor * self.scene.foam_scale)
+        """Move the spare obstacle, if there is one, out of reach again."""
+        if self.has_spare_obstacle:
+            self.data.mocap_pos[0] = SPARE_PLACE
 
     def _apply_pushes(self) -> None:
         data = self.data

@@ -1,6 +1,4 @@
-"""Schedules of faults, and what each does to what passes the seams."""
-
-import dataclasses
+"""What each fault does to messages, robot and surroundings."""
 
 import numpy as np
 import pytest
@@ -10,10 +8,25 @@ from arm_simulation import TICK_NS as MS
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.simulation.fault_kinds import Fault, Seam, fault_kinds
-from contact_reach_ros.simulation.fault_schedules import parse_faults
-from contact_reach_ros.simulation.faults import Faults
-from contact_reach_ros.simulation.plant import Actuation, Plant, Push
+from contact_reach_ros.simulation.faults import (
+    Fault,
+    Faults,
+    Friction,
+    Late,
+    Lost,
+    NotFinite,
+    Payload,
+    Push,
+    RivalCommands,
+    Silent,
+    StuckEncoder,
+    TorqueSensor,
+    UnknownObstacle,
+    VelocityNoise,
+    WrongClock,
+    WrongPlans,
+)
+from contact_reach_ros.simulation.plant import Actuation, Plant, PointForce
 from contact_reach_ros.simulation.robot import SimulatedRobot, is_finite
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.files import read_scene
@@ -21,7 +34,7 @@ from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 
 START = np.array([0.1, 0.6, -0.2, -1.3, 0.3, 0.8, -0.4])
-KINDS = fault_kinds(ARM)
+OBSTACLE = UnknownObstacle((0.6, 0.0, 0.3))
 STATE = JointState(0, np.linspace(0.1, 0.7, 7), np.linspace(-0.3, 0.3, 7), np.linspace(1.0, 7.0, 7))
 
 
@@ -31,65 +44,32 @@ def make_plant(payload: float = 0.0, spare: bool = False, joints: JointSettings 
     return Plant(scene, IDEAL_SENSORS, joints, spare_obstacle=spare)
 
 
-def parse(text: str) -> tuple[Fault, ...]:
-    return parse_faults(text, ARM)
+def playing(*faults: Fault, plant: Plant | None = None, seed: int = 0) -> Faults:
+    played = Faults(faults, seed, plant or make_plant(spare=True))
+    played.start(0)
+    return played
 
 
-def playing(text: str, plant: Plant | None = None, seed: int = 0) -> Faults:
-    faults = Faults(parse(text), seed, plant or make_plant(spare=True))
-    faults.start(0)
-    return faults
-
-
-class TestSchedules:
-    def test_compact_text(self):
-        push, drop = parse('push link=lbr_link_2 force="0 -50 1e1" at=2.0 for=0.1; drop_commands share=0.3 at=1;')
-        force, point = (0.0, -50.0, 10.0), (0.0, 0.0, 0.0)
-        values = {"at": 2.0, "for": 0.1, "link": "lbr_link_2", "force": force, "point": point}
-        assert push == Fault(KINDS["push"], values)
-        assert drop == Fault(KINDS["drop_commands"], {"at": 1.0, "for": 0.0, "share": 0.3})
-        assert parse("  ") == ()
-
-    @pytest.mark.parametrize("kind", KINDS)
-    def test_text_of_a_fault_is_read_as_the_same_fault(self, kind):
-        (fault,) = parse(f"{kind} at=1.25 for=0.5")
-        assert parse(fault.text()) == (fault,)
-        assert fault.text() == f"{kind} at=1.25 for=0.5"
-        text = "push force='0 1.5 -2' point='0 0 0.1'"
-        assert parse(text)[0].text() == text
-
+class TestChecks:
     @pytest.mark.parametrize(
-        ("text", "said"),
+        ("make", "said"),
         [
-            ("pusch", "fault 1: unknown kind 'pusch'; did you mean 'push'?"),
-            ("push forc='0 1 2'", "fault 1, push: unknown key 'forc'; did you mean 'force'?"),
-            ("push duration=1", "push: unknown key 'duration'"),
-            ("push; push force='0 1'", "fault 2, push: force = [0.0, 1.0]: expected a list of 3 values"),
-            ("push force=strong", "push: force = 'strong'"),
-            ("drop_commands share=1.5", "share = 1.5: expected a number in [0, 1]"),
-            ("drop_commands share=nan", "share = nan"),
-            ("drop_commands at=-1", "at = -1.0: expected a number in [0, 3600] s"),
-            ("stuck_encoder joint=A2", "joint = 'A2': expected one of lbr_A1"),
-            ("push link", "'link': expected key=value"),
-            ("push at=1 at=2", "at is given twice"),
-            ("push force='0 1", "No closing quotation"),
+            (lambda: Lost("command"), "expected commands or states or efforts or obstacles"),
+            (lambda: Late("obstacles"), "expected commands or states or plans"),
+            (lambda: Lost("commands", share=1.5), r"a share in \(0, 1\]"),
+            (lambda: Lost("commands", share=float("nan")), r"a share in \(0, 1\]"),
+            (lambda: Lost("commands", at=-1.0), "expected at >= 0 s"),
+            (lambda: Friction(3.0, duration=0.0), "duration > 0 s"),
+            (lambda: Silent("recorder"), "expected driver, controller, observer or planner"),
+            (lambda: playing(StuckEncoder("A2")), "joint 'A2' is unknown; the arm's joints are lbr_A1"),
+            (lambda: playing(StuckEncoder()), "the arm's joints are lbr_A1"),
+            (lambda: playing(Push("link_4", (0.0, 50.0, 0.0))), "expected one of the links lbr_link_1"),
+            (lambda: playing(OBSTACLE, OBSTACLE), "one unknown obstacle at most"),
         ],
     )
-    def test_what_is_wrong_is_named(self, text, said):
-        with pytest.raises(SettingsError) as error:
-            parse(text)
-        assert said in str(error.value)
-
-    def test_obstacles_are_there_one_at_a_time(self):
-        playing("obstacle for=1; obstacle at=1")
-        with pytest.raises(SettingsError, match="two obstacles"):
-            playing("obstacle; obstacle at=1")
-        with pytest.raises(SettingsError, match="built without one"):
-            playing("obstacle", make_plant())
-
-    def test_every_kind_acts_somewhere(self):
-        assert {kind.seam for kind in KINDS.values()} == set(Seam)
-        assert all(name == kind.name for name, kind in KINDS.items())
+    def test_what_is_wrong_is_named(self, make, said):
+        with pytest.raises(SettingsError, match=said):
+            make()
 
 
 def sent_commands(faults: Faults, ticks: int = 1000) -> list[list[float]]:
@@ -103,102 +83,86 @@ def sent_commands(faults: Faults, ticks: int = 1000) -> list[list[float]]:
 
 class TestMessages:
     def test_nothing_happens_outside_the_time(self):
-        arrived = sent_commands(playing("drop_commands at=0.1 for=0.2"))
+        arrived = sent_commands(playing(Lost("commands", at=0.1, duration=0.2)))
         assert [tick for tick, commands in enumerate(arrived) if not commands] == list(range(100, 300))
         assert all(commands == [float(tick)] for tick, commands in enumerate(arrived) if commands)
 
     def test_nothing_happens_before_the_start(self):
-        faults = Faults(parse("drop_commands"), 0, make_plant())
+        faults = Faults([Lost("commands")], 0, make_plant())
         assert sent_commands(faults, 3) == [[0.0], [1.0], [2.0]]
 
     def test_share(self):
-        lost = sum(not commands for commands in sent_commands(playing("drop_commands share=0.3")))
+        lost = sum(not commands for commands in sent_commands(playing(Lost("commands", share=0.3))))
         assert 250 < lost < 350
 
     def test_same_seed_same_faults(self):
-        first, same, other = (sent_commands(playing("drop_commands share=0.3", seed=seed)) for seed in (1, 1, 2))
+        first, same, other = (sent_commands(playing(Lost("commands", share=0.3), seed=seed)) for seed in (1, 1, 2))
         assert first == same != other
 
     def test_delay_keeps_the_order(self):
-        arrived = sent_commands(playing("delay_commands delay=0.01 at=0.1 for=0.1"))
+        arrived = sent_commands(playing(Late("commands", 0.01, at=0.1, duration=0.1)))
         assert arrived[105] == [] and arrived[110] == [100.0] and arrived[199] == [189.0]
         # When the delay ends, what is under way still comes first.
         assert arrived[200:208] == [[190.0 + tick] for tick in range(8)]
         assert arrived[209] == [199.0, 200.0, 201.0, 202.0, 203.0, 204.0, 205.0, 206.0, 207.0, 208.0, 209.0]
         assert arrived[210] == [210.0]
 
-    def test_duplicates(self):
-        arrived = sent_commands(playing("duplicate_commands after=0.005"))
-        assert arrived[4] == [4.0]
-        assert arrived[5] in ([5.0, 0.0], [0.0, 5.0])
-
     def test_nan_commands(self):
-        faults = playing("nan_commands joint=lbr_A3")
+        faults = playing(NotFinite("commands", joint="lbr_A3"))
         faults.send_command(np.ones(7), 0)
         np.testing.assert_array_equal(np.isnan(faults.commands(0)[0]), np.arange(ARM.n) == 2)
 
     def test_states_are_stamped_when_they_are_read(self):
-        faults = playing("delay_states delay=0.002")
-        faults.send_state(STATE._replace(stamp_ns=5 * MS))
-        assert faults.states(6 * MS) == []
-        (state,) = faults.states(7 * MS)
+        faults = playing(Late("states", 0.002))
+        arrived = [faults.joint_states(STATE._replace(stamp_ns=tick * MS)) for tick in (5, 6, 7)]
+        assert arrived[:2] == [[], []]
+        (state,) = arrived[2]
         assert state.stamp_ns == 5 * MS and is_finite(state)
 
     @pytest.mark.parametrize(("field", "name"), [("position", "q"), ("effort", "torque")])
     def test_nan_states(self, field, name):
-        faults = playing(f"nan_states field={field}")
-        faults.send_state(STATE)
-        (state,) = faults.states(0)
+        faults = playing(NotFinite("states", field))
+        (state,) = faults.joint_states(STATE)
         assert np.isnan(getattr(state, name)).all()
         assert is_finite(state) == (field == "effort")
         assert np.isfinite(STATE.q).all()
 
     def test_clock_jump(self):
-        faults = playing("clock_jump step=-0.5 at=0.1 for=0.1")
+        faults = playing(WrongClock(step=-0.5, at=0.1, duration=0.1))
         stamps = []
         for tick in (99, 100, 199, 200):
-            faults.send_state(STATE._replace(stamp_ns=tick * MS))
-            stamps += [state.stamp_ns // MS for state in faults.states(tick * MS)]
+            stamps += [state.stamp_ns // MS for state in faults.joint_states(STATE._replace(stamp_ns=tick * MS))]
         assert stamps == [99, -400, -301, 200]
 
     def test_frozen_clock(self):
-        faults = playing("frozen_clock at=0.1 for=0.1")
+        faults = playing(WrongClock(at=0.1, duration=0.1))
         stamps = []
         for tick in (99, 100, 199, 200):
-            faults.send_state(STATE._replace(stamp_ns=tick * MS))
-            stamps += [state.stamp_ns // MS for state in faults.states(tick * MS)]
+            stamps += [state.stamp_ns // MS for state in faults.joint_states(STATE._replace(stamp_ns=tick * MS))]
         assert stamps == [99, 100, 100, 200]
 
     def test_no_effort(self):
-        faults = playing("no_effort; nan_states field=effort")
-        faults.send_state(STATE)
-        (state,) = faults.states(0)
+        faults = playing(NotFinite("states"), Lost("efforts"))
+        (state,) = faults.joint_states(STATE)
         assert state.torque is None and is_finite(state)
 
     def test_a_second_publisher_of_commands_has_the_last_word(self):
-        faults = playing("foreign_commands torque=3; delay_commands delay=0.001 at=0.01")
+        faults = playing(RivalCommands(3.0), Late("commands", 0.001, at=0.01))
         faults.send_command(np.ones(7), 0)
         assert [command[0] for command in faults.commands(0)] == [1.0, 3.0]
 
-    def test_a_second_publisher_of_states_has_another_pose_and_clock(self):
-        faults = playing("foreign_states offset=0.2")
-        faults.send_state(STATE)
-        own, other = faults.states(0)
-        np.testing.assert_array_equal(own.q, STATE.q)
-        np.testing.assert_allclose(other.q, STATE.q + 0.2)
-        assert other.stamp_ns == own.stamp_ns + MS // 2
-
-    def test_nodes_are_asked_what_acts_on_them(self):
-        faults = playing("observer_silent at=0.1 for=0.1; late_plans delay=0.2")
-        silent = [bool(faults.of_nodes("observer_silent", tick * MS)) for tick in (99, 100, 199, 200)]
+    def test_those_that_run_the_nodes_ask_what_acts_on_them(self):
+        faults = playing(Silent("observer", at=0.1, duration=0.1), Late("plans", 0.2), WrongPlans(stretch=2.0))
+        silent = [faults.is_silent("observer", tick * MS) for tick in (99, 100, 199, 200)]
         assert silent == [False, True, True, False]
-        assert not faults.of_nodes("controller_silent", 100 * MS)
-        assert [fault["delay"] for fault in faults.of_nodes("late_plans", 0)] == [0.2]
+        assert not faults.is_silent("controller", 100 * MS)
+        assert [fault.delay for fault in faults.active(Late, 0)] == [0.2]
+        assert [fault.stretch for fault in faults.active(WrongPlans, 0)] == [2.0]
 
 
 def test_a_driver_that_pauses_brakes_and_comes_back_reset():
     scene = Scene("test", ARM, 0, START, np.zeros(3))
-    robot = SimulatedRobot(scene, faults=parse("pause at=1 for=0.3"))
+    robot = SimulatedRobot(scene, faults=[Silent("driver", at=1.0, duration=0.3)])
     robot.start_faults()
     gravity = RobotModel(ARM).gravity_at(START)
     states, actuations = [], []
@@ -214,30 +178,31 @@ def test_a_driver_that_pauses_brakes_and_comes_back_reset():
     assert not robot.stop_reason
 
 
-def sensed(text: str, states: list[JointState]) -> list[JointState]:
-    faults = playing(text)
+def sensed(fault: Fault, states: list[JointState]) -> list[JointState]:
+    faults = playing(fault)
+    arrived = []
     for tick, state in enumerate(states):
-        faults.send_state(state._replace(stamp_ns=tick * MS))
-    return faults.states(10**9)
+        arrived += faults.joint_states(state._replace(stamp_ns=tick * MS))
+    return arrived
 
 
 class TestSensors:
     def test_stuck_encoder(self):
         moving = [STATE._replace(q=STATE.q + tick) for tick in range(3)]
-        stuck = sensed("stuck_encoder joint=lbr_A2 at=0.001", moving)
+        stuck = sensed(StuckEncoder("lbr_A2", at=0.001), moving)
         assert [state.q[1] for state in stuck] == [STATE.q[1] + at for at in (0, 1, 1)]
         assert [state.v[1] for state in stuck] == [STATE.v[1], 0.0, 0.0]
         np.testing.assert_array_equal(stuck[2].q[2:], moving[2].q[2:])
-        (honest,) = sensed("stuck_encoder joint=lbr_A2 velocity=true", moving[:1])
+        (honest,) = sensed(StuckEncoder("lbr_A2", own_velocity=True), moving[:1])
         assert honest.v[1] == STATE.v[1]
 
     def test_torque_sensor(self):
-        (wrong,) = sensed("torque_sensor joint=lbr_A4 gain=-1 bias=2", [STATE])
+        (wrong,) = sensed(TorqueSensor("lbr_A4", gain=-1.0, bias=2.0), [STATE])
         assert wrong.torque[3] == -STATE.torque[3] + 2.0
         np.testing.assert_array_equal(np.delete(wrong.torque, 3), np.delete(STATE.torque, 3))
 
     def test_velocity_noise(self):
-        velocities = np.array([state.v for state in sensed("velocity_noise deviation=0.5", [STATE] * 900)])
+        velocities = np.array([state.v for state in sensed(VelocityNoise(deviation=0.5), [STATE] * 900)])
         np.testing.assert_allclose(velocities.std(axis=0), 0.5, rtol=0.1)
         np.testing.assert_allclose(velocities.mean(axis=0), STATE.v, atol=0.06)
 
@@ -254,7 +219,7 @@ class TestRobot:
     def test_payload_acts_like_one_that_was_there_from_the_start(self):
         torque = RobotModel(ARM).gravity_at(START)
         picked = make_plant()
-        faults = playing("payload mass=2 for=0.5", picked)
+        faults = playing(Payload(2.0, duration=0.5), plant=picked)
         faults.act(0)
         expected = accelerations(make_plant(payload=2.0), torque)
         np.testing.assert_allclose(accelerations(picked, torque), expected, rtol=1e-6, atol=1e-9)
@@ -265,7 +230,7 @@ class TestRobot:
     def test_push_is_the_wrench_at_its_point(self):
         plant, model = make_plant(), RobotModel(ARM)
         point, force = np.array([0.0, 0.0, 0.045]), np.array([10.0, -20.0, 5.0])
-        plant.set_pushes([Push("lbr_link_7", force, point)])
+        plant.set_pushes([PointForce("lbr_link_7", force, point)])
         plant.set_actuation(Actuation.COMMANDED)
         plant.step(model.gravity_at(START))
         # The flange is 45 mm before link 7.
@@ -278,7 +243,7 @@ class TestRobot:
     def test_friction(self):
         plant = make_plant(joints=JointSettings(viscous_friction=0.3, coulomb_friction=0.2))
         plant.set_actuation(Actuation.COMMANDED)
-        faults = playing("friction factor=10 at=0.1 for=0.1; friction factor=2 at=0.15", plant)
+        faults = playing(Friction(10.0, at=0.1, duration=0.1), Friction(2.0, at=0.15), plant=plant)
         seen = []
         for tick in (0, 100, 150, 200):
             faults.act(tick * MS)
@@ -288,7 +253,7 @@ class TestRobot:
     def test_obstacle_comes_and_goes(self):
         plant = make_plant(spare=True)
         place = plant.data.geom("capsule_7").xpos.copy()
-        faults = playing(f"obstacle position='{place[0] + 0.1} {place[1]} {place[2]}' at=0.01 for=0.01", plant)
+        faults = playing(UnknownObstacle((place[0] + 0.1, place[1], place[2]), at=0.01, duration=0.01), plant=plant)
         forces = []
         for tick in range(30):
             faults.act(tick * MS)
@@ -306,20 +271,3 @@ class TestRobot:
         np.testing.assert_array_equal(*(plant.obstacle_positions() for plant in plants))
         bodies = [plant.model.body(plant.obstacle_body(0)).name for plant in plants]
         assert bodies == ["ball_0_0", "ball_0_0"]
-
-    @pytest.mark.parametrize("name", ["ball", "wall"])
-    def test_stiffer_foam_is_that_of_a_stiffer_scene(self, name):
-
-        scene = make_scene(read_scene(name), ARM, 0)
-        made = Plant(dataclasses.replace(scene, foam_scale=2.0), IDEAL_SENSORS, JointSettings())
-        changed = Plant(scene, IDEAL_SENSORS, JointSettings())
-        changed.scale_foam(2.0)
-        for values in ("jnt_stiffness", "geom_solref"):
-            np.testing.assert_allclose(getattr(changed.model, values), getattr(made.model, values), rtol=1e-12)
-        if name == "wall":
-            moved = np.random.default_rng(0).normal(0.0, 0.01, changed.model.nv - 7)
-            np.testing.assert_allclose(changed._foam.forces(moved), made._foam.forces(moved), rtol=1e-12)
-        changed.scale_foam(1.0)
-        np.testing.assert_array_equal(
-            changed.model.geom_solref, Plant(scene, IDEAL_SENSORS, JointSettings()).model.geom_solref
-        )
