@@ -81,7 +81,7 @@ class MessageFault(Fault):
 
 @dataclass(frozen=True)
 class Lost(MessageFault):
-    """Commands, joint states, the efforts in joint states, or observations of the obstacles get lost."""
+    """Commands, joint states, their efforts, or observations of the obstacles get lost."""
 
     CHOICES = ("commands", "states", "efforts", "obstacles")
 
@@ -140,7 +140,7 @@ class VelocityNoise(SensorFault):
 
 @dataclass(frozen=True)
 class StuckEncoder(SensorFault):
-    """The position of a joint stays at its first value; so does its velocity, at zero, unless it has its own sensor."""
+    """A position stays at its first value; the velocity is zero then, unless it has a sensor of its own."""
 
     own_velocity: bool = False
 
@@ -168,7 +168,7 @@ class TorqueSensor(SensorFault):
 
 @dataclass(frozen=True)
 class WrongClock(SensorFault):
-    """Stamps of joint states are off by a step, s, or stay at the first value if the step is zero."""
+    """Stamps of joint states are off by a step, s, or frozen if it is zero."""
 
     step: float = 0.0
 
@@ -203,7 +203,7 @@ class Friction(Fault):
 
 @dataclass(frozen=True)
 class UnknownObstacle(Fault):
-    """A fixed sphere that the planner does not know: position (3,) and radius, m, base frame, and stiffness, N/m."""
+    """A fixed sphere that the planner does not know: position (3,), m, base frame, radius, m, stiffness, N/m."""
 
     position: Vector
     radius: float = 0.05
@@ -233,7 +233,7 @@ class Silent(Fault):
 
 @dataclass(frozen=True)
 class WrongPlans(Fault):
-    """Plans lead elsewhere by an offset (3,), m, base frame, and last longer by a factor than they should."""
+    """Plans lead elsewhere by an offset (3,), m, base frame, and last longer by a factor."""
 
     offset: Vector = (0.0, 0.0, 0.0)
     stretch: float = 1.0

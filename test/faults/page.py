@@ -36,14 +36,15 @@ def table(outcomes: dict[str, tuple]) -> str:
         force = max(result.contact_forces.max(initial=0.0) for result in results)
         speed = max(speed_share(result, ARM) for result in results)
         shown = ", ".join(f"{end} {count}" for end, count in sorted(ends.items()))
-        causes = ", ".join(cause for cause, _ in said.most_common(3))
+        causes = ", ".join(cause for cause, _ in said.most_common(2))
         lines.append(f"{row_head(kind)}{shown} | {causes or '-'} | {force:.0f} | {speed:.2f} |")
     return "\n".join(lines) + "\n"
 
 
 def _cause(reason: str) -> str:
-    """A reason without its joint and its numbers."""
-    return re.split(r" (?:on|of|for|with) |: (?=\d)|; |, |\d", reason.replace("|", " or "))[0].strip()
+    """A reason without its joint, its numbers and its remedy."""
+    text = re.sub("|".join(ARM.joint_names), "a joint", reason)
+    return re.split(r" (?:by|with|for|is|on|while) |; |: let|, | \d", text)[0]
 
 
 def write(outcomes: dict[str, tuple]) -> None:
