@@ -75,22 +75,12 @@ class MessageFault(Fault):
         if self.what not in self.CHOICES or not 0.0 < self.share <= 1.0:
             raise SettingsError(f"{self}: expected {' or '.join(self.CHOICES)}, and a share in (0, 1]")
 
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Change a message in place."""
-
 
 @dataclass(frozen=True)
 class Lost(MessageFault):
     """Commands, joint states, their efforts, or observations of the obstacles get lost."""
 
     CHOICES = ("commands", "states", "efforts", "obstacles")
-
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Lose the message or its efforts."""
-        if self.what == "efforts":
-            message.values.pop("effort", None)
-        else:
-            message.is_lost = True
 
 
 @dataclass(frozen=True)
@@ -100,10 +90,6 @@ class Late(MessageFault):
     delay: float = 0.005
     CHOICES = ("commands", "states", "plans")
 
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Delay the message."""
-        message.delay += self.delay
-
 
 @dataclass(frozen=True)
 class NotFinite(MessageFault):
@@ -112,9 +98,10 @@ class NotFinite(MessageFault):
     field: str = "effort"
     joint: str = ""
 
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Put in NaN."""
-        message.values[self.field][faults.joints(self.joint)] = np.nan
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.field not in (("effort",) if self.what == "commands" else ("position", "velocity", "effort")):
+            raise SettingsError(f"{self}: expected effort, or position or velocity of joint states")
 
 
 @dataclass(frozen=True)
@@ -131,26 +118,12 @@ class VelocityNoise(SensorFault):
 
     deviation: float = 0.05
 
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Add the noise."""
-        joints = faults.joints(self.joint)
-        noise = faults.random.standard_normal(faults.arm.n)
-        message.values["velocity"][joints] += self.deviation * noise[joints]
-
 
 @dataclass(frozen=True)
 class StuckEncoder(SensorFault):
     """A position stays at its first value; the velocity is zero then, unless it has a sensor of its own."""
 
     own_velocity: bool = False
-
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Freeze the position."""
-        joint = faults.arm.joint_index(self.joint)
-        position = message.values["position"]
-        position[joint] = faults.frozen.setdefault(self, float(position[joint]))
-        if not self.own_velocity:
-            message.values["velocity"][joint] = 0.0
 
 
 @dataclass(frozen=True)
@@ -160,24 +133,12 @@ class TorqueSensor(SensorFault):
     gain: float = 1.0
     bias: float = 0.0
 
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Falsify the torques."""
-        joints, torque = faults.joints(self.joint), message.values["effort"]
-        torque[joints] = self.gain * torque[joints] + self.bias
-
 
 @dataclass(frozen=True)
 class WrongClock(SensorFault):
     """Stamps of joint states are off by a step, s, or frozen if it is zero."""
 
     step: float = 0.0
-
-    def spoil(self, message: Message, faults: Faults) -> None:
-        """Change the stamp."""
-        if self.step:
-            message.stamp_ns += round(self.step * NANOSECONDS)
-        else:
-            message.stamp_ns = int(faults.frozen.setdefault(self, message.stamp_ns))
 
 
 @dataclass(frozen=True)
@@ -246,13 +207,6 @@ class Faults:
     """Injects faults: pass all commands and joint states through it, and call `act` before each step of the plant.
 
     Nothing happens before `start`. The same faults and seed have the same effects. Times are simulated time.
-
-    Attributes
-    ----------
-    faults, arm, random
-        The faults, the simulated arm, and the source of their random numbers.
-    frozen
-        What each fault froze: a position, rad, or a stamp, ns.
     """
 
     def __init__(self, faults: Sequence[Fault], seed: int, plant: Plant) -> None:
@@ -265,12 +219,12 @@ class Faults:
                 plant.arm.joint_index(joint)
         if sum(isinstance(fault, UnknownObstacle) for fault in faults) > 1:
             raise SettingsError("faults: expected one unknown obstacle at most")
-        self.faults = tuple(faults)
+        self._faults = tuple(faults)
         self._plant = plant
         self._start_ns: int | None = None
-        self.arm = plant.arm
-        self.random = np.random.default_rng((seed, len(faults)))
-        self.frozen: dict[Fault, float] = {}
+        self._arm = plant.arm
+        self._random = np.random.default_rng((seed, len(faults)))
+        self._frozen: dict[Fault, float] = {}
         self._commands: deque[tuple[int, Array]] = deque()
         self._states: deque[tuple[int, JointState]] = deque()
         self._acting: list[Fault] = []
@@ -284,12 +238,7 @@ class Faults:
         if self._start_ns is None:
             return []
         since_start = (now_ns - self._start_ns) / NANOSECONDS
-        return [fault for fault in self.faults if isinstance(fault, kind) and fault.is_active(since_start)]
-
-    def joints(self, joint: str) -> slice:
-        """The named joint as a slice of an array (n,); all joints for an empty name."""
-        index = self.arm.joint_index(joint) if joint else 0
-        return slice(index, index + 1) if joint else slice(None)
+        return [fault for fault in self._faults if isinstance(fault, kind) and fault.is_active(since_start)]
 
     def is_silent(self, node: str, now_ns: int) -> bool:
         """Whether a node is silent now."""
@@ -301,7 +250,7 @@ class Faults:
         if not message.is_lost:
             _send(self._commands, message.values["effort"], message.delay, now_ns)
         for rival in self.active(RivalCommands, now_ns):
-            _send(self._commands, np.full(self.arm.n, rival.torque), 0.0, now_ns)
+            _send(self._commands, np.full(self._arm.n, rival.torque), 0.0, now_ns)
 
     def commands(self, now_ns: int) -> list[Array]:
         """The commands that reach the drive now, in order."""
@@ -332,16 +281,47 @@ class Faults:
         plant.scale_friction(math.prod(fault.factor for fault in acting if isinstance(fault, Friction)))
         pushes = [fault for fault in acting if isinstance(fault, Push)]
         plant.set_pushes([PointForce(push.link, np.array(push.force), np.array(push.point)) for push in pushes])
-        plant.remove_spare_obstacle()
-        for fault in acting:
-            if isinstance(fault, UnknownObstacle):
-                plant.place_spare_obstacle(np.array(fault.position), fault.radius, fault.stiffness)
+        places = [np.array(fault.position) for fault in acting if isinstance(fault, UnknownObstacle)]
+        plant.place_unknown(places[0] if places else None)
+
+    def _joints(self, joint: str) -> slice:
+        """The named joint as a slice of an array (n,); all joints for an empty name."""
+        index = self._arm.joint_index(joint) if joint else 0
+        return slice(index, index + 1) if joint else slice(None)
+
+    def _spoil(self, fault: MessageFault, message: Message) -> None:
+        """Change a message in place."""
+        values = message.values
+        match fault:
+            case Lost(what="efforts"):
+                values.pop("effort", None)
+            case Lost():
+                message.is_lost = True
+            case Late():
+                message.delay += fault.delay
+            case NotFinite():
+                values[fault.field][self._joints(fault.joint)] = np.nan
+            case VelocityNoise():
+                joints, noise = self._joints(fault.joint), self._random.standard_normal(self._arm.n)
+                values["velocity"][joints] += fault.deviation * noise[joints]
+            case StuckEncoder():
+                joint = self._arm.joint_index(fault.joint)
+                values["position"][joint] = self._frozen.setdefault(fault, float(values["position"][joint]))
+                if not fault.own_velocity:
+                    values["velocity"][joint] = 0.0
+            case TorqueSensor():
+                torque, joints = values["effort"], self._joints(fault.joint)
+                torque[joints] = fault.gain * torque[joints] + fault.bias
+            case WrongClock(step=0.0):
+                message.stamp_ns = int(self._frozen.setdefault(fault, message.stamp_ns))
+            case WrongClock():
+                message.stamp_ns += round(fault.step * NANOSECONDS)
 
     def _spoilt(self, message: Message, carried: Sequence[str], now_ns: int) -> Message:
         for fault in self.active(MessageFault, now_ns):
-            is_hit = fault.share == 1.0 or self.random.random() < fault.share
+            is_hit = fault.share == 1.0 or self._random.random() < fault.share
             if fault.what in carried and is_hit and not message.is_lost:
-                fault.spoil(message, self)
+                self._spoil(fault, message)
         return message
 
 

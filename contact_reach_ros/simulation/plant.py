@@ -13,16 +13,15 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.simulation.contacts import ContactReader, Contacts
-from contact_reach_ros.simulation.foam import Foam
 from contact_reach_ros.simulation.obstacles import (
-    SPARE_NAME,
-    SPARE_PLACE,
-    fixed_contact,
+    OUT_OF_REACH,
+    Foam,
     obstacle_bodies,
+    rigid_geoms,
+    self_contacts,
     soften_fixed,
-    spare_body,
+    unknown_sphere,
 )
-from contact_reach_ros.simulation.rigid import rigid_geoms, self_contacts
 from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -76,8 +75,6 @@ class Plant:
         Arm and surroundings.
     contact_links
         Links whose contact force is reported, in the order of `contact_forces`.
-    has_spare_obstacle
-        Whether `place_spare_obstacle` has a sphere to place.
     """
 
     def __init__(
@@ -86,17 +83,17 @@ class Plant:
         sensors: SensorSettings,
         joints: JointSettings,
         noise_seed: int | None = None,
-        spare_obstacle: bool = False,
+        unknown: tuple[float, float] | None = None,
     ) -> None:
         """Build the simulation at the scene's start, with its mismatch.
 
-        `noise_seed`, by default `scene.seed`, seeds the sensor noise. With `spare_obstacle` there is a sphere out of
-        reach for `place_spare_obstacle`.
+        `noise_seed`, by default `scene.seed`, seeds the sensor noise. `unknown` is radius, m, and stiffness, N/m, of a
+        sphere for `place_unknown`.
         """
         self.arm = scene.arm
         mismatch = scene.mismatch
         bodies = [body for obstacle in scene.true_obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
-        everything = [*bodies, spare_body()] if spare_obstacle else bodies
+        everything = [*bodies, unknown_sphere(*unknown)] if unknown else bodies
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(
                 scene.arm,
@@ -125,7 +122,6 @@ class Plant:
         self._torque = np.full(scene.arm.n, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
         self._first_obstacle = self.model.nbody - len(everything)
-        self.has_spare_obstacle = spare_obstacle
         self._pushes: list[PointForce] = []
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
@@ -275,24 +271,10 @@ class Plant:
         self._pushes = list(pushes)
         self.data.xfrc_applied[:] = 0.0
 
-    def place_spare_obstacle(self, position: Array, radius: float, stiffness: float) -> None:
-        """Place a rigid sphere at `position` (3,) m, base frame.
-
-        Raises `ValueError` if the plant was built without one.
-        """
-        if not self.has_spare_obstacle:
-            raise ValueError("the plant has no spare obstacle: build it with spare_obstacle=True")
-        model = self.model
-        geom = model.geom(SPARE_NAME).id
-        model.geom_size[geom, 0] = model.geom_rbound[geom] = radius
-        model.geom_aabb[geom] = (0.0, 0.0, 0.0, radius, radius, radius)
-        model.geom_solref[geom] = fixed_contact(stiffness)
-        self.data.mocap_pos[0] = position
-
-    def remove_spare_obstacle(self) -> None:
-        """Move the spare obstacle, if there is one, out of reach again."""
-        if self.has_spare_obstacle:
-            self.data.mocap_pos[0] = SPARE_PLACE
+    def place_unknown(self, position: Array | None) -> None:
+        """Place the unknown sphere at `position` (3,), m, base frame; None moves it out of reach again."""
+        if self.model.nmocap:
+            self.data.mocap_pos[0] = OUT_OF_REACH if position is None else position
 
     def _apply_pushes(self) -> None:
         data = self.data

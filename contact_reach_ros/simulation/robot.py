@@ -78,7 +78,7 @@ class SimulatedRobot:
             sensors or SensorSettings(),
             joints or JointSettings(),
             noise_seed,
-            spare_obstacle=any(isinstance(fault, UnknownObstacle) for fault in faults),
+            next(((each.radius, each.stiffness) for each in faults if isinstance(each, UnknownObstacle)), None),
         )
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0

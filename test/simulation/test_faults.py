@@ -38,14 +38,16 @@ OBSTACLE = UnknownObstacle((0.6, 0.0, 0.3))
 STATE = JointState(0, np.linspace(0.1, 0.7, 7), np.linspace(-0.3, 0.3, 7), np.linspace(1.0, 7.0, 7))
 
 
-def make_plant(payload: float = 0.0, spare: bool = False, joints: JointSettings = NO_FRICTION) -> Plant:
+def make_plant(
+    payload: float = 0.0, unknown: UnknownObstacle | None = None, joints: JointSettings = NO_FRICTION
+) -> Plant:
     mismatch = MismatchSettings("nominal", payload, friction_scale=1.0, noise_scale=0.0, foam_variation=0.0)
     scene = Scene("test", ARM, 0, START, np.zeros(3), mismatch=mismatch)
-    return Plant(scene, IDEAL_SENSORS, joints, spare_obstacle=spare)
+    return Plant(scene, IDEAL_SENSORS, joints, unknown=unknown and (unknown.radius, unknown.stiffness))
 
 
 def playing(*faults: Fault, plant: Plant | None = None, seed: int = 0) -> Faults:
-    played = Faults(faults, seed, plant or make_plant(spare=True))
+    played = Faults(faults, seed, plant or make_plant())
     played.start(0)
     return played
 
@@ -56,6 +58,7 @@ class TestChecks:
         [
             (lambda: Lost("command"), "expected commands or states or efforts or obstacles"),
             (lambda: Late("obstacles"), "expected commands or states or plans"),
+            (lambda: NotFinite("commands", "velocity"), "expected effort, or position or velocity of joint states"),
             (lambda: Lost("commands", share=1.5), r"a share in \(0, 1\]"),
             (lambda: Lost("commands", share=float("nan")), r"a share in \(0, 1\]"),
             (lambda: Lost("commands", at=-1.0), "expected at >= 0 s"),
@@ -251,7 +254,7 @@ class TestRobot:
         np.testing.assert_allclose(seen, [(0.3, 0.2), (3.0, 2.0), (6.0, 4.0), (0.6, 0.4)])
 
     def test_obstacle_comes_and_goes(self):
-        plant = make_plant(spare=True)
+        plant = make_plant(unknown=OBSTACLE)
         place = plant.data.geom("capsule_7").xpos.copy()
         faults = playing(UnknownObstacle((place[0] + 0.1, place[1], place[2]), at=0.01, duration=0.01), plant=plant)
         forces = []
@@ -263,9 +266,9 @@ class TestRobot:
         assert not touched[:10].any() and touched[10:20].all() and not touched[21:].any()
         assert np.argmax(forces[15]) == 5
 
-    def test_a_spare_obstacle_out_of_reach_changes_nothing(self):
+    def test_an_unknown_sphere_out_of_reach_changes_nothing(self):
         scene = make_scene(read_scene("ball"), ARM, 0)
-        plants = [Plant(scene, IDEAL_SENSORS, JointSettings(), spare_obstacle=spare) for spare in (False, True)]
+        plants = [Plant(scene, IDEAL_SENSORS, JointSettings(), unknown=sphere) for sphere in (None, (0.05, 5000.0))]
         velocities = [accelerations(plant, np.full(ARM.n, 5.0), 300) for plant in plants]
         np.testing.assert_array_equal(*velocities)
         np.testing.assert_array_equal(*(plant.obstacle_positions() for plant in plants))
