@@ -81,7 +81,6 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
         return report
     report["stack"] = {"nodes": attempt(stack.nodes, graph)}
     if graph.running:
-        report["stack"]["lifecycle"] = attempt(stack.lifecycle, graph)
         report["stack"]["safety state"] = attempt(stack.safety_state, graph)
         report["topics"] = {topic.name: attempt(stack.topic, graph, topic) for topic in topics.ALL}
         settings = graph.settings.get("controller", parameters_in(file, "controller"))

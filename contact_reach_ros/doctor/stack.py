@@ -90,34 +90,25 @@ def discovery_in_use() -> Finding:
 
 
 def nodes(graph: Graph) -> Finding:
-    """Check which nodes run, and whether any name occurs twice."""
-    found = ", ".join(sorted(node.removeprefix("/") for node in graph.nodes))
+    """Check whether each node runs once and is active."""
     if not graph.running:
-        fix = (
-            "start it: contact-reach up (with a real driver: --no-driver). If it runs, use the same ROS_DOMAIN_ID, "
-            "RMW_IMPLEMENTATION and --discovery here as there"
-        )
-        return graded(f"no stack is running here; other nodes: {found or 'none'}", fix, warn=True)
+        found = f"no stack is running here; other nodes: {', '.join(graph.nodes) or 'none'}"
+        fix = "contact-reach up (with a real driver: --no-driver), with the same ROS_DOMAIN_ID and --discovery as here"
+        return graded(found, fix, warn=True)
     twice = sorted(node for node, count in Counter(graph.nodes).items() if count > 1)
     if twice:
         fix = "end one of the two stacks (ros2 node list), or give each robot a ROS_DOMAIN_ID of its own"
         return failed(f"more than one node is called {', '.join(twice)}", fix)
-    missing = [node for node in _NEEDED_NODES if f"/{node}" not in graph.nodes]
-    starts = "; ".join(f"ros2 run contact_reach_ros {node}" for node in missing)
-    lacking = f"not running: {', '.join(missing)}; found " if missing else ""
-    fix = f"contact-reach up, or {starts}"
-    return graded(f"{lacking}{found}", fix, fail=bool(missing), nodes=sorted(graph.nodes))
-
-
-def lifecycle(graph: Graph) -> Finding:
-    """Check whether the lifecycle nodes are active."""
-    idle = {node: state for node, state in graph.states.items() if state != "active"}
-    steps = {"inactive": "activate", "unconfigured": "configure"}
-    fixes = [f"ros2 lifecycle set /{node} {steps[state]}" for node, state in idle.items() if state in steps]
-    if any(state not in steps for state in idle.values()):
-        fixes.append("look into the log of a node that does not answer, end it and start it again")
-    found = ", ".join(f"{node} is {state or 'silent'}" for node, state in graph.states.items())
-    return graded(found or "no lifecycle node of this package", "; ".join(fixes), fail=bool(idle))
+    states = {**dict.fromkeys(_NEEDED_NODES, "missing"), **graph.states}
+    fixes = {
+        "missing": "ros2 run contact_reach_ros {0}, or contact-reach up",
+        "inactive": "ros2 lifecycle set /{0} activate",
+        "unconfigured": "ros2 lifecycle set /{0} configure",
+    }
+    restart = "look into the log of {0}, end it and start it again"
+    idle = [fixes.get(state, restart).format(node) for node, state in states.items() if state != "active"]
+    found = ", ".join(f"{node} is {state or 'silent'}" for node, state in states.items())
+    return graded(found, "; ".join(idle), fail=bool(idle), nodes=sorted(graph.nodes))
 
 
 def safety_state(graph: Graph) -> Finding:

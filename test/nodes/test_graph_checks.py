@@ -31,7 +31,7 @@ GOOD = Graph(
     settings={name: {"impedance.task_stiffness": 880.0, "state_rate": 500.0} for name in ("controller", "planner")},
 )
 
-WHOLE = (stack.nodes, stack.lifecycle, stack.safety_state)
+WHOLE = (stack.nodes, stack.safety_state)
 
 
 def changed(**changes):
@@ -63,8 +63,9 @@ def test_two_nodes_of_one_name():
 
 
 def test_a_missing_node_is_named_with_its_command():
-    finding = stack.nodes(changed(nodes=["/controller", "/planner", "/my_arm"]))
-    assert finding.verdict is Verdict.FAIL and "not running: observer" in finding.found
+    states = {"controller": "active", "planner": "active"}
+    finding = stack.nodes(changed(nodes=["/controller", "/planner", "/my_arm"], states=states))
+    assert finding.verdict is Verdict.FAIL and "observer is missing" in finding.found
     assert "ros2 run contact_reach_ros observer" in finding.fix
 
 
@@ -72,7 +73,7 @@ def test_a_missing_node_is_named_with_its_command():
     ("state", "fix"), [("inactive", "/planner activate"), ("unconfigured", "/planner configure"), ("", "look into")]
 )
 def test_a_node_that_is_not_active(state, fix):
-    finding = stack.lifecycle(changed(states={**GOOD.states, "planner": state}))
+    finding = stack.nodes(changed(states={**GOOD.states, "planner": state}))
     assert finding.verdict is Verdict.FAIL and "planner" in finding.found and fix in finding.fix
 
 
