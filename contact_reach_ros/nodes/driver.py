@@ -34,7 +34,7 @@ from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
-from contact_reach_ros.simulation.robot import SimulatedRobot, is_finite
+from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
 from contact_reach_ros.stop_reasons import StopCode, StopReason, requested
 from contact_reach_ros.timing import Histogram, write_counts
@@ -196,8 +196,7 @@ class DriverNode(ManagedNode):
 
     def _tick(self, clock_ns: int) -> None:
         robot = self.robot
-        for error in robot.step(clock_ns):
-            self.refuse("commands", error)
+        robot.step(clock_ns)
         np.maximum(self._peak_contact, robot.plant.contact_forces(), out=self._peak_contact)
 
     def _read(self) -> _Reading:
@@ -232,8 +231,7 @@ class DriverNode(ManagedNode):
             self.inbox.wait(min(room_ns, _ANSWER_NS))
 
     def _publish_states(self, states: list[JointState]) -> None:
-        # Nobody answers states that were not published or that must be refused.
-        self._lockstep.expect(state.stamp_ns for state in states if is_finite(state))
+        self._lockstep.expect(state.stamp_ns for state in states)
         for state in states:
             self._published_ns = time.time_ns()
             self.publish_state(state)

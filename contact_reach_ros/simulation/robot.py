@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
@@ -172,8 +170,3 @@ class SimulatedRobot:
     def contact_forces(self) -> Array:
         """Contact force on each of the arm's contact links, N."""
         return self.plant.contact_forces()
-
-
-def is_finite(state: JointState) -> bool:
-    """Whether positions and velocities are finite; every receiver refuses the state otherwise."""
-    return bool(np.isfinite(state.q.sum() + state.v.sum()))
