@@ -56,9 +56,10 @@ def timer_jitter(seconds: float = 2.0) -> Finding:
         gc.enable()
     p50, p99 = np.percentile(late_us, [50, 99])
     most, ticks = late_us.max(), len(late_us) + missed
-    fix = (
-        "permit real-time priority (see above), end other busy programs (see top), set the CPU governor (sudo cpupower "
-        "frequency-set -g performance); for a real arm install a PREEMPT_RT kernel: docs/realtime.md"
+    fix = "" if realtime else "permit real-time priority (see above), "
+    fix += (
+        "end other busy programs (see top), set the CPU governor (sudo cpupower frequency-set -g performance); for a "
+        "real arm install a PREEMPT_RT kernel: docs/realtime.md"
     )
     return graded(
         f"late by p50 {p50:.0f}, p99 {p99:.0f}, max {most:.0f} us; missed {missed} of {ticks} ticks, "
