@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 MANIFEST = ElementTree.parse(Path(__file__).with_name("package.xml")).getroot()
 NAME = MANIFEST.findtext("name")
 SHARE = f"share/{NAME}"
-NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder", "replay", "bringup", "faults", "viewer")
+NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder", "replay", "bringup", "viewer")
 
 
 def files_below(folder: str) -> list[Path]:

@@ -12,9 +12,6 @@ PAGES = ("README.md", "bags/README.md", *(f"{folder}/*.md" for folder in ("docs"
 PROGRAM = ("contact-reach", ".venv/bin/contact-reach")
 NODE = re.compile(r"\.venv/bin/(?!contact-reach)(\w+)")
 
-# This page is written by the test of the faults.
-NO_COMMANDS = {"docs/faults.md": "push link="}
-
 
 class Command(NamedTuple):
     """One command of a page."""
@@ -41,7 +38,7 @@ def commands() -> list[Command]:
 def _lines(page: Path) -> list[str]:
     lines = []
     for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE):
-        if language or block.startswith(NO_COMMANDS.get(str(page.relative_to(ROOT)), "\0")):
+        if language:
             continue
         joined = re.sub(r"\\\n\s*", " ", block)
         # A loop is one command.

@@ -22,7 +22,6 @@ from contact_reach_ros.bringup.bringup import CHANGEABLE
 from contact_reach_ros.bringup.bringup import SECTIONS as BRINGUP
 from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.cli import _parser, main
-from contact_reach_ros.doctor import fault_tool
 from contact_reach_ros.messages import topics
 from contact_reach_ros.node_settings import SECTIONS
 from contact_reach_ros.nodes import replay
@@ -39,8 +38,8 @@ TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTIL
 
 
 def check_node(name, arguments):
-    if name in ("replay", "faults"):
-        (replay if name == "replay" else fault_tool).make_parser().parse_args(arguments)
+    if name == "replay":
+        replay.make_parser().parse_args(arguments)
     else:
         assert arguments[:1] in ([], ["--ros-args"]), arguments
         check_arguments([name, *arguments], name, {**SECTIONS, "bringup": BRINGUP}[name])

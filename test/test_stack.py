@@ -20,7 +20,7 @@ from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.simulation.faults import Fault, NotFinite, Silent, WrongClock
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack, Tick
 from contact_reach_ros.world.generate import load_scene
@@ -409,32 +409,31 @@ class TestOwnRobot:
 class TestFaults:
     """A robot with faults sends on purpose what others must not; it is refused and counted."""
 
-    def run(self, faults: str) -> tuple[Stack, object]:
-        robot = SimulatedRobot(FREE_SCENE, faults=parse_faults(faults, ARM), noise_seed=0)
+    def run(self, *faults: Fault) -> tuple[Stack, object]:
+        robot = SimulatedRobot(FREE_SCENE, faults=faults, noise_seed=0)
         stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot)
         stack.settle()
         robot.start_faults()
         return stack, stack.run(GOAL, 0.5)
 
     def test_joint_states(self):
-        stack, result = self.run("nan_states share=0.3")
+        stack, result = self.run(NotFinite("states", "position", share=0.3))
         assert not result.stop_reason
         assert stack.refused["joint states"] == stack.refused["observed joint states"] > 50
 
     def test_old_joint_states(self):
-        stack, _ = self.run("duplicate_states share=0.5")
+        stack, _ = self.run(WrongClock(share=0.5, duration=0.4))
         assert stack.refused["old joint states"] > 100
 
     def test_old_joint_states_that_are_not_finite_either(self):
         """Only the own watch looks into these."""
-        stack, _ = self.run("duplicate_states share=0.5; nan_states share=0.3")
+        stack, _ = self.run(WrongClock(share=0.5), NotFinite("states", "position", share=0.3))
         assert stack.refused["old joint states"] > 50 and stack.refused["joint states"] > 50
 
     def test_the_goal_is_withdrawn_when_the_robot_pauses_for_long(self):
         for pause, is_left in ((1.0, True), (2.1, False)):
-            robot = SimulatedRobot(
-                FREE_SCENE, faults=parse_faults(f"pause for={pause}", ARM), noise_seed=0, period=0.005
-            )
+            faults = [Silent("driver", duration=pause)]
+            robot = SimulatedRobot(FREE_SCENE, faults=faults, noise_seed=0, period=0.005)
             stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot, period=0.005)
             stack.settle()
             stack.command(GOAL)
@@ -443,7 +442,7 @@ class TestFaults:
             assert (stack.planner.goal is not None) == is_left
 
     def test_commands(self):
-        stack, _ = self.run("nan_commands share=0.3")
+        stack, _ = self.run(NotFinite("commands", share=0.3))
         assert stack.refused["commands"] > 50
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,12 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.doctor.findings import Finding, check, failed, graded, passed, warned
+from contact_reach_ros.doctor.findings import Finding, failed, graded, passed
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.timing import RateCheck
 from contact_reach_ros.units import NANOSECONDS
 
-Stamps = NDArray[np.int64]
-
 _GOOD_SHARE, _BAD_SHARE = 0.01, 0.1
-_SAME_STEP = 1e-6
 _LONG_GAP_NS = 20e6
 """Silence at which the driver's watchdog holds the arm, ns."""
 _GOOD_SKEW_MS, _BAD_SKEW_MS = 10.0, 100.0
@@ -48,14 +44,13 @@ class JointRecord:
     """
 
     names: Sequence[tuple[str, ...]]
-    stamps_ns: Stamps
-    received_ns: Stamps
+    stamps_ns: NDArray[np.int64]
+    received_ns: NDArray[np.int64]
     position: Array
     velocity: Array
     effort: Array
 
 
-@check("joint names and order")
 def joint_names(record: JointRecord, arm: Arm, command_order: Sequence[str] | None = None) -> Finding:
     """Check names and order of the joints.
 
@@ -81,93 +76,57 @@ def joint_names(record: JointRecord, arm: Arm, command_order: Sequence[str] | No
         if missing:
             fix = f"let the driver publish all of {ordered}, by its joint-name or prefix parameter"
             return failed(f"joint_states lacks {', '.join(missing)}; it has {', '.join(names) or 'none'}", fix)
-    strange = [names for names in record.names if tuple(joint for joint in names if joint in wanted) != wanted]
-    if strange and command_order is None:
-        return failed(f"joint_states come in the order {', '.join(strange[0])}", fix_order)
+        order = tuple(joint for joint in names if joint in wanted)
+        # States are read by name, so that their order only counts as a hint at the order of the commands.
+        if order != wanted and command_order is None:
+            return failed(f"joint_states come in the order {', '.join(names)}", fix_order)
     others = sorted({joint for names in record.names for joint in names} - set(wanted))
-    found = ", ".join(wanted) + (f", and {', '.join(others)}, which are ignored" if others else "")
-    return passed(found if not strange else f"{found}; states in another order are read by name")
+    return passed(", ".join(wanted) + (f", and {', '.join(others)}, which are ignored" if others else ""))
 
 
-@check("driver rate")
-def driver_rate(record: JointRecord, simulated_time: bool, nominal: float) -> Finding:
+def driver_rate(record: JointRecord, nominal: float) -> Finding:
     """Check the rate of the joint states against the nominal one, Hz, and how regular their stamps are."""
     count = len(record.stamps_ns)
     if count < 2:
-        fix = f"{_MISSING}; see the driver's log and its lifecycle state"
-        return failed(f"{count} joint states while listening", fix)
-    span_ns = float(record.received_ns[-1] - record.received_ns[0])
-    rate = (count - 1) * NANOSECONDS / span_ns if span_ns > 0 else float("inf")
+        return failed(f"{count} joint states while listening", f"{_MISSING}; see its log and its lifecycle state")
     steps = np.diff(record.stamps_ns).astype(float)
-    jitter_us, gap_us = float(steps.std()) / 1000, float(steps.max()) / 1000
-    values: dict[str, Any] = {"rate_hz": rate, "stamp_jitter_us": jitter_us, "longest_gap_us": gap_us}
     backwards = int((steps < 0).sum())
     if backwards:
         fix = "end the second publisher of joint_states, or let the driver stamp with one clock that never goes back"
-        return failed(f"{backwards} of {count} stamps are older than the one before", fix, **values)
-    if simulated_time:
-        step_ms = float(np.median(steps)) / 1e6
-        found = f"lockstep: a state every {step_ms:g} ms of simulated time, {rate:.0f} a second of real time"
-        other = abs(step_ms * nominal / 1000.0 - 1.0) > _SAME_STEP
-        fix = f"let the simulation publish every {1000.0 / nominal:g} ms, or set state_rate of every node"
-        return graded(
-            found + (_consequence(1000.0 / step_ms if step_ms else np.inf, nominal) if other else ""),
-            fix,
-            fail=other,
-            **values,
-        )
+        return failed(f"{backwards} of {count} stamps are older than the one before", fix)
+    rate = (count - 1) * NANOSECONDS / max(float(record.received_ns[-1] - record.received_ns[0]), 1.0)
     off = abs(rate - nominal) / nominal
-    found = f"{rate:.0f} Hz, stamps vary by {jitter_us:.0f} us, longest gap {gap_us / 1000:.1f} ms"
+    found = f"{rate:.0f} Hz, stamps vary by {steps.std() / 1e3:.0f} us, longest gap {steps.max() / 1e6:.1f} ms"
+    if off > _BAD_SHARE:
+        found += f"; the nodes count on {nominal:.0f} Hz (state_rate): "
+        if abs(nominal / rate - 1.0) > RateCheck.TOLERANCE:
+            found += "the arm is not started, or is stopped as blind"
+        else:
+            found += "pushes are noticed later" if rate < nominal else "debounces are shorter: false stops"
     return graded(
-        found + (_consequence(rate, nominal) if off > _BAD_SHARE else ""),
+        found,
         f"set the driver to {nominal:.0f} Hz, or state_rate of every node to the driver's rate; if both are, permit "
         "real-time priority and end other busy programs",
         fail=off > _BAD_SHARE,
-        warn=off > _GOOD_SHARE or steps.max() > _LONG_GAP_NS,
-        **values,
+        warn=bool(off > _GOOD_SHARE or steps.max() > _LONG_GAP_NS),
+        rate_hz=rate,
+        stamp_jitter_us=float(steps.std()) / 1e3,
+        longest_gap_us=float(steps.max()) / 1e3,
     )
 
 
-def _consequence(rate: float, nominal: float) -> str:
-    """What follows from joint states at another rate than the nominal one, both in Hz."""
-    if rate <= 0.0 or abs(nominal / rate - 1.0) > RateCheck.TOLERANCE:
-        follows = "the observer does not vouch for the arm, which is not started or is stopped as blind"
-    elif rate < nominal:
-        follows = "pushes and faults, which are counted in states, are noticed that much later"
-    else:
-        follows = "debounces, which are counted in states, are that much shorter: false stops"
-    return f"; the nodes count on {nominal:.0f} Hz (state_rate): {follows}, and gains were checked for another delay"
-
-
-@check("clocks")
-def clock_skew(record: JointRecord, clock_ns: Stamps | None) -> Finding:
-    """Check how far the driver's clock is from this machine's, or from /clock.
-
-    Parameters
-    ----------
-    record
-        What was heard.
-    clock_ns
-        (n,) value of /clock at the arrival of each state; None in real time.
-    """
+def clock_skew(record: JointRecord) -> Finding:
+    """Check how far the driver's clock is from this machine's."""
     if not len(record.stamps_ns):
         return failed("no joint states to read a clock from", _MISSING)
-    now = record.received_ns if clock_ns is None else clock_ns
     # Messages are late, clocks are not: the least delay is the best guess.
-    late_ms = (now - record.stamps_ns) / 1e6
+    late_ms = (record.received_ns - record.stamps_ns) / 1e6
     skew = float(late_ms.min() if late_ms.min() > 0 else np.median(late_ms))
-    of = "this machine's clock" if clock_ns is None else "/clock"
-    fix = "let the simulation stamp joint states with the time that it publishes on /clock"
-    if clock_ns is None:
-        fix = (
-            "synchronise the computers' clocks (chrony, or PTP for a robot), or stamp with the system clock in the "
-            "driver; the simulated driver falls behind for good when it is held up for more than 20 ms: start it again"
-        )
-    found = f"joint states are stamped {abs(skew):.1f} ms {'before' if skew >= 0 else 'after'} {of}"
+    fix = "synchronise the computers' clocks (chrony, or PTP), or stamp joint states with the system clock"
+    found = f"joint states are stamped {abs(skew):.1f} ms {'before' if skew >= 0 else 'after'} this machine's clock"
     return graded(found, fix, fail=abs(skew) > _BAD_SKEW_MS, warn=abs(skew) > _GOOD_SKEW_MS, skew_ms=skew)
 
 
-@check("gravity against torque")
 def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Finding:
     """Compare the measured torque of the arm at rest with the model's g(q), joint by joint.
 
@@ -176,26 +135,25 @@ def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Fi
     again = "run doctor again when the brakes are open and the arm is at rest (no goal)"
     known: NDArray[np.bool_] = np.isfinite(record.effort.sum(axis=1))
     if not len(known) or not known[-1]:
-        found = "the effort of joint_states is NaN or missing: the brakes are closed, or the driver measures no torque"
         fix = f"{again}; if the driver measures none, set the observer's torque_source: commanded"
-        return warned(f"not compared: {found}", fix)
+        return graded("not compared: no effort in joint_states, as with closed brakes", fix, warn=True)
     q, v, effort = record.position[known], record.velocity[known], record.effort[known]
     if np.abs(v.mean(axis=0)).max() > _REST_SPEED or np.ptp(q, axis=0).max() > _REST_TRAVEL:
-        return warned("not compared: the arm moves", again)
+        return graded("not compared: the arm moves", again, warn=True)
     measured, expected = effort.mean(axis=0), model.gravity_at(q.mean(axis=0))
-    residual = measured - expected
-    joints = model.arm.joint_names
+    residual, joints = measured - expected, model.arm.joint_names
     found = (
         f"measured minus model: {', '.join(f'{value:+.2f}' for value in residual)} Nm, {joints[0]} to {joints[-1]}; "
         f"largest at {joints[int(np.abs(residual).argmax())]}"
     )
-    values = {"residual_nm": residual.tolist(), "measured_nm": measured.tolist(), "model_nm": expected.tolist()}
-    if np.abs(measured).max() < _SMALL_TORQUE < np.abs(expected).max():
+    fix = "give the model the payload and tool that the arm carries, calibrate the torque sensors, and look for contact"
+    without = np.abs(measured).max() < _SMALL_TORQUE < np.abs(expected).max()
+    spent = (np.abs(residual) > _BAD_SHARE_OF_THRESHOLD * np.array(budget.torque_thresholds)).any()
+    if without:
         found = "measured torques are about zero where gravity is not: the driver takes gravity out of them"
         fix = "let the driver report torques with gravity, and see supervision.gravity_compensation of the controller"
-        return failed(found, fix, **values)
-    fix = "give the model the payload and tool that the arm carries, calibrate the torque sensors, and look for contact"
-    spent = bool((np.abs(residual) > _BAD_SHARE_OF_THRESHOLD * np.array(budget.torque_thresholds)).any())
-    if spent:
+    elif spent:
         found += ": more than half of the contact budget is gone"
-    return graded(found, fix, fail=spent, warn=bool(np.abs(residual).max() > _GOOD_RESIDUAL), **values)
+    values = {"residual_nm": residual.tolist(), "measured_nm": measured.tolist(), "model_nm": expected.tolist()}
+    warn = bool(np.abs(residual).max() > _GOOD_RESIDUAL)
+    return graded(found, fix, fail=bool(without or spent), warn=warn, **values)

@@ -19,6 +19,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.doctor.findings import write_text
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import PERIOD
 from contact_reach_ros.units import NANOSECONDS
@@ -39,7 +40,8 @@ _CLOSE = 0.01
 def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
     """Print what there is, what was assumed, and how the arm moves; returns 0 only if it moves as it should.
 
-    Raises `SettingsError` if the description is refused; the message names link or joint, and the key that mends it.
+    Raises `SettingsError` if the description is refused, naming link or joint and the key that mends it, and
+    `InputError` if the table cannot be written.
 
     Parameters
     ----------
@@ -70,7 +72,7 @@ def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
     for line in assumed:
         console.print(f"assumed: {line}", markup=False)
     if table is not None:
-        table.write_text(table_text(arm))
+        write_text(table, table_text(arm))
         console.print(f"table: {table}", markup=False)
     problem = _motion(arm)
     console.print(

@@ -12,11 +12,21 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.doctor import arm as joints
-from contact_reach_ros.doctor import machine, software
-from contact_reach_ros.doctor.findings import Finding, Report, check, exit_code, failed, print_table, write_json
-from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.doctor import machine
+from contact_reach_ros.doctor.findings import (
+    Finding,
+    Report,
+    attempt,
+    exit_code,
+    failed,
+    passed,
+    print_table,
+    write_json,
+)
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, arm_in, parameters_in, robot_in
+from contact_reach_ros.parameter_check import check_parameters
+from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, NODES, arm_in, parameters_in, robot_in
 from contact_reach_ros.resources import config_file
 
 _LISTEN_S = 1.0
@@ -26,7 +36,7 @@ def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Pa
     """Make all checks and print them; returns the exit code: 1 if something failed, else 0.
 
     `parameters` is the parameter file of the nodes, the package's own when None; `discovery` how far to look for them;
-    `file` takes the findings as JSON.
+    `file` takes the findings as JSON. Raises `InputError` if it cannot be written.
     """
     console, used = Console(), parameters or config_file(DEFAULT_PARAMETERS)
     with console.status("looking at this machine and its software ..."):
@@ -43,67 +53,56 @@ def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Pa
 
 
 def examine(file: Path, discovery: str, arm: Arm) -> Report:
-    """Make all checks, of the nodes with a parameter file; findings by part."""
+    """Make all checks, of the nodes with a parameter file."""
     report = {
-        "machine": [machine.realtime_permission(), machine.timer_jitter(), machine.processors()],
-        "software": [software.python_packages()],
+        "machine": {
+            "real-time priority": attempt(machine.realtime_permission),
+            "timer at 1 kHz": attempt(machine.timer_jitter),
+        },
+        "software": {"parameters": attempt(_parameters, file)},
     }
     try:
         # rclpy is only needed, and only has to be installed, for what follows.
         from contact_reach_ros.doctor import stack
+        from contact_reach_ros.doctor.listening import look_around
+        from contact_reach_ros.messages import topics
         from contact_reach_ros.ros.discovery import choose_discovery
     except ImportError as error:
-        report["software"].append(_without_ros(error))
+        fix = "source /opt/ros/jazzy/setup.bash, or install the wheels with make venv"
+        report["software"]["rclpy"] = failed(f"cannot be imported ({error}): no node can run", fix)
         return report
     choose_discovery(discovery)
-    report["software"] += [
-        software.ros_version(),
-        stack.discovery_in_use(),
-        stack.running_sockets(),
-        software.parameter_file(file),
-        software.contact_budget(file, arm),
-    ]
-    return {**report, **_stack(discovery, file, arm)}
+    report["software"]["discovery"] = attempt(stack.discovery_in_use)
+    try:
+        graph, record = look_around(discovery, _LISTEN_S, arm)
+    except ContactReachError as error:
+        fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
+        report["stack"] = {"nodes": failed(str(error), fix)}
+        return report
+    report["stack"] = {"nodes": attempt(stack.nodes, graph)}
+    if graph.running:
+        report["stack"]["safety state"] = attempt(stack.safety_state, graph)
+        report["topics"] = {topic.name: attempt(stack.topic, graph, topic) for topic in topics.ALL}
+        settings = graph.settings.get("controller", parameters_in(file, "controller"))
+        report["arm"] = {
+            "joint names and order": attempt(joints.joint_names, record, arm, graph.command_order),
+            "gravity against torque": attempt(_gravity, record, file, settings),
+        }
+        # Simulated time may run at any speed.
+        if not graph.publishers[topics.CLOCK.name]:
+            report["arm"]["driver rate"] = attempt(joints.driver_rate, record, graph.nominal_rate)
+            report["arm"]["clocks"] = attempt(joints.clock_skew, record)
+    return report
 
 
-@check("gravity against torque")
+def _parameters(file: Path) -> Finding:
+    """Check the whole parameter file as bring-up does; raises `ContactReachError` where it would not start."""
+    check_parameters(file)
+    return passed(f"{file}: valid for {', '.join(NODES)}")
+
+
 def _gravity(record: joints.JointRecord, file: Path, settings: Mapping[str, Any]) -> Finding:
     """`settings`: the controller's, with the arm and its tool."""
     arm = arm_in(settings, "the controller")
     budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
     return joints.gravity(record, RobotModel(arm), budget)
-
-
-@check("rclpy")
-def _without_ros(error: ImportError) -> Finding:
-    fix = "source /opt/ros/jazzy/setup.bash, or install the wheels with make venv"
-    return failed(f"cannot be imported ({error}): no node can run", fix)
-
-
-def _stack(discovery: str, file: Path, arm: Arm) -> dict[str, list[Finding]]:
-    """Check what is running; looks around first, which takes seconds."""
-    from contact_reach_ros.doctor import stack
-    from contact_reach_ros.doctor.listening import Look, look_around
-    from contact_reach_ros.messages import topics
-
-    looks: list[Look] = []
-
-    @check("nodes", "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file")
-    def nodes() -> Finding:
-        looks.append(look_around(discovery, _LISTEN_S, arm))
-        return stack.nodes(looks[0].graph)
-
-    parts = {"stack": [nodes()]}
-    if looks and looks[0].graph.running:
-        graph = looks[0].graph
-        checks = (stack.lifecycle, stack.time_source, stack.gains, stack.safety_state)
-        parts["stack"] += [check(graph) for check in checks]
-        parts["topics"] = [stack.topic(graph, topic) for topic in topics.ALL]
-        record, clock = looks[0].joint_record(), looks[0].clock_at_states()
-        parts["arm"] = [
-            joints.joint_names(record, arm, looks[0].command_order),
-            joints.driver_rate(record, clock is not None, graph.nominal_rate),
-            joints.clock_skew(record, clock),
-            _gravity(record, file, graph.settings.get("controller", parameters_in(file, "controller"))),
-        ]
-    return parts

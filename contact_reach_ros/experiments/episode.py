@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.agreement import disagreement, plan_basis
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode_result import EpisodeResult
@@ -23,17 +22,7 @@ from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
-from contact_reach_ros.simulation.fault_kinds import (
-    CONTROLLER_SILENT,
-    FALSE_PLANS,
-    LATE_PLANS,
-    OBSERVER_SILENT,
-    OBSTACLE,
-    OTHER_GAINS,
-    PLANNER_SILENT,
-    Fault,
-    Schedule,
-)
+from contact_reach_ros.simulation.faults import AnyFault, Fault, Late, WrongPlans
 from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings, WatchdogSettings
@@ -95,7 +84,7 @@ class EpisodeOptions:
     linger: float = 0.0
     until_settled: bool = False
     patience: float = 0.0
-    faults: Schedule = ()
+    faults: tuple[Fault, ...] = ()
     budget: ContactBudget = field(default_factory=ContactBudget)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
@@ -124,7 +113,6 @@ class _EpisodeStack(Stack):
     """The stack of an episode: nodes may be silent, and plans late or false."""
 
     def __init__(self, scene: Scene, method: Method, options: EpisodeOptions) -> None:
-        has_obstacle = any(fault.name == OBSTACLE for fault in options.faults)
         period = 1.0 / options.rate
         robot = _EpisodeRobot(
             scene,
@@ -133,7 +121,6 @@ class _EpisodeStack(Stack):
             options.watchdog,
             options.faults,
             options.noise_seed,
-            spare_obstacle=has_obstacle,
             period=period,
         )
         method.planner.reset()
@@ -153,15 +140,19 @@ class _EpisodeStack(Stack):
         """Everything that the controller sent, with its time, ns."""
         self._late: deque[tuple[int, Plan]] = deque()
 
-    def _active(self, kind: str) -> list[Fault]:
+    def _active(self, kind: type[AnyFault]) -> list[AnyFault]:
         faults = self.simulated.faults
-        return [] if faults is None else faults.of_nodes(kind, self._clock_ns)
+        return [] if faults is None else faults.active(kind, self._clock_ns)
+
+    def _is_silent(self, node: str) -> bool:
+        faults = self.simulated.faults
+        return faults is not None and faults.is_silent(node, self._clock_ns)
 
     def _control(self) -> Array | None:
-        return None if self._active(CONTROLLER_SILENT) else super()._control()
+        return None if self._is_silent("controller") else super()._control()
 
     def _observe(self) -> SafetyReport | None:
-        return None if self._active(OBSERVER_SILENT) else super()._observe()
+        return None if self._is_silent("observer") else super()._observe()
 
     def _plan(self) -> Plan | None:
         try:
@@ -169,21 +160,17 @@ class _EpisodeStack(Stack):
                 super()._follow(self._late.popleft()[1])
         except InputError as error:
             self._refuse("plans", error)
-        return None if self._active(PLANNER_SILENT) else super()._plan()
+        return None if self._is_silent("planner") else super()._plan()
 
     def _send(self, torque: Array) -> None:
         self.sent.append((self._clock_ns, torque))
         super()._send(torque)
 
     def _follow(self, plan: Plan) -> Plan:
-        gains = self.controller.settings.impedance
-        for fault in self._active(OTHER_GAINS):
-            others = dataclasses.replace(gains, task_stiffness=fault["factor"] * gains.task_stiffness)
-            raise InputError(disagreement(plan_basis(self.arm, gains), plan_basis(self.arm, others)))
-        for fault in self._active(FALSE_PLANS):
-            positions, duration = plan.positions + fault["offset"], fault["stretch"] * plan.knot_duration_s
+        for wrong in self._active(WrongPlans):
+            positions, duration = plan.positions + np.array(wrong.offset), wrong.stretch * plan.knot_duration_s
             plan = dataclasses.replace(plan, positions=positions, knot_duration_s=duration)
-        delay = sum(fault["delay"] for fault in self._active(LATE_PLANS))
+        delay = sum(late.delay for late in self._active(Late) if late.what == "plans")
         if delay > 0.0:
             self._late.append((self._clock_ns + round(delay * NANOSECONDS), plan))
             return plan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 
 import numpy as np
@@ -12,7 +12,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.experiments.episode_result import EpisodeResult
-from contact_reach_ros.simulation.fault_kinds import Schedule
+from contact_reach_ros.simulation.faults import Fault, Push, RivalCommands
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.timing import PAUSE
 
@@ -36,8 +36,8 @@ FORCE, LASTING, TORQUE, TORQUE_RATE, SPEED = BOUNDS = (
     "torque rate",
     "joint speed",
 )
-MOVED_BY_OTHERS = ("push", "foreign_commands")
-"""Kinds with which a joint's speed is not the controller's doing."""
+MOVED_BY_OTHERS = (Push, RivalCommands)
+"""Faults with which a joint's speed is not the controller's doing."""
 _ROUNDING = 1e-9
 
 
@@ -71,13 +71,13 @@ def speed_share(result: EpisodeResult, arm: Arm) -> float:
     return float((speeds / arm.velocity_limits).max())
 
 
-def bounds_used(result: EpisodeResult, limits: LimitSettings, arm: Arm, faults: Schedule) -> dict[str, float]:
+def bounds_used(result: EpisodeResult, limits: LimitSettings, arm: Arm, faults: Sequence[Fault]) -> dict[str, float]:
     """How much of each bound an episode came to use, as a share that is at most 1; infinite where it is not finite.
 
     Only what was sent counts as torque, and a change of it only from one command to the next: after a pause the
     controller starts again. Where others move the arm, its speed counts for nothing.
     """
-    is_moved = any(fault.name in MOVED_BY_OTHERS for fault in faults)
+    is_moved = any(isinstance(fault, MOVED_BY_OTHERS) for fault in faults)
     forces, torques = result.contact_forces, result.commands
     changes = np.abs(np.diff(torques, axis=0))[np.diff(result.command_times) <= PAUSE]
     rates = torque_rates(arm, limits) * result.period

@@ -78,7 +78,7 @@ class Fit:
 
     def of(self, kind: str) -> tuple[Array, Array, np.ndarray]:
         """Values, half widths and whether they are known, of one kind of parameters."""
-        slots = self.parameters.parts[kind].slots
+        slots = self.parameters.slots[kind]
         return self.values[slots], self.half_widths[slots], self.known[slots]
 
 
@@ -97,7 +97,7 @@ def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
     before = np.zeros(n)
     for number in range(_ROUNDS):
         pairs = [
-            parameters.rows_of(motion.samples, *regressor, values, motion.has_tool)
+            parameters.rows(motion.samples, *regressor, values, motion.has_tool)
             for motion, regressor in zip(motions, regressors, strict=True)
         ]
         errors, columns = (np.concatenate(each) for each in zip(*pairs, strict=True))

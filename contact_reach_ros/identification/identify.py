@@ -120,7 +120,7 @@ def _values(found: Fit, arm: Arm, tool: Tool | None) -> dict[str, Any]:
     """The observer's settings that were fitted; friction that came out negative is none."""
 
     def fitted(kind: str) -> Array:
-        return found.of(kind)[0] if kind in found.parameters.parts else np.zeros(arm.n)
+        return found.of(kind)[0] if kind in found.parameters.slots else np.zeros(arm.n)
 
     last = arm.inertias()[-1].mass
     # The observer shifts the last link together with its tool: by less, for the same moment.
@@ -147,7 +147,7 @@ def _tool(found: Fit, arm: Arm, tool: Tool) -> tuple[Tool, Array]:
         )
     if mass <= half_widths[0]:
         return dataclasses.replace(tool, mass=0.0, center=(0.0,) * 3, inertia=(0.0,) * 6), np.full(3, np.nan)
-    covariance = found.covariance[found.parameters.parts["tool"].slots, found.parameters.parts["tool"].slots]
+    covariance = found.covariance[found.parameters.slots["tool"], found.parameters.slots["tool"]]
     center = np.array(moment) / mass
     slopes = np.column_stack([-center / mass, np.eye(3) / mass])
     factor = half_widths[0] / np.sqrt(covariance[0, 0])

@@ -43,7 +43,7 @@ def describe(found: Identification, arm: Arm, budget: ContactBudget) -> str:
         lines.append(f"tool: {_with_width(values[0], widths[0], 3)} kg, centre {center} mm from the flange")
     lines.append(f"{'':29s}" + "".join(f"{name.rpartition('_')[2]:>16s}" for name in arm.joint_names))
     for kind, (name, unit, scale) in ROWS.items():
-        if kind in found.fit.parameters.parts:
+        if kind in found.fit.parameters.slots:
             values, widths, _ = found.fit.of(kind)
             digits = 2 if scale == 1.0 else 1
             pairs = zip((scale * values).tolist(), (scale * widths).tolist(), strict=True)

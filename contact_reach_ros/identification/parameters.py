@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pinocchio as pin
 
@@ -23,22 +21,14 @@ _DIFFERENCE = 1e-3
 """Step of central differences, m: exact, since inertias are quadratic in the centre."""
 
 
-class Part(NamedTuple):
-    """Parameters of one kind: where they stand in the vector of all of them, their names and their scales."""
-
-    slots: slice
-    names: tuple[str, ...]
-    scales: tuple[float, ...]
-
-
 class Parameters:
     """The vector of parameters, and the torques that follow from it.
 
     Attributes
     ----------
-    parts
-        By kind: 'tool' (mass, kg, and first moment in the frame of the last link, kg m), 'shift_x' and 'shift_y' (n,)
-        m, 'coulomb' (n,) Nm, 'viscous' (n,) Nm s/rad and 'offset' (n,) Nm.
+    slots
+        Where each kind stands in the vector: 'tool' (mass, kg, and first moment in the frame of the last link, kg m),
+        'shift_x' and 'shift_y' (n,) m, 'coulomb' (n,) Nm, 'viscous' (n,) Nm s/rad and 'offset' (n,) Nm.
     names, scales
         Of all parameters.
     """
@@ -76,13 +66,13 @@ class Parameters:
                 kinds[f"shift_{axis}"] = (names, (_SHIFT_SCALE,) * arm.n)
         for kind in ("coulomb", "viscous", "offset"):
             kinds[kind] = (tuple(f"{kind} {joint}" for joint in joints), (1.0,) * arm.n)
-        self.parts: dict[str, Part] = {}
+        self.slots: dict[str, slice] = {}
         start = 0
-        for kind, (names, scales) in kinds.items():
-            self.parts[kind] = Part(slice(start, start + len(names)), names, scales)
+        for kind, (names, _) in kinds.items():
+            self.slots[kind] = slice(start, start + len(names))
             start += len(names)
-        self.names = sum((part.names for part in self.parts.values()), ())
-        self.scales = np.array(sum((part.scales for part in self.parts.values()), ()))
+        self.names = sum((names for names, _ in kinds.values()), ())
+        self.scales = np.array(sum((scales for _, scales in kinds.values()), ()))
 
     def regressor(self, samples: Samples) -> tuple[Array, Array]:
         """Pinocchio's regressor (N, n, 10 n), and the torques (N, n) that accelerate the rotors, N m."""
@@ -92,13 +82,17 @@ class Parameters:
             row[:] = pin.computeJointTorqueRegressor(self._model, data, q, v, a)
         return found, self._armature * samples.a
 
-    def rows(self, samples: Samples, values: Array, has_tool: bool = True) -> tuple[Array, Array]:
-        """Torques (N, n), N m, that the parameters do not explain, and how the explained ones change with them.
+    def rows(
+        self, samples: Samples, regressor: Array, rotors: Array, values: Array, has_tool: bool = True
+    ) -> tuple[Array, Array]:
+        """Torques that the parameters do not explain, and how the explained ones change with them.
 
         Parameters
         ----------
         samples
             A motion.
+        regressor, rotors
+            What `regressor` returns for it, which does not change with the parameters.
         values
             (p,) of all parameters.
         has_tool
@@ -109,42 +103,36 @@ class Parameters:
         tuple
             (N, n) N m, and (N, n, p).
         """
-        return self.rows_of(samples, *self.regressor(samples), values, has_tool)
-
-    def rows_of(
-        self, samples: Samples, regressor: Array, rotors: Array, values: Array, has_tool: bool = True
-    ) -> tuple[Array, Array]:
-        """The same with what `regressor` returned, which does not change with the parameters."""
         n, (inertial, slopes) = self.arm.n, self._inertial(values, has_tool)
         columns = np.zeros((*samples.q.shape, len(self.names)))
         columns[:, :, : slopes.shape[1]] = regressor @ slopes
         joints = np.arange(n)
         for kind, signal in (("coulomb", samples.direction), ("viscous", samples.v), ("offset", 1.0)):
-            columns[:, joints, self.parts[kind].slots.start + joints] = signal
-        friction = slice(self.parts["coulomb"].slots.start, None)
+            columns[:, joints, self.slots[kind].start + joints] = signal
+        friction = slice(self.slots["coulomb"].start, None)
         explained = regressor @ inertial + rotors + columns[:, :, friction] @ values[friction]
         return samples.torque - explained, columns
 
     def _inertial(self, values: Array, has_tool: bool) -> tuple[Array, Array]:
         """Pinocchio's parameters (10 n,) of all links, and how they change with the first of `values`, (10 n, p')."""
-        first = self.parts["coulomb"].slots.start
+        first = self.slots["coulomb"].start
         inertias, slopes = list(self._inertias), np.zeros((10 * self.arm.n, first))
-        if "shift_x" in self.parts:
-            x, y = (values[self.parts[kind].slots] for kind in ("shift_x", "shift_y"))
+        if "shift_x" in self.slots:
+            x, y = (values[self.slots[kind]] for kind in ("shift_x", "shift_y"))
             for link, inertia in enumerate(inertias):
                 here = np.array([x[link], y[link], 0.0])
                 for axis, kind in enumerate(("shift_x", "shift_y")):
                     step = _DIFFERENCE * np.eye(3)[axis]
                     ends = (_shifted(inertia, here + sign * step).toDynamicParameters() for sign in (1.0, -1.0))
                     slope = np.subtract(*ends) / (2.0 * _DIFFERENCE)
-                    slopes[10 * link : 10 * link + 10, self.parts[kind].slots.start + link] = slope
+                    slopes[10 * link : 10 * link + 10, self.slots[kind].start + link] = slope
                 inertias[link] = _shifted(inertia, here)
         found = np.concatenate([inertia.toDynamicParameters() for inertia in inertias])
-        if "tool" in self.parts and has_tool:
+        if "tool" in self.slots and has_tool:
             last = slice(10 * (self.arm.n - 1), None)
-            mass, *moment = values[self.parts["tool"].slots]
+            mass, *moment = values[self.slots["tool"]]
             found[last] += _body(mass, np.array(moment), self._tensor)
-            slopes[10 * (self.arm.n - 1) : 10 * (self.arm.n - 1) + 4, self.parts["tool"].slots] = np.eye(4)
+            slopes[10 * (self.arm.n - 1) : 10 * (self.arm.n - 1) + 4, self.slots["tool"]] = np.eye(4)
         return found, slopes
 
 

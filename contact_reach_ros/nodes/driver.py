@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -34,11 +33,8 @@ from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
-from contact_reach_ros.simulation.fault_schedules import driver_faults
-from contact_reach_ros.simulation.faults import Faults
-from contact_reach_ros.simulation.robot import SimulatedRobot, is_finite
+from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
 from contact_reach_ros.stop_reasons import StopCode, StopReason, requested
 from contact_reach_ros.timing import Histogram, write_counts
@@ -92,9 +88,6 @@ class DriverNode(ManagedNode):
         self.offer("~/reset", self._answer_reset)
         self.offer("~/stop", self._answer_stop)
         self.inbox.add(self.COMMANDS, self._on_command, self._lockstep.qos, serialized=True)
-        self.create_subscription(
-            topics.SIM_FAULTS.type, topics.SIM_FAULTS.name, self._on_faults, qos_profile(topics.SIM_FAULTS.qos)
-        )
         if self._lockstep.active:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.EVERY)
         settings = self.settings
@@ -105,11 +98,8 @@ class DriverNode(ManagedNode):
             settings["sensors"],
             settings["joints"],
             settings["watchdog"],
-            driver_faults(chosen.faults, self.arm),
-            spare_obstacle=True,
             period=self.period,
         )
-        self._new_faults: deque[Faults | None] = deque()
         self._next_ns = 0
         self._published_ns = 0
         self._rivalry = ""
@@ -138,7 +128,6 @@ class DriverNode(ManagedNode):
         start_ns = _LOCKSTEP_START_NS if self.lockstep else time.time_ns()
         robot.start_ns += start_ns - robot.now_ns
         self._next_ns = time.monotonic_ns() + self._period_ns
-        robot.start_faults()
 
     def change_arm(self, arm: Arm) -> None:
         """Let the robot carry another tool: what nodes believe is their own affair."""
@@ -161,7 +150,6 @@ class DriverNode(ManagedNode):
             "commands rejected": self.robot.drive.rejected,
             "actuation": self.robot.plant.actuation.value,
             "stop reason": self.robot.drive.stop_reason,
-            "faults": "none" if robot.faults is None else robot.faults.text(),
         }
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
@@ -208,10 +196,7 @@ class DriverNode(ManagedNode):
 
     def _tick(self, clock_ns: int) -> None:
         robot = self.robot
-        while self._new_faults:
-            robot.change_faults(self._new_faults.popleft())
-        for error in robot.step(clock_ns):
-            self.refuse("commands", error)
+        robot.step(clock_ns)
         np.maximum(self._peak_contact, robot.plant.contact_forces(), out=self._peak_contact)
 
     def _read(self) -> _Reading:
@@ -246,8 +231,7 @@ class DriverNode(ManagedNode):
             self.inbox.wait(min(room_ns, _ANSWER_NS))
 
     def _publish_states(self, states: list[JointState]) -> None:
-        # Nobody answers states that were not published or that must be refused.
-        self._lockstep.expect(state.stamp_ns for state in states if is_finite(state))
+        self._lockstep.expect(state.stamp_ns for state in states)
         for state in states:
             self._published_ns = time.time_ns()
             self.publish_state(state)
@@ -296,12 +280,6 @@ class DriverNode(ManagedNode):
     def read_torque(self, data: bytes) -> Array:
         """The torque (n,), N m, in a message on `COMMANDS`."""
         return read_command(data)
-
-    def _on_faults(self, message: String) -> None:
-        """Replace the schedule of faults; an empty one ends all faults. Called in the services' thread."""
-        faults = self.robot.make_faults(driver_faults(message.data, self.arm))
-        self.get_logger().warning(f"faults: {message.data.strip() or 'none'}")
-        self._new_faults.append(faults)
 
     def _look_around(self) -> None:
         """Check for a second publisher of commands, with which no robot would move; runs beside the loop."""

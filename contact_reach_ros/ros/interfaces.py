@@ -128,7 +128,7 @@ MANAGED = {
             topics.ROBOT_DESCRIPTION,
             topics.CLOCK,
         ],
-        [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.SIM_FAULTS],
+        [topics.COMMANDS, topics.LOCKSTEP_HORIZON],
         _STOP,
     ),
     "controller": _managed(
@@ -195,9 +195,8 @@ COMMANDING = (
     topics.REFERENCE_POSE,
     topics.REFERENCE_POSTURE,
     topics.GOAL_POSE,
-    topics.SIM_FAULTS,
 )
-"""Topics whose messages make an arm move, or inject faults into its simulation."""
+"""Topics whose messages make an arm move."""
 
 ACTING = ("driver", ADAPTER, "controller", "planner")
 """Nodes that act on the messages they receive; the others only watch."""

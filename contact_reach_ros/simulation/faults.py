@@ -1,178 +1,338 @@
-"""Playback of a schedule of faults in the simulation."""
+"""Faults of the simulation: what goes wrong, when, and what it does to messages, robot and surroundings.
+
+`SimulatedRobot(scene, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0), at=2.0, duration=0.1)])` injects them. Faults of
+plans and of nodes other than the driver (`Silent`, `WrongPlans`, `Late("plans")`) act in episodes of the benchmarks.
+"""
 
 from __future__ import annotations
 
-import heapq
-import itertools
-from collections.abc import Iterable
-from typing import Generic, TypeVar
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.simulation.fault_kinds import (
-    OBSTACLE,
-    PAUSE,
-    Context,
-    Fault,
-    Message,
-    Schedule,
-    Seam,
-    Surroundings,
-    fault_kinds,
-)
-from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.plant import Plant, PointForce
 from contact_reach_ros.units import NANOSECONDS
 
-_OF_STATES = (Seam.SENSORS, Seam.STATES, Seam.CLOCK)
-
-
+Vector = tuple[float, float, float]
 Item = TypeVar("Item")
 
 
-class _Line(Generic[Item]):
-    """Messages in transit from one node to another."""
+@dataclass
+class Message:
+    """A command, a joint state or an observation of the obstacles in transit; faults change it in place.
 
-    def __init__(self) -> None:
-        self._under_way: list[tuple[int, int, Item]] = []
-        self._order = itertools.count()
-        self._last_due_ns = 0
+    Attributes
+    ----------
+    values
+        'effort' (n,), N m, unless it is missing; for a joint state also 'position' (n,), rad, and 'velocity' (n,),
+        rad/s; nothing for obstacles.
+    stamp_ns
+        Stamp of a joint state, ns.
+    delay
+        Time in transit, s.
+    """
 
-    def send(self, item: Item, message: Message, now_ns: int) -> None:
-        # Not before earlier messages, which are still in transit when a delay has just ended.
-        self._last_due_ns = due_ns = max(now_ns + round(message.delay * NANOSECONDS), self._last_due_ns)
-        for after in (0.0, *message.copies):
-            heapq.heappush(self._under_way, (due_ns + round(after * NANOSECONDS), next(self._order), item))
+    values: dict[str, Array]
+    stamp_ns: int = 0
+    delay: float = 0.0
+    is_lost: bool = False
 
-    def arrivals(self, now_ns: int) -> list[Item]:
-        arrived = []
-        while self._under_way and self._under_way[0][0] <= now_ns:
-            arrived.append(heapq.heappop(self._under_way)[2])
-        return arrived
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Begins `at` s after the start of the faults, which is the goal in an episode, and lasts for `duration` s."""
+
+    at: float = 0.0
+    duration: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.at < math.inf and self.duration > 0.0):
+            raise SettingsError(f"{self}: expected at >= 0 s and duration > 0 s")
+
+    def is_active(self, since_start: float) -> bool:
+        """Whether the fault acts, at a time in s since the start."""
+        # Rounded to ns, in which times are counted: 0.1 + 0.2 is more than 0.3.
+        return self.at <= since_start < round(self.at + self.duration, 9)
+
+
+@dataclass(frozen=True)
+class MessageFault(Fault):
+    """A fault of a random share of some messages; faults act in the order in which they are given."""
+
+    what: str
+    share: float = field(default=1.0, kw_only=True)
+    CHOICES: ClassVar[Sequence[str]] = ("commands", "states")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.what not in self.CHOICES or not 0.0 < self.share <= 1.0:
+            raise SettingsError(f"{self}: expected {' or '.join(self.CHOICES)}, and a share in (0, 1]")
+
+
+@dataclass(frozen=True)
+class Lost(MessageFault):
+    """Commands, joint states, their efforts, or observations of the obstacles get lost."""
+
+    CHOICES = ("commands", "states", "efforts", "obstacles")
+
+
+@dataclass(frozen=True)
+class Late(MessageFault):
+    """Commands, joint states or plans arrive later by a delay, s, in order."""
+
+    delay: float = 0.005
+    CHOICES = ("commands", "states", "plans")
+
+
+@dataclass(frozen=True)
+class NotFinite(MessageFault):
+    """A field of commands or joint states is NaN, of all joints if `joint` is empty."""
+
+    field: str = "effort"
+    joint: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.field not in (("effort",) if self.what == "commands" else ("position", "velocity", "effort")):
+            raise SettingsError(f"{self}: expected effort, or position or velocity of joint states")
+
+
+@dataclass(frozen=True)
+class SensorFault(MessageFault):
+    """A fault of the joint sensors, of all joints if `joint` is empty."""
+
+    what: str = field(default="states", init=False, repr=False)
+    joint: str = ""
+
+
+@dataclass(frozen=True)
+class VelocityNoise(SensorFault):
+    """White noise with a standard deviation, rad/s, on the velocities."""
+
+    deviation: float = 0.05
+
+
+@dataclass(frozen=True)
+class StuckEncoder(SensorFault):
+    """A position stays at its first value; the velocity is zero then, unless it has a sensor of its own."""
+
+    own_velocity: bool = False
+
+
+@dataclass(frozen=True)
+class TorqueSensor(SensorFault):
+    """Measured torques are gain * torque + bias, N m."""
+
+    gain: float = 1.0
+    bias: float = 0.0
+
+
+@dataclass(frozen=True)
+class WrongClock(SensorFault):
+    """Stamps of joint states are off by a step, s, or frozen if it is zero."""
+
+    step: float = 0.0
+
+
+@dataclass(frozen=True)
+class RivalCommands(Fault):
+    """Another node commands a torque, N m, on every joint behind each command."""
+
+    torque: float = 0.0
+
+
+@dataclass(frozen=True)
+class Payload(Fault):
+    """A mass, kg, 5 cm in front of the flange that no model includes."""
+
+    mass: float
+
+
+@dataclass(frozen=True)
+class Friction(Fault):
+    """A factor on viscous and dry friction of the joints."""
+
+    factor: float
+
+
+@dataclass(frozen=True)
+class UnknownObstacle(Fault):
+    """A fixed sphere that the planner does not know: position (3,), m, base frame, radius, m, stiffness, N/m."""
+
+    position: Vector
+    radius: float = 0.05
+    stiffness: float = 5000.0
+
+
+@dataclass(frozen=True)
+class Push(Fault):
+    """A force (3,), N, base frame, on a point (3,), m, of a link, in the frame of the link."""
+
+    link: str
+    force: Vector
+    point: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Silent(Fault):
+    """A node does nothing, as if killed or frozen. The brakes of a silent driver close, and it comes back reset."""
+
+    node: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.node not in ("driver", "controller", "observer", "planner"):
+            raise SettingsError(f"{self}: expected driver, controller, observer or planner")
+
+
+@dataclass(frozen=True)
+class WrongPlans(Fault):
+    """Plans lead elsewhere by an offset (3,), m, base frame, and last longer by a factor."""
+
+    offset: Vector = (0.0, 0.0, 0.0)
+    stretch: float = 1.0
+
+
+AnyFault = TypeVar("AnyFault", bound=Fault)
 
 
 class Faults:
-    """Plays a schedule: pass it all commands and joint states, and call `act` before each step of the plant.
+    """Injects faults: pass all commands and joint states through it, and call `act` before each step of the plant.
 
-    Nothing happens before `start`. The same schedule and seed give the same faults. Times are simulated time.
+    Nothing happens before `start`. The same faults and seed have the same effects. Times are simulated time.
     """
 
-    def __init__(self, schedule: Schedule, seed: int, plant: Plant) -> None:
-        """`plant` needs a spare obstacle if the schedule has an obstacle.
-
-        Raises `SettingsError` if two obstacles would be present at the same time, or there is no spare one.
-        """
-        self.schedule = schedule
+    def __init__(self, faults: Sequence[Fault], seed: int, plant: Plant) -> None:
+        """Raises `SettingsError` for a joint or link that the arm lacks, and for two unknown obstacles."""
+        for fault in faults:
+            if isinstance(fault, Push) and fault.link not in plant.arm.link_names:
+                raise SettingsError(f"{fault}: expected one of the links {', '.join(plant.arm.link_names)}")
+            joint = getattr(fault, "joint", "")
+            if joint or isinstance(fault, StuckEncoder):
+                plant.arm.joint_index(joint)
+        if sum(isinstance(fault, UnknownObstacle) for fault in faults) > 1:
+            raise SettingsError("faults: expected one unknown obstacle at most")
+        self._faults = tuple(faults)
         self._plant = plant
         self._start_ns: int | None = None
-        self._context = Context(plant.arm, np.random.default_rng((seed, len(schedule))))
-        self._commands, self._states = _Line[Array](), _Line[JointState]()
-        order = list(fault_kinds(plant.arm))
-        ordered = sorted(schedule, key=lambda fault: order.index(fault.name))
-        self._on_commands = [fault for fault in ordered if fault.kind.seam is Seam.COMMANDS]
-        self._on_states = [fault for fault in ordered if fault.kind.seam in _OF_STATES]
-        self._on_obstacles = [fault for fault in ordered if fault.kind.seam is Seam.OBSTACLES]
-        self._on_plant = [fault for fault in ordered if fault.kind.seam is Seam.PLANT]
-        self._on_driver = [fault for fault in ordered if fault.name == PAUSE]
-        self._on_nodes = [fault for fault in ordered if fault.kind.seam is Seam.NODES]
+        self._arm = plant.arm
+        self._random = np.random.default_rng((seed, len(faults)))
+        self._frozen: dict[Fault, float] = {}
+        self._commands: deque[tuple[int, Array]] = deque()
+        self._states: deque[tuple[int, JointState]] = deque()
         self._acting: list[Fault] = []
-        obstacles = sorted((fault for fault in schedule if fault.name == OBSTACLE), key=lambda fault: fault["at"])
-        for first, second in itertools.pairwise(obstacles):
-            if first.is_active(second["at"]):
-                raise SettingsError("faults: two obstacles at the same time; there is one: end the first with `for`")
-        if obstacles and not plant.has_spare_obstacle:
-            raise SettingsError("faults: obstacle: the simulation was built without one to spare")
 
     def start(self, now_ns: int) -> None:
-        """Begin: the times of the schedule count from now."""
+        """Count the times of the faults from now on."""
         self._start_ns = now_ns
 
-    def act(self, now_ns: int) -> None:
-        """Let the faults of robot and surroundings act on the plant's next step."""
-        if self._on_plant:
-            self._change(self._active(self._on_plant, now_ns))
-
-    def end(self) -> None:
-        """Undo the changes to robot and surroundings; messages in transit are lost."""
-        self._change([])
-
-    def text(self) -> str:
-        """The schedule as text for `parse_faults`."""
-        return "; ".join(fault.text() for fault in self.schedule)
-
-    def send_command(self, torque: Array, now_ns: int) -> None:
-        """Send a command (n,), N m, to the drive."""
-        message = Message({"effort": torque.copy()})
-        self._spoil(message, self._on_commands, now_ns)
-        for each in (message, *message.rivals):
-            if not each.is_lost:
-                self._commands.send(each.values["effort"], each, now_ns)
-
-    def commands(self, now_ns: int) -> list[Array]:
-        """The commands that reach the drive now, in order."""
-        return self._commands.arrivals(now_ns)
-
-    def send_state(self, state: JointState) -> None:
-        """Send the sensors' reading at the state's stamp to controller, observer and planner."""
-        values = {"position": state.q, "velocity": state.v, "effort": state.torque}
-        message = Message({name: np.array(value, dtype=float) for name, value in values.items()}, state.stamp_ns)
-        self._spoil(message, self._on_states, state.stamp_ns)
-        for each in (message, *message.rivals):
-            if not each.is_lost:
-                sent = JointState(
-                    each.stamp_ns, each.values["position"], each.values["velocity"], each.values.get("effort")
-                )
-                self._states.send(sent, each, state.stamp_ns)
-
-    def states(self, now_ns: int) -> list[JointState]:
-        """The joint states that arrive now, in order."""
-        # A duplicate is another object, like a message that comes twice: the controller tells states by identity.
-        return [JointState(*state) for state in self._states.arrivals(now_ns)]
-
-    def lose_obstacles(self, now_ns: int) -> bool:
-        """Whether the obstacles that are seen now get lost on their way to the planner."""
-        message = Message({})
-        self._spoil(message, self._on_obstacles, now_ns)
-        return message.is_lost
-
-    def paused(self, now_ns: int) -> bool:
-        """Whether the driver pauses."""
-        return bool(self._active(self._on_driver, now_ns))
-
-    def of_nodes(self, kind: str, now_ns: int) -> list[Fault]:
-        """The active faults of a kind that acts on nodes, such as 'planner_silent'."""
-        return [fault for fault in self._active(self._on_nodes, now_ns) if fault.name == kind]
-
-    def _active(self, faults: Iterable[Fault], now_ns: int) -> list[Fault]:
+    def active(self, kind: type[AnyFault], now_ns: int) -> list[AnyFault]:
+        """The faults of a kind that act now."""
         if self._start_ns is None:
             return []
         since_start = (now_ns - self._start_ns) / NANOSECONDS
-        return [fault for fault in faults if fault.is_active(since_start)]
+        return [fault for fault in self._faults if isinstance(fault, kind) and fault.is_active(since_start)]
 
-    def _spoil(self, message: Message, faults: Iterable[Fault], now_ns: int) -> None:
-        for fault in self._active(faults, now_ns):
-            is_hit = "share" not in fault.values or self._context.random.random() < fault["share"]
-            if is_hit:
-                fault.kind.act(fault, message, self._context)
-            if message.is_lost:
-                return
+    def is_silent(self, node: str, now_ns: int) -> bool:
+        """Whether a node is silent now."""
+        return any(fault.node == node for fault in self.active(Silent, now_ns))
 
-    def _change(self, acting: list[Fault]) -> None:
-        """Let these faults, and no others, act on robot and surroundings."""
+    def send_command(self, torque: Array, now_ns: int) -> None:
+        """Send a command (n,), N m, to the drive."""
+        message = self._spoilt(Message({"effort": torque.copy()}), ("commands",), now_ns)
+        if not message.is_lost:
+            _send(self._commands, message.values["effort"], message.delay, now_ns)
+        for rival in self.active(RivalCommands, now_ns):
+            _send(self._commands, np.full(self._arm.n, rival.torque), 0.0, now_ns)
+
+    def commands(self, now_ns: int) -> list[Array]:
+        """The commands that reach the drive now, in order."""
+        return _arrivals(self._commands, now_ns)
+
+    def joint_states(self, state: JointState) -> list[JointState]:
+        """Send the sensors' reading at the state's stamp; returns the joint states that arrive now, in order."""
+        values = {"position": state.q, "velocity": state.v, "effort": state.torque}
+        message = Message({name: np.array(value, dtype=float) for name, value in values.items()}, state.stamp_ns)
+        self._spoilt(message, ("states", "efforts"), state.stamp_ns)
+        if not message.is_lost:
+            read = message.values
+            sent = JointState(message.stamp_ns, read["position"], read["velocity"], read.get("effort"))
+            _send(self._states, sent, message.delay, state.stamp_ns)
+        return _arrivals(self._states, state.stamp_ns)
+
+    def lose_obstacles(self, now_ns: int) -> bool:
+        """Whether the present observation of the obstacles gets lost on its way to the planner."""
+        return self._spoilt(Message({}), ("obstacles",), now_ns).is_lost
+
+    def act(self, now_ns: int) -> None:
+        """Let the faults of robot and surroundings act on the plant's next step."""
+        acting = [fault for fault in self.active(Fault, now_ns) if not isinstance(fault, MessageFault)]
         if acting == self._acting:
             return
-        self._acting = acting
-        changes = Surroundings()
-        for fault in acting:
-            fault.kind.act(fault, changes, self._context)
-        plant = self._plant
-        plant.set_payload(changes.payload)
-        plant.scale_friction(changes.friction)
-        plant.scale_foam(changes.foam)
-        plant.set_pushes(changes.pushes)
-        if changes.obstacle is not None:
-            plant.place_spare_obstacle(*changes.obstacle)
-        elif plant.has_spare_obstacle:
-            plant.remove_spare_obstacle()
+        self._acting, plant = acting, self._plant
+        plant.set_payload(sum(fault.mass for fault in acting if isinstance(fault, Payload)))
+        plant.scale_friction(math.prod(fault.factor for fault in acting if isinstance(fault, Friction)))
+        pushes = [fault for fault in acting if isinstance(fault, Push)]
+        plant.set_pushes([PointForce(push.link, np.array(push.force), np.array(push.point)) for push in pushes])
+        places = [np.array(fault.position) for fault in acting if isinstance(fault, UnknownObstacle)]
+        plant.place_unknown(places[0] if places else None)
+
+    def _joints(self, joint: str) -> slice:
+        """The named joint as a slice of an array (n,); all joints for an empty name."""
+        index = self._arm.joint_index(joint) if joint else 0
+        return slice(index, index + 1) if joint else slice(None)
+
+    def _spoil(self, fault: MessageFault, message: Message) -> None:
+        """Change a message in place."""
+        values = message.values
+        match fault:
+            case Lost(what="efforts"):
+                values.pop("effort", None)
+            case Lost():
+                message.is_lost = True
+            case Late():
+                message.delay += fault.delay
+            case NotFinite():
+                values[fault.field][self._joints(fault.joint)] = np.nan
+            case VelocityNoise():
+                joints, noise = self._joints(fault.joint), self._random.standard_normal(self._arm.n)
+                values["velocity"][joints] += fault.deviation * noise[joints]
+            case StuckEncoder():
+                joint = self._arm.joint_index(fault.joint)
+                values["position"][joint] = self._frozen.setdefault(fault, float(values["position"][joint]))
+                if not fault.own_velocity:
+                    values["velocity"][joint] = 0.0
+            case TorqueSensor():
+                torque, joints = values["effort"], self._joints(fault.joint)
+                torque[joints] = fault.gain * torque[joints] + fault.bias
+            case WrongClock(step=0.0):
+                message.stamp_ns = int(self._frozen.setdefault(fault, message.stamp_ns))
+            case WrongClock():
+                message.stamp_ns += round(fault.step * NANOSECONDS)
+
+    def _spoilt(self, message: Message, carried: Sequence[str], now_ns: int) -> Message:
+        for fault in self.active(MessageFault, now_ns):
+            is_hit = fault.share == 1.0 or self._random.random() < fault.share
+            if fault.what in carried and is_hit and not message.is_lost:
+                self._spoil(fault, message)
+        return message
+
+
+def _send(line: deque[tuple[int, Item]], item: Item, delay: float, now_ns: int) -> None:
+    # Not before earlier messages, which are still in transit when a delay has just ended.
+    earliest_ns = line[-1][0] if line else now_ns
+    line.append((max(now_ns + round(delay * NANOSECONDS), earliest_ns), item))
+
+
+def _arrivals(line: deque[tuple[int, Item]], now_ns: int) -> list[Item]:
+    arrived = []
+    while line and line[0][0] <= now_ns:
+        arrived.append(line.popleft()[1])
+    return arrived

@@ -1,15 +1,24 @@
-"""The obstacles as bodies of the simulation: spheres that touch the arm, but not each other."""
+"""What the arm can touch, as MuJoCo's bodies: soft spheres with springs between them, rigid bodies, and itself.
+
+Obstacles do not touch each other.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, numbers
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.capsules import self_pairs
+from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, capsule_names, numbers
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.rigid import Environment, Plane
 
 _IMPEDANCE = 0.2
 """Impedance d of MuJoCo's contact constraints. They act like a spring that also has to move d / (1 - d) times the
@@ -19,10 +28,13 @@ _CONTACT_DAMPING = 10.0
 _FIXED_MASS = 0.01
 """What fixed spheres have in their contacts for a mass, kg: so little that the arm's does not count."""
 
-SPARE_NAME = "spare"
-SPARE_PLACE = (0.0, 0.0, -100.0)
-"""Position of the spare obstacle where nothing touches it, m."""
-_SPARE_FRICTION = 0.2
+_RIGID: dict[str, str] = {"condim": "3", "solref": "0.004 1.0", "solimp": "0.95 0.99 0.001 0.5 2.0"}
+"""Critically damped within 4 ms, four steps of the simulation: some 100,000 N/m at the hand."""
+_RIGID_FRICTION = 0.5
+
+OUT_OF_REACH = (0.0, 0.0, -100.0)
+"""Position of the unknown sphere where nothing touches it, m."""
+_UNKNOWN_FRICTION = 0.2
 
 
 def obstacle_bodies(obstacle: Obstacle, scale: float = 1.0) -> list[Element]:
@@ -44,16 +56,11 @@ def obstacle_bodies(obstacle: Obstacle, scale: float = 1.0) -> list[Element]:
     return bodies
 
 
-def spare_body() -> Element:
-    """A rigid sphere out of reach that can be placed anywhere while the simulation runs."""
-    body = Element("body", name=SPARE_NAME, pos=numbers(SPARE_PLACE), mocap="true")
-    body.append(_sphere(SPARE_NAME, 0.05, 0.0, _SPARE_FRICTION, fixed_contact(1000.0)))
+def unknown_sphere(radius: float, stiffness: float) -> Element:
+    """A fixed sphere out of reach that can be placed anywhere while the simulation runs: radius, m, stiffness, N/m."""
+    body = Element("body", name="unknown", pos=numbers(OUT_OF_REACH), mocap="true")
+    body.append(_sphere("unknown", radius, 0.0, _UNKNOWN_FRICTION, _contact(stiffness, _FIXED_MASS)))
     return body
-
-
-def fixed_contact(stiffness: float) -> tuple[float, float]:
-    """MuJoCo's `solref` for a contact of this stiffness, N/m, with a fixed sphere, see `soften_fixed`."""
-    return _contact(stiffness, _FIXED_MASS)
 
 
 def soften_fixed(model: mujoco.MjModel) -> None:
@@ -67,6 +74,72 @@ def soften_fixed(model: mujoco.MjModel) -> None:
         is_sphere = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE
         if is_sphere and not model.body_dofnum[body]:
             model.body_invweight0[body, 0] = 1.0 / _FIXED_MASS
+
+
+def rigid_geoms(environment: Environment) -> list[Element]:
+    """Static geometries that the arm's moving links touch, and nothing else does."""
+    geoms = []
+    for number, body in enumerate(environment):
+        if isinstance(body, Plane):
+            shape = {"type": "plane", "size": "0 0 1", "pos": numbers(body.point), "zaxis": numbers(body.normal)}
+        else:
+            x, y, z, w = body.orientation
+            shape = {"type": "box", "size": numbers(body.half), "pos": numbers(body.center)}
+            shape["quat"] = numbers((w, x, y, z))
+        types = {"contype": str(OBSTACLE_CONTACT_TYPE), "conaffinity": str(ROBOT_CONTACT_TYPE), "priority": "1"}
+        friction = {"friction": numbers((_RIGID_FRICTION, 0.005, 0.0001))}
+        geom = Element("geom", {"name": f"rigid_{number}", **shape, **types, **friction, **_RIGID})
+        geoms.append(geom)
+    return geoms
+
+
+def self_contacts(arm: Arm) -> list[Element]:
+    """Contact between the arm's own capsules that can touch."""
+    names = capsule_names(arm)
+    friction = numbers((_RIGID_FRICTION, _RIGID_FRICTION, 0.005, 0.0001, 0.0001))
+    return [
+        Element("pair", {"geom1": names[first], "geom2": names[second], "friction": friction, **_RIGID})
+        for first, second in self_pairs(arm)
+    ]
+
+
+class Foam:
+    """Springs along the edges of all obstacles.
+
+    Each is a spring joint as in the paper: it pulls the vector between its ends back to its value at rest, in all
+    directions alike. Foam grows stiffer as it is squeezed, so the stiffness is k (1 + h (s / l)²), where the ends have
+    moved apart or together by s, the spring is l long at rest and h is the hardening.
+    """
+
+    def __init__(self, obstacles: Sequence[Obstacle], scale: float = 1.0) -> None:
+        """`scale`: factor on the stiffness of all springs."""
+        rest = np.concatenate([obstacle.rest for obstacle in obstacles])
+        free = ~np.concatenate([obstacle.fixed for obstacle in obstacles])
+        first = np.cumsum([0, *(len(obstacle.rest) for obstacle in obstacles)])
+        counts = [len(obstacle.edges) for obstacle in obstacles]
+        edges = np.concatenate([obstacle.edges + start for obstacle, start in zip(obstacles, first, strict=False)])
+        stiffness = np.repeat([scale * obstacle.material.edge_stiffness for obstacle in obstacles], counts)
+        hardening = np.repeat([obstacle.material.hardening for obstacle in obstacles], counts)
+        # An edge between two fixed spheres has no effect.
+        kept = free[edges].any(axis=1)
+        edges, stiffness, hardening = edges[kept], stiffness[kept], hardening[kept]
+        self._count = int(free.sum())
+        ends = np.where(free, np.cumsum(free) - 1, -1)[edges]
+        rows, sides = np.nonzero(ends >= 0)
+        self._stretch = csr_array(
+            (np.where(sides == 0, 1.0, -1.0), (rows, ends[rows, sides])), shape=(len(edges), self._count)
+        )
+        """(E, M) matrix from the displacements of the movable spheres to the change of each edge's vector."""
+        self._gather = csr_array(self._stretch.T)
+        lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+        self._stiffness = stiffness[:, None]
+        self._slope = self._stiffness * (hardening / lengths**2)[:, None]
+
+    def forces(self, displacements: Array) -> Array:
+        """Forces on the movable spheres, (3 M,) N, at their displacements from rest, (3 M,) m."""
+        change = self._stretch @ displacements.reshape(self._count, 3)
+        square = np.einsum("ij,ij->i", change, change)[:, None]
+        return -(self._gather @ ((self._stiffness + self._slope * square) * change)).ravel()
 
 
 def _contact(stiffness: float, mass: float) -> tuple[float, float]:

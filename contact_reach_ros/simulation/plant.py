@@ -13,16 +13,15 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.simulation.contacts import ContactReader, Contacts
-from contact_reach_ros.simulation.foam import Foam
 from contact_reach_ros.simulation.obstacles import (
-    SPARE_NAME,
-    SPARE_PLACE,
-    fixed_contact,
+    OUT_OF_REACH,
+    Foam,
     obstacle_bodies,
+    rigid_geoms,
+    self_contacts,
     soften_fixed,
-    spare_body,
+    unknown_sphere,
 )
-from contact_reach_ros.simulation.rigid import rigid_geoms, self_contacts
 from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -53,7 +52,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
+class PointForce:
     """A force (3,) N, base frame, on a point (3,) m of a link, in the frame of that link."""
 
     link: str
@@ -76,8 +75,6 @@ class Plant:
         Arm and surroundings.
     contact_links
         Links whose contact force is reported, in the order of `contact_forces`.
-    has_spare_obstacle
-        Whether `place_spare_obstacle` has a sphere to place.
     """
 
     def __init__(
@@ -86,17 +83,17 @@ class Plant:
         sensors: SensorSettings,
         joints: JointSettings,
         noise_seed: int | None = None,
-        spare_obstacle: bool = False,
+        unknown: tuple[float, float] | None = None,
     ) -> None:
         """Build the simulation at the scene's start, with its mismatch.
 
-        `noise_seed`, by default `scene.seed`, seeds the sensor noise. With `spare_obstacle` there is a sphere out of
-        reach for `place_spare_obstacle`.
+        `noise_seed`, by default `scene.seed`, seeds the sensor noise. `unknown` is radius, m, and stiffness, N/m, of a
+        sphere for `place_unknown`.
         """
         self.arm = scene.arm
         mismatch = scene.mismatch
         bodies = [body for obstacle in scene.true_obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
-        everything = [*bodies, spare_body()] if spare_obstacle else bodies
+        everything = [*bodies, unknown_sphere(*unknown)] if unknown else bodies
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(
                 scene.arm,
@@ -119,18 +116,17 @@ class Plant:
         self._joints = joints
         self._friction_scale = mismatch.friction_scale
         self._noise_scale = mismatch.noise_scale
-        self._rigidities: tuple[Array, Array] | None = None
         self._random = np.random.default_rng(scene.seed if noise_seed is None else noise_seed)
         self._arm = slice(0, scene.arm.n)
         self._torque_limits = scene.arm.torque_limits
         self._torque = np.full(scene.arm.n, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
         self._first_obstacle = self.model.nbody - len(everything)
-        self.has_spare_obstacle = spare_obstacle
-        self._pushes: list[Push] = []
+        self._pushes: list[PointForce] = []
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
-        self._foam = self._make_foam(1.0)
+        has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
+        self._foam = Foam(scene.obstacles, scene.foam_scale) if has_edges else None
         self._obstacles = slice(scene.arm.n, self.model.nv)
         self._contacts = ContactReader(self.model, self.data, self.contact_links)
         self.data.qpos[self._arm] = scene.start
@@ -270,46 +266,15 @@ class Plant:
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
         soften_fixed(self.model)
 
-    def scale_foam(self, factor: float) -> None:
-        """Multiply all stiffnesses of the obstacles by a factor, relative to those of the scene."""
-        model = self.model
-        if self._rigidities is None:
-            self._rigidities = (model.jnt_stiffness.copy(), model.geom_solref.copy())
-        stiffness, solref = self._rigidities
-        model.jnt_stiffness[self._obstacles] = factor * stiffness[self._obstacles]
-        bodies = model.geom_bodyid
-        foam = (bodies >= self._first_obstacle) & (bodies < self._first_obstacle + len(self._rests))
-        model.geom_solref[foam, 0] = factor * solref[foam, 0]
-        self._foam = self._make_foam(factor)
-
-    def set_pushes(self, pushes: Sequence[Push]) -> None:
+    def set_pushes(self, pushes: Sequence[PointForce]) -> None:
         """Replace the external forces on links."""
         self._pushes = list(pushes)
         self.data.xfrc_applied[:] = 0.0
 
-    def place_spare_obstacle(self, position: Array, radius: float, stiffness: float) -> None:
-        """Place a rigid sphere at `position` (3,) m, base frame.
-
-        Raises `ValueError` if the plant was built without one.
-        """
-        if not self.has_spare_obstacle:
-            raise ValueError("the plant has no spare obstacle: build it with spare_obstacle=True")
-        model = self.model
-        geom = model.geom(SPARE_NAME).id
-        model.geom_size[geom, 0] = model.geom_rbound[geom] = radius
-        model.geom_aabb[geom] = (0.0, 0.0, 0.0, radius, radius, radius)
-        model.geom_solref[geom] = fixed_contact(stiffness)
-        self.data.mocap_pos[0] = position
-
-    def remove_spare_obstacle(self) -> None:
-        """Move it out of reach again."""
-        self.data.mocap_pos[0] = SPARE_PLACE
-
-    def _make_foam(self, factor: float) -> Foam | None:
-        obstacles = self.scene.obstacles
-        if not any(obstacle.is_deformable for obstacle in obstacles):
-            return None
-        return Foam(obstacles, factor * self.scene.foam_scale)
+    def place_unknown(self, position: Array | None) -> None:
+        """Place the unknown sphere at `position` (3,), m, base frame; None moves it out of reach again."""
+        if self.model.nmocap:
+            self.data.mocap_pos[0] = OUT_OF_REACH if position is None else position
 
     def _apply_pushes(self) -> None:
         data = self.data

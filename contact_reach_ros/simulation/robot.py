@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
-from contact_reach_ros.simulation.fault_kinds import Schedule
-from contact_reach_ros.simulation.faults import Faults
+from contact_reach_ros.simulation.faults import Fault, Faults, UnknownObstacle
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings, WatchdogSettings, check_period
 from contact_reach_ros.units import NANOSECONDS
@@ -33,7 +32,7 @@ class SimulatedRobot:
     drive
         The robot's own watchdog.
     faults
-        Faults in force; None without any, so that they cost nothing.
+        Faults that are injected; None without any, so that they cost nothing.
     obstacles_every
         Steps between observations of the obstacles.
     start_ns
@@ -46,9 +45,8 @@ class SimulatedRobot:
         sensors: SensorSettings | None = None,
         joints: JointSettings | None = None,
         watchdog: WatchdogSettings | None = None,
-        faults: Schedule = (),
+        faults: Sequence[Fault] = (),
         noise_seed: int | None = None,
-        spare_obstacle: bool = False,
         period: float = TICK,
     ) -> None:
         """Build the robot at the scene's start.
@@ -60,31 +58,33 @@ class SimulatedRobot:
         sensors, joints, watchdog
             Settings; None for the defaults.
         faults
-            Schedule of the faults from `start_faults` on.
+            What goes wrong from `start_faults` on.
         noise_seed
             Seed of sensor noise and faults; None for the scene's.
-        spare_obstacle
-            Whether there is a sphere to place later.
         period
             Time between joint states, s; the physics still advances at 1 kHz.
 
         Raises
         ------
         SettingsError
-            If the period is not a whole number of milliseconds.
+            If the period is not a whole number of milliseconds, or the arm cannot have these faults.
         """
         self._ticks = check_period(period)
         self.scene = scene
         self.plant = Plant(
-            scene, sensors or SensorSettings(), joints or JointSettings(), noise_seed, spare_obstacle=spare_obstacle
+            scene,
+            sensors or SensorSettings(),
+            joints or JointSettings(),
+            noise_seed,
+            next(((each.radius, each.stiffness) for each in faults if isinstance(each, UnknownObstacle)), None),
         )
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0
         self.obstacles_every = (
             _MESHES_EVERY if any(obstacle.is_deformable for obstacle in scene.obstacles) else _SPHERES_EVERY
         )
-        self._seed = scene.seed if noise_seed is None else noise_seed
-        self.faults = self.make_faults(faults)
+        seed = scene.seed if noise_seed is None else noise_seed
+        self.faults = Faults(faults, seed, self.plant) if faults else None
 
     @property
     def now_ns(self) -> int:
@@ -101,25 +101,8 @@ class SimulatedRobot:
         """Whether the arm has been handed over: the brakes are open, or were before a stop."""
         return self.drive.is_open
 
-    def make_faults(self, schedule: Schedule) -> Faults | None:
-        """Make faults for `change_faults`; None for an empty schedule.
-
-        Raises
-        ------
-        SettingsError
-            If the schedule cannot be played.
-        """
-        return Faults(schedule, self._seed, self.plant) if schedule else None
-
-    def change_faults(self, faults: Faults | None) -> None:
-        """End the current faults, undo their changes, and start others."""
-        if self.faults is not None:
-            self.faults.end()
-        self.faults = faults
-        self.start_faults()
-
     def start_faults(self) -> None:
-        """Count the schedule's times from now on."""
+        """Count the times of the faults from now on."""
         if self.faults is not None:
             self.faults.start(self.now_ns)
 
@@ -151,7 +134,7 @@ class SimulatedRobot:
     def _tick(self, clock_ns: int) -> list[InputError]:
         refused = []
         if self.faults is not None:
-            if self.faults.paused(self.now_ns):
+            if self.faults.is_silent("driver", self.now_ns):
                 self.drive.reset()
             for torque in self.faults.commands(self.now_ns):
                 try:
@@ -168,10 +151,9 @@ class SimulatedRobot:
         state = JointState(self.now_ns, reading.position, reading.velocity, reading.torque)
         if self.faults is None:
             return [state]
-        if self.faults.paused(self.now_ns):
+        if self.faults.is_silent("driver", self.now_ns):
             return []
-        self.faults.send_state(state)
-        return self.faults.states(self.now_ns)
+        return self.faults.joint_states(state)
 
     def shows_obstacles(self) -> bool:
         """Whether the obstacles are published now, also where there are none: every few steps, unless they get lost."""
@@ -188,8 +170,3 @@ class SimulatedRobot:
     def contact_forces(self) -> Array:
         """Contact force on each of the arm's contact links, N."""
         return self.plant.contact_forces()
-
-
-def is_finite(state: JointState) -> bool:
-    """Whether positions and velocities are finite; every receiver refuses the state otherwise."""
-    return bool(np.isfinite(state.q.sum() + state.v.sum()))

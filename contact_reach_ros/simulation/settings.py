@@ -91,7 +91,6 @@ class DriverSettings(Settings):
     waits_for: str = setting(
         "", "nodes besides these whose promises simulated time waits for in lockstep, separated by commas"
     )
-    faults: str = setting("", "faults after activation: a schedule, see docs/faults.md")
 
 
 DRIVER_SECTIONS: Sections = {

@@ -40,7 +40,7 @@ def test_it_has_every_tick_of_every_topic_of_a_lockstep_run(reader: BagReader) -
         assert np.count_nonzero(np.diff(found)) > 1000
     # Nobody made things go wrong, no controller ran in the shadow, and there was no adapter.
     # The sample is of an earlier version, without goal/state.
-    absent = {topics.SIM_FAULTS, topics.SHADOW_COMMANDS, topics.ADAPTER_COMMANDS, topics.GOAL_STATE}
+    absent = {topics.SHADOW_COMMANDS, topics.ADAPTER_COMMANDS, topics.GOAL_STATE}
     assert {name.lstrip("/") for name in reader.topics()} >= {topic.name for topic in topics.ALL if topic not in absent}
 
 

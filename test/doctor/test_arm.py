@@ -73,14 +73,14 @@ def at_rate(rate):
         (1000, 1000.0, "pass", ""),
         (995, 1000.0, "pass", ""),
         (960, 1000.0, "warn", ""),
-        (800, 1000.0, "fail", "noticed that much later"),
-        (500, 1000.0, "fail", "the arm, which is not started"),
+        (800, 1000.0, "fail", "noticed later"),
+        (500, 1000.0, "fail", "the arm is not started"),
         (500, 500.0, "pass", ""),
         (1000, 800.0, "fail", "false stops"),
     ],
 )
 def test_rate(rate, nominal, verdict, consequence):
-    finding = driver_rate(at_rate(rate), False, nominal)
+    finding = driver_rate(at_rate(rate), nominal)
     assert finding.verdict.value == verdict
     assert consequence in finding.found and ("the nodes count on" in finding.found) == bool(consequence)
     assert finding.values["rate_hz"] == pytest.approx(rate, rel=0.01)
@@ -90,28 +90,17 @@ def test_rate(rate, nominal, verdict, consequence):
 def test_a_long_gap_is_a_warning():
     stamps = START_NS + TICK_NS * np.arange(10_000)
     stamps[5000:] += 30 * TICK_NS
-    finding = driver_rate(record(10_000, stamps_ns=stamps, received_ns=stamps), False, 1000.0)
+    finding = driver_rate(record(10_000, stamps_ns=stamps, received_ns=stamps), 1000.0)
     assert finding.verdict is Verdict.WARN and finding.values["longest_gap_us"] == pytest.approx(31_000)
 
 
 def test_stamps_that_go_back_fail():
     stamps = record().stamps_ns.copy()
     stamps[500] = stamps[400]
-    assert driver_rate(record(stamps_ns=stamps), False, 1000.0).verdict is Verdict.FAIL
+    assert driver_rate(record(stamps_ns=stamps), 1000.0).verdict is Verdict.FAIL
 
 
-def test_simulated_time_may_run_at_any_speed_but_not_skip():
-    slow = record(received_ns=START_NS + 7 * TICK_NS * np.arange(1000))
-    assert driver_rate(slow, True, 1000.0).verdict is Verdict.PASS
-    coarse = record(stamps_ns=START_NS + 4 * TICK_NS * np.arange(1000))
-    finding = driver_rate(coarse, True, 1000.0)
-    assert finding.verdict is Verdict.FAIL and "not started" in finding.found
-    assert driver_rate(coarse, True, 250.0).verdict is Verdict.PASS
-
-
-@pytest.mark.parametrize(
-    "checked", [lambda empty: driver_rate(empty, False, 1000.0), lambda empty: clock_skew(empty, None)]
-)
+@pytest.mark.parametrize("checked", [lambda empty: driver_rate(empty, 1000.0), clock_skew])
 def test_silence_fails(checked):
     assert checked(record(0, names=())).verdict is Verdict.FAIL
 
@@ -122,7 +111,7 @@ def test_silence_fails(checked):
 )
 def test_clock_skew(offset_ms, verdict, word):
     stamps = record().stamps_ns - int(offset_ms * 1e6)
-    finding = clock_skew(record(stamps_ns=stamps), None)
+    finding = clock_skew(record(stamps_ns=stamps))
     assert finding.verdict.value == verdict and word in finding.found
     assert finding.values["skew_ms"] == pytest.approx(offset_ms, abs=1.0)
 
@@ -130,13 +119,7 @@ def test_clock_skew(offset_ms, verdict, word):
 def test_late_messages_are_no_skew():
     late = np.zeros(1000, dtype=np.int64)
     late[::2] = 40 * TICK_NS
-    assert clock_skew(record(received_ns=record().stamps_ns + 200_000 + late), None).verdict is Verdict.PASS
-
-
-def test_simulated_time_is_compared_with_its_clock():
-    stamps = record().stamps_ns
-    assert clock_skew(record(), stamps - 5 * TICK_NS).verdict is Verdict.PASS
-    assert clock_skew(record(), stamps + 2000 * TICK_NS).verdict is Verdict.FAIL
+    assert clock_skew(record(received_ns=record().stamps_ns + 200_000 + late)).verdict is Verdict.PASS
 
 
 def with_torque(model, extra):
@@ -164,7 +147,7 @@ def test_torques_without_gravity_are_recognised(model):
 
 
 def test_closed_brakes_and_motion_are_not_compared(model):
-    assert "brakes are closed" in gravity(record(), model, BUDGET).found
+    assert "closed brakes" in gravity(record(), model, BUDGET).found
     moving = record(effort=np.zeros((1000, 7)), velocity=np.full((1000, 7), 0.2))
     finding = gravity(moving, model, BUDGET)
     assert finding.verdict is Verdict.WARN and "moves" in finding.found

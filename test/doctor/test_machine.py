@@ -7,16 +7,15 @@ import sys
 import pytest
 from rich.console import Console
 
-from contact_reach_ros.doctor import machine, software
+from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
     Verdict,
-    check,
+    attempt,
     exit_code,
     failed,
     graded,
     passed,
     print_table,
-    warned,
     write_json,
 )
 from contact_reach_ros.doctor.machine import timer_jitter
@@ -28,8 +27,8 @@ def test_a_check_that_meets_an_error_has_failed(error):
     def meets():
         raise error
 
-    finding = check("thing")(meets)()
-    assert finding.verdict is Verdict.FAIL and finding.name == "thing"
+    finding = attempt(meets)
+    assert finding.verdict is Verdict.FAIL
     assert "no such thing" in finding.found and finding.fix
 
 
@@ -38,12 +37,13 @@ def test_a_fault_of_a_check_is_no_finding():
         raise RuntimeError("a bug")
 
     with pytest.raises(RuntimeError, match="a bug"):
-        check("thing")(broken)()
+        attempt(broken)
 
 
 def test_only_failures_make_the_exit_code():
-    assert exit_code({"part": [passed("good"), warned("so so", "better it")]}) == 0
-    assert exit_code({"part": [passed("good")], "other": [failed("bad", "mend it")]}) == 1
+    so_so = graded("so so", "better it", warn=True)
+    assert exit_code({"part": {"a": passed("good"), "b": so_so}}) == 0
+    assert exit_code({"part": {"a": passed("good")}, "other": {"b": failed("bad", "mend it")}}) == 1
 
 
 @pytest.mark.parametrize(
@@ -57,9 +57,7 @@ def test_only_a_finding_that_passes_has_no_fix(conditions, verdict):
 
 
 def test_report(tmp_path, capsys):
-    good = check(lambda part: part)(lambda part: passed("good [0, 1]", number=3.0))
-    bad = check("b")(lambda: failed("bad", "mend it"))
-    report = {"part": [good("a"), bad()]}
+    report = {"part": {"a": passed("good [0, 1]", number=3.0), "b": failed("bad", "mend it")}}
     print_table(report, Console(width=80))
     printed = capsys.readouterr().out
     assert "good [0, 1]" in printed and "fix: mend it" in printed and "1 pass, 0 warn, 1 fail" in printed
@@ -71,6 +69,11 @@ def test_report(tmp_path, capsys):
         "part": "part", "name": "a", "verdict": "pass", "found": "good [0, 1]", "fix": "", "values": {"number": 3.0}
     }  # fmt: skip
     assert bad["fix"] == "mend it"
+
+
+def test_a_report_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"no/report\.json' cannot be written: No such file or directory"):
+        write_json({}, tmp_path / "no" / "report.json")
 
 
 def test_refused_priority_names_the_limit_to_raise(monkeypatch):
@@ -91,68 +94,11 @@ def test_granted_priority_passes_and_stays_with_its_thread(monkeypatch):
     assert machine.os.sched_getscheduler(0) == policy
 
 
-@pytest.mark.parametrize(
-    ("cores", "load", "isolated", "verdict", "fix"),
-    [
-        (8, 1.0, set(), "pass", ""),
-        (8, 9.0, set(), "warn", "top"),
-        (2, 1.0, set(), "warn", "docs/realtime.md"),
-        (2, 1.0, {1}, "pass", ""),
-    ],
-)
-def test_processors(monkeypatch, cores, load, isolated, verdict, fix):
-    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: set(range(cores)))
-    monkeypatch.setattr(machine.os, "getloadavg", lambda: (load, 0.0, 0.0))
-    monkeypatch.setattr(machine, "isolated_cpus", lambda: isolated)
-    finding = machine.processors()
-    assert finding.verdict.value == verdict and fix in finding.fix
-
-
-@pytest.mark.parametrize(
-    ("governors", "named"),
-    [([], False), (["performance"] * 2, False), (["performance", "powersave"], True), (["schedutil"] * 2, True)],
-)
-def test_late_wake_ups_are_put_down_to_the_governor(tmp_path, governors, named):
-    for number, governor in enumerate(governors):
-        folder = tmp_path / f"cpu{number}" / "cpufreq"
-        folder.mkdir(parents=True)
-        (folder / "scaling_governor").write_text(f"{governor}\n")
-    fixes = " ".join(machine.late_wake_up_fixes(True, tmp_path))
-    assert ("cpupower frequency-set -g performance" in fixes) == named
-
-
-def test_late_wake_ups_are_put_down_to_the_kernel(tmp_path):
-    def fixes(version: str) -> str:
-        return " ".join(machine.late_wake_up_fixes(True, tmp_path, tmp_path / "realtime", version))
-
-    assert "PREEMPT_RT" not in fixes("#1 SMP PREEMPT_RT")
-    assert "PREEMPT_RT" in fixes("#1 SMP PREEMPT_DYNAMIC")
-    (tmp_path / "realtime").write_text("1\n")
-    assert "PREEMPT_RT" not in fixes("#1 SMP")
-
-
 def test_timer_reports_what_it_measured():
     finding = timer_jitter(0.05)
     values = finding.values
     assert 0.0 <= values["p50_us"] <= values["p99_us"] <= values["max_us"]
     assert values["missed"] >= 0 and "ticks" in finding.found
-
-
-def test_versions_against_constraints(tmp_path):
-    assert software.python_packages().verdict is not Verdict.FAIL
-    constraints = tmp_path / "constraints.txt"
-    constraints.write_text("# pinned\nmujoco==0.0.1\n")
-    finding = software.python_packages(constraints)
-    assert finding.verdict is Verdict.WARN
-    assert "mujoco" in finding.found and "tested 0.0.1" in finding.found
-    assert finding.fix == f"{sys.executable} -m pip install -c {constraints} mujoco"
-
-
-def test_a_missing_package_is_named(monkeypatch):
-    have = software._version
-    monkeypatch.setattr(software, "_version", lambda package: "" if package == "brax" else have(package))
-    finding = software.python_packages()
-    assert finding.verdict is Verdict.FAIL and "brax" in finding.fix
 
 
 def test_the_timer_of_a_process_tells_how_far_it_is():

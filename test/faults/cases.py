@@ -1,14 +1,36 @@
-"""The fault matrix: what goes wrong, and what has to become of it."""
+"""The fault matrix: faults, and how an episode with them has to end."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, fields
 
 from arm_simulation import ARM
 
 from contact_reach_ros.experiments.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
-from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.simulation.faults import (
+    Fault,
+    Friction,
+    Late,
+    Lost,
+    NotFinite,
+    Payload,
+    Push,
+    RivalCommands,
+    Silent,
+    StuckEncoder,
+    TorqueSensor,
+    UnknownObstacle,
+    VelocityNoise,
+    WrongClock,
+    WrongPlans,
+)
+
+KINDS = (
+    *(Lost, Late, NotFinite, VelocityNoise, StuckEncoder, TorqueSensor, WrongClock, RivalCommands),
+    *(Payload, Friction, UnknownObstacle, Push, Silent, WrongPlans),
+)
 
 REACHED, STILL = "goal reached", "arm still"
 ENDS = {REACHED: {End.REACHED}, STILL: {End.STOPPED, End.HELD}}
@@ -20,14 +42,15 @@ class Case:
 
     Attributes
     ----------
-    fault
-        A schedule; its times count from the goal, which is given at the very start if the case is `from_start`.
+    faults
+        Their times count from the goal, which is given at the very start if the case is `from_start`.
     end
         One of `ENDS`.
     named
         Who has to say the reason, and a pattern for it: 'observer: external torque'. Empty: nobody stops the arm.
     scene
-        'table', that is `free` with a table under the goal, or the name of a scene; seed 0.
+        'table', that is `free` with a table under the goal, 'stiff ball' or 'stiff wall' with five times the stiffness,
+        or the name of a scene; seed 0.
     planner
         'scripted', or 'small': the real one with a small budget.
     force
@@ -42,7 +65,7 @@ class Case:
         Whether there is no time for the arm to be handed over before the faults begin.
     """
 
-    fault: str
+    faults: Sequence[Fault]
     end: str
     named: str = ""
     scene: str = "free"
@@ -54,21 +77,24 @@ class Case:
     from_start: bool = False
 
     @property
-    def happening(self) -> str:
-        return f"from the start: {self.fault}" if self.from_start else self.fault
-
-    @property
     def name(self) -> str:
-        return f"{self.scene}, {self.planner}, {self.rate} Hz: {self.happening}"
+        start = "from the start: " if self.from_start else ""
+        return f"{self.scene}, {self.planner}, {self.rate} Hz: {start}{'; '.join(map(label, self.faults))}"
 
-    @property
-    def requirement(self) -> str:
-        return f"{self.end}; {self.named}" if self.named else self.end
+
+def label(fault: Fault) -> str:
+    """The fault without the values that have their defaults."""
+    words = [type(fault).__name__]
+    for each in fields(fault):
+        value = getattr(fault, each.name)
+        if each.init and (each.default is MISSING or value != each.default):
+            words.append(f"{each.name}={value}")
+    return " ".join(words)
 
 
 def shortcomings(case: Case, result, limits) -> list[str]:
     """What the outcome of a case lacks."""
-    found = violations(bounds_used(result, limits, ARM, parse_faults(case.fault, ARM)))
+    found = violations(bounds_used(result, limits, ARM, case.faults))
     if end_of(result) not in ENDS[case.end]:
         found.append(f"the end is '{end_of(result).value}' at {result.end_speed:.2f} rad/s, required: {case.end}")
     if len(result.contact_forces) and result.contact_forces.max() > case.force:
@@ -91,174 +117,190 @@ _SLIPS = "observer: position and velocity of {} differ"
 _BLIND = "controller: blind: "
 _FROZEN = "the position of {} has not changed"
 _STUCK_TORQUE = "observer: the torque of {} has been"
-_IN_THE_WAY = 'obstacle position="0.512 -0.075 0.125" radius=0.05 at=0.2'
+
+
+def _in_the_way(stiffness: float = 5000.0) -> UnknownObstacle:
+    """A sphere on the way of the hand."""
+    return UnknownObstacle((0.512, -0.075, 0.125), stiffness=stiffness, at=0.2)
+
 
 CASES = (
     # Commands
-    Case("drop_commands share=0.3 at=0.3 for=1", REACHED),
-    Case("drop_commands share=0.7 at=0.3 for=1", REACHED),
-    Case("drop_commands at=0.3 for=0.015", REACHED),
-    Case("drop_commands at=0.3 for=0.06", REACHED),
-    Case("drop_commands at=0.8 for=0.2", STILL, _WATCHDOG, planner="small"),
-    Case("drop_commands at=0.3", STILL, _WATCHDOG, planner="small"),
-    Case("drop_commands at=0.5", STILL, _WATCHDOG, planner="small", rate=200),
-    Case("drop_commands at=2.5", STILL, _WATCHDOG, scene="wall", force=30.0),
-    Case("delay_commands delay=0.003", REACHED),
-    Case("delay_commands delay=0.005 at=0.5", REACHED),
-    Case("delay_commands delay=0.005", REACHED, scene="wall", force=30.0),
-    Case("delay_commands delay=0.01 at=0.5", REACHED),
-    Case("delay_commands delay=0.02 at=0.5", STILL, _TOO_FAST),
-    Case("delay_commands delay=0.05 at=0.5", STILL, _TOO_FAST),
-    Case("duplicate_commands share=0.5 after=0.01", REACHED),
-    Case("duplicate_commands after=0.1", REACHED),
-    Case("nan_commands share=0.5", REACHED, refused="commands"),
-    Case("nan_commands at=0.5 for=0.05", REACHED, refused="commands"),
-    Case("nan_commands joint=lbr_A3 at=0.5", STILL, _WATCHDOG, planner="small", refused="commands"),
+    Case([Lost("commands", share=0.3, at=0.3, duration=1.0)], REACHED),
+    Case([Lost("commands", share=0.7, at=0.3, duration=1.0)], REACHED),
+    Case([Lost("commands", at=0.3, duration=0.015)], REACHED),
+    Case([Lost("commands", at=0.3, duration=0.06)], REACHED),
+    Case([Lost("commands", at=0.8, duration=0.2)], STILL, _WATCHDOG, planner="small"),
+    Case([Lost("commands", at=0.3)], STILL, _WATCHDOG, planner="small"),
+    Case([Lost("commands", at=0.5)], STILL, _WATCHDOG, planner="small", rate=200),
+    Case([Lost("commands", at=2.5)], STILL, _WATCHDOG, scene="wall", force=30.0),
+    Case([Late("commands", 0.003)], REACHED),
+    Case([Late("commands", 0.005, at=0.5)], REACHED),
+    Case([Late("commands", 0.005)], REACHED, scene="wall", force=30.0),
+    Case([Late("commands", 0.01, at=0.5)], REACHED),
+    Case([Late("commands", 0.02, at=0.5)], STILL, _TOO_FAST),
+    Case([Late("commands", 0.05, at=0.5)], STILL, _TOO_FAST),
+    Case([NotFinite("commands", share=0.5)], REACHED, refused="commands"),
+    Case([NotFinite("commands", at=0.5, duration=0.05)], REACHED, refused="commands"),
+    Case([NotFinite("commands", "effort", "lbr_A3", at=0.5)], STILL, _WATCHDOG, planner="small", refused="commands"),
     # Joint states
-    Case("drop_states share=0.3", REACHED),
-    Case("drop_states share=0.1", REACHED, scene="ball", planner="small", rate=500),
-    Case("drop_states share=0.1", REACHED, planner="small", rate=200),
-    Case("drop_states share=0.9 at=0.5", STILL, _BLIND, planner="small"),
-    Case("drop_states at=0.5 for=0.03", REACHED),
-    Case("drop_states at=0.5", STILL, _WATCHDOG, planner="small"),
-    Case("drop_states at=0.5 for=0.2", STILL, _WATCHDOG, planner="small"),
-    Case("delay_states delay=0.005", REACHED),
-    Case("delay_states delay=0.004", REACHED, planner="small", rate=500),
-    Case("delay_states delay=0.01 at=0.5", REACHED),
-    Case("delay_states delay=0.02 at=0.5", STILL, _TOO_FAST),
-    Case("delay_states delay=0.05 at=0.5", STILL, _TOO_FAST),
-    Case("duplicate_states share=0.5", REACHED, refused="old joint states"),
-    Case("duplicate_states share=0.5 after=0.02 at=0.5", REACHED, refused="old joint states"),
-    Case("nan_states share=0.3", REACHED, refused="joint states"),
-    Case("nan_states at=0.5", STILL, _WATCHDOG, planner="small", refused="joint states"),
-    Case("nan_states field=velocity joint=lbr_A1 at=1", STILL, _WATCHDOG, planner="small", refused="joint states"),
-    Case("nan_states share=0.3 at=0.5", REACHED, scene="ball", planner="small", refused="joint states"),
-    Case("nan_states share=0.1 at=0.5", REACHED, scene="ball", planner="small", refused="joint states", rate=200),
-    # Efforts
-    Case("nan_states field=effort at=0.5", STILL, _BLIND, planner="small"),
-    Case("nan_states field=effort at=0.5 for=0.05", REACHED, planner="small", rate=500),
-    Case("nan_states field=effort joint=lbr_A3 at=0.5", STILL, _BLIND, planner="small"),
-    Case("nan_states field=effort joint=lbr_A3", STILL, _BLIND, planner="small", from_start=True, timeout=2.0),
-    Case("no_effort at=0.5", STILL, _BLIND, planner="small"),
-    Case("no_effort at=0.5", STILL, _BLIND, planner="small", rate=200),
-    Case("no_effort share=0.05", REACHED, planner="small", rate=500),
-    Case("no_effort", STILL, _BLIND, planner="small", from_start=True, timeout=2.0),
-    # Pauses
-    Case("pause at=0.8 for=0.2", REACHED, planner="small", timeout=8.0),
-    Case("pause at=0.8 for=1", REACHED, planner="small", timeout=8.0),
-    Case("pause at=0.8 for=1", REACHED, scene="ball", planner="small", timeout=8.0, rate=200),
-    Case("pause at=0.8 for=2.5", STILL, planner="small", timeout=5.0),
-    # Sensors
-    Case("velocity_noise deviation=0.02", REACHED),
-    Case("velocity_noise deviation=0.15", STILL, _TORQUE, planner="small"),
-    Case("velocity_noise deviation=0.5 at=0.5", STILL, _TORQUE, planner="small"),
-    Case("velocity_noise deviation=2 at=0.5", STILL, _TORQUE, planner="small"),
-    Case("stuck_encoder joint=lbr_A1 at=0.5", STILL, _FROZEN.format("lbr_A1")),
-    Case("stuck_encoder joint=lbr_A2 at=0.5", STILL, _FROZEN.format("lbr_A2"), planner="small"),
-    Case("stuck_encoder joint=lbr_A2 at=0.5", STILL, _FROZEN.format("lbr_A2"), planner="small", rate=200),
-    Case("stuck_encoder joint=lbr_A2 velocity=true at=0.5", STILL, _SLIPS.format("lbr_A2"), planner="small"),
-    Case("stuck_encoder joint=lbr_A4 at=0.5", STILL, _FROZEN.format("lbr_A4"), planner="small"),
-    Case("stuck_encoder joint=lbr_A4 at=1", STILL, _FROZEN.format("lbr_A4"), scene="wall"),
-    Case("stuck_encoder joint=lbr_A7 at=0.5", STILL, _TOO_FAST),
+    Case([Lost("states", share=0.3)], REACHED),
+    Case([Lost("states", share=0.1)], REACHED, scene="ball", planner="small", rate=500),
+    Case([Lost("states", share=0.1)], REACHED, planner="small", rate=200),
+    Case([Lost("states", share=0.9, at=0.5)], STILL, _BLIND, planner="small"),
+    Case([Lost("states", at=0.5, duration=0.03)], REACHED),
+    Case([Lost("states", at=0.5)], STILL, _WATCHDOG, planner="small"),
+    Case([Lost("states", at=0.5, duration=0.2)], STILL, _WATCHDOG, planner="small"),
+    Case([Late("states", 0.005)], REACHED),
+    Case([Late("states", 0.004)], REACHED, planner="small", rate=500),
+    Case([Late("states", 0.01, at=0.5)], REACHED),
+    Case([Late("states", 0.02, at=0.5)], STILL, _TOO_FAST),
+    Case([Late("states", 0.05, at=0.5)], STILL, _TOO_FAST),
+    Case([NotFinite("states", "position", share=0.3)], REACHED, refused="joint states"),
+    Case([NotFinite("states", "position", at=0.5)], STILL, _WATCHDOG, planner="small", refused="joint states"),
     Case(
-        "stuck_encoder joint=lbr_A7 velocity=true at=0.5",
+        [NotFinite("states", "velocity", "lbr_A1", at=1.0)], STILL, _WATCHDOG, planner="small", refused="joint states"
+    ),
+    Case(
+        [NotFinite("states", "position", share=0.3, at=0.5)],
+        REACHED,
+        scene="ball",
+        planner="small",
+        refused="joint states",
+    ),
+    Case(
+        [NotFinite("states", "position", share=0.1, at=0.5)],
+        REACHED,
+        scene="ball",
+        planner="small",
+        refused="joint states",
+        rate=200,
+    ),
+    # Efforts
+    Case([NotFinite("states", at=0.5)], STILL, _BLIND, planner="small"),
+    Case([NotFinite("states", at=0.5, duration=0.05)], REACHED, planner="small", rate=500),
+    Case([NotFinite("states", "effort", "lbr_A3", at=0.5)], STILL, _BLIND, planner="small"),
+    Case([NotFinite("states", "effort", "lbr_A3")], STILL, _BLIND, planner="small", from_start=True, timeout=2.0),
+    Case([Lost("efforts", at=0.5)], STILL, _BLIND, planner="small"),
+    Case([Lost("efforts", at=0.5)], STILL, _BLIND, planner="small", rate=200),
+    Case([Lost("efforts", share=0.05)], REACHED, planner="small", rate=500),
+    Case([Lost("efforts")], STILL, _BLIND, planner="small", from_start=True, timeout=2.0),
+    # Pauses
+    Case([Silent("driver", at=0.8, duration=0.2)], REACHED, planner="small", timeout=8.0),
+    Case([Silent("driver", at=0.8, duration=1.0)], REACHED, planner="small", timeout=8.0),
+    Case([Silent("driver", at=0.8, duration=1.0)], REACHED, scene="ball", planner="small", timeout=8.0, rate=200),
+    Case([Silent("driver", at=0.8, duration=2.5)], STILL, planner="small", timeout=5.0),
+    # Sensors
+    Case([VelocityNoise(deviation=0.02)], REACHED),
+    Case([VelocityNoise(deviation=0.15)], STILL, _TORQUE, planner="small"),
+    Case([VelocityNoise(deviation=0.5, at=0.5)], STILL, _TORQUE, planner="small"),
+    Case([VelocityNoise(deviation=2.0, at=0.5)], STILL, _TORQUE, planner="small"),
+    Case([StuckEncoder("lbr_A1", at=0.5)], STILL, _FROZEN.format("lbr_A1")),
+    Case([StuckEncoder("lbr_A2", at=0.5)], STILL, _FROZEN.format("lbr_A2"), planner="small"),
+    Case([StuckEncoder("lbr_A2", at=0.5)], STILL, _FROZEN.format("lbr_A2"), planner="small", rate=200),
+    Case([StuckEncoder("lbr_A2", own_velocity=True, at=0.5)], STILL, _SLIPS.format("lbr_A2"), planner="small"),
+    Case([StuckEncoder("lbr_A4", at=0.5)], STILL, _FROZEN.format("lbr_A4"), planner="small"),
+    Case([StuckEncoder("lbr_A4", at=1.0)], STILL, _FROZEN.format("lbr_A4"), scene="wall"),
+    Case([StuckEncoder("lbr_A7", at=0.5)], STILL, _TOO_FAST),
+    Case(
+        [StuckEncoder("lbr_A7", own_velocity=True, at=0.5)],
         STILL,
         f"{_SLIPS.format('lbr_A7')}|{_TOO_FAST}",
     ),
-    Case("torque_sensor gain=-1 at=0.5", STILL, _TORQUE, planner="small"),
-    Case("torque_sensor gain=-1 at=0.5", STILL, _TORQUE, planner="small", rate=200),
-    Case("torque_sensor gain=-1 joint=lbr_A2 at=2", STILL, _TORQUE, scene="wall", force=30.0),
-    Case("torque_sensor gain=0 at=0.5", STILL, _TORQUE, planner="small"),
-    Case("torque_sensor gain=0 joint=lbr_A1 at=0.5", STILL, _STUCK_TORQUE.format("lbr_A1"), planner="small"),
-    Case("torque_sensor gain=0 joint=lbr_A1 at=0.5", STILL, _STUCK_TORQUE.format("lbr_A1"), planner="small", rate=200),
-    Case("torque_sensor bias=3 at=0.5", REACHED),
-    Case("torque_sensor bias=5 at=0.5", STILL, "observer: sudden external torque on lbr_A7", planner="small"),
-    Case("torque_sensor bias=40 joint=lbr_A3 at=0.5", STILL, f"{_TORQUE} on lbr_A3", planner="small"),
+    Case([TorqueSensor(gain=-1.0, at=0.5)], STILL, _TORQUE, planner="small"),
+    Case([TorqueSensor(gain=-1.0, at=0.5)], STILL, _TORQUE, planner="small", rate=200),
+    Case([TorqueSensor("lbr_A2", gain=-1.0, at=2.0)], STILL, _TORQUE, scene="wall", force=30.0),
+    Case([TorqueSensor(gain=0.0, at=0.5)], STILL, _TORQUE, planner="small"),
+    Case([TorqueSensor("lbr_A1", gain=0.0, at=0.5)], STILL, _STUCK_TORQUE.format("lbr_A1"), planner="small"),
+    Case([TorqueSensor("lbr_A1", gain=0.0, at=0.5)], STILL, _STUCK_TORQUE.format("lbr_A1"), planner="small", rate=200),
+    Case([TorqueSensor(bias=3.0, at=0.5)], REACHED),
+    Case([TorqueSensor(bias=5.0, at=0.5)], STILL, "observer: sudden external torque on lbr_A7", planner="small"),
+    Case([TorqueSensor("lbr_A3", bias=40.0, at=0.5)], STILL, f"{_TORQUE} on lbr_A3", planner="small"),
     # Robot and surroundings
-    Case("payload mass=0.5 at=0.5", REACHED),
-    Case("payload mass=2 at=0.5", REACHED),
-    Case("payload mass=4 at=0.5", STILL, _TORQUE, scene="ball", planner="small", force=40.0),
-    Case("payload mass=10 at=0.5", STILL, _TORQUE, planner="small"),
-    Case("friction factor=3 at=0.5", REACHED),
-    Case("friction factor=14 at=0.5", STILL, planner="small"),
-    Case("friction factor=20 at=0.5", STILL, planner="small"),
-    Case("friction factor=50 at=0.5", STILL, "observer: sudden external torque"),
-    Case("foam factor=2", REACHED, scene="ball", force=20.0),
-    Case("foam factor=5", REACHED, scene="ball", planner="small", force=60.0),
-    Case("foam factor=3 at=1", REACHED, scene="wall", force=60.0),
-    Case("foam factor=5 at=1", REACHED, scene="wall", force=140.0),
-    Case(f"{_IN_THE_WAY} stiffness=1000", STILL, _TORQUE, force=140.0),
-    Case(f"{_IN_THE_WAY} stiffness=5000", STILL, _TORQUE, force=140.0),
-    Case(f"{_IN_THE_WAY} stiffness=5000", STILL, _TORQUE, force=140.0, rate=500),
-    Case(f"{_IN_THE_WAY} stiffness=5000", STILL, _TORQUE, force=140.0, rate=200),
-    Case(f"{_IN_THE_WAY} stiffness=50000", STILL, _TORQUE),
-    Case(f"{_IN_THE_WAY} stiffness=20000", STILL, _TORQUE, scene="ball", planner="small", force=140.0),
-    Case('push link=lbr_link_4 force="0 30 0" at=0.5 for=0.1', REACHED),
-    Case('push link=lbr_link_4 force="0 80 0" at=0.5 for=0.1', STILL, _TORQUE, planner="small"),
-    Case('push link=lbr_link_4 force="0 80 0" at=0.5 for=0.1', STILL, _TORQUE, planner="small", rate=200),
-    Case('push link=lbr_link_4 force="0 200 0" at=0.5 for=0.1', STILL, _TORQUE, planner="small"),
-    Case('push link=lbr_link_7 force="0 0 -15" at=0.5 for=0.5', REACHED),
-    Case('push link=lbr_link_7 force="0 0 -50" at=0.5 for=0.5', STILL, _TORQUE, planner="small"),
-    Case('push link=lbr_link_7 force="0 100 0" at=0.5 for=0.5', STILL, _TORQUE, planner="small"),
-    Case('push link=lbr_link_5 force="0 0 80" at=2 for=0.2', STILL, _TORQUE, scene="wall"),
-    # What is seen of the obstacles
-    Case("drop_obstacles share=0.8", REACHED, scene="ball", planner="small"),
-    Case("drop_obstacles at=0.5 for=0.4", REACHED, scene="ball", planner="small"),
-    Case("drop_obstacles at=0.2 for=0.7", REACHED, scene="ball", planner="small", refused="plans"),
-    Case("drop_obstacles at=0.2", STILL, _NO_PLAN, scene="ball", planner="small", refused="plans", timeout=9.0),
-    Case("drop_obstacles at=0.2", STILL, _NO_PLAN, scene="ball", refused="plans", timeout=9.0, rate=200),
-    Case("drop_obstacles at=1.5", STILL, _NO_PLAN, scene="wall", force=30.0, refused="plans", timeout=9.0),
-    Case("drop_obstacles at=0.2", STILL, _NO_PLAN, refused="plans", timeout=9.0),
+    Case([Payload(0.5, at=0.5)], REACHED),
+    Case([Payload(2.0, at=0.5)], REACHED),
+    Case([Payload(4.0, at=0.5)], STILL, _TORQUE, scene="ball", planner="small", force=40.0),
+    Case([Payload(10.0, at=0.5)], STILL, _TORQUE, planner="small"),
+    Case([Friction(3.0, at=0.5)], REACHED),
+    Case([Friction(14.0, at=0.5)], STILL, planner="small"),
+    Case([Friction(20.0, at=0.5)], STILL, planner="small"),
+    Case([Friction(50.0, at=0.5)], STILL, "observer: sudden external torque"),
+    Case([_in_the_way(1000.0)], STILL, _TORQUE, force=140.0),
+    Case([_in_the_way()], STILL, _TORQUE, force=140.0),
+    Case([_in_the_way()], STILL, _TORQUE, force=140.0, rate=500),
+    Case([_in_the_way()], STILL, _TORQUE, force=140.0, rate=200),
+    Case([_in_the_way(50000.0)], STILL, _TORQUE),
+    Case([_in_the_way(20000.0)], STILL, _TORQUE, scene="ball", planner="small", force=140.0),
+    Case([Push("lbr_link_4", (0.0, 30.0, 0.0), at=0.5, duration=0.1)], REACHED),
+    Case([Push("lbr_link_4", (0.0, 80.0, 0.0), at=0.5, duration=0.1)], STILL, _TORQUE, planner="small"),
+    Case([Push("lbr_link_4", (0.0, 80.0, 0.0), at=0.5, duration=0.1)], STILL, _TORQUE, planner="small", rate=200),
+    Case([Push("lbr_link_4", (0.0, 200.0, 0.0), at=0.5, duration=0.1)], STILL, _TORQUE, planner="small"),
+    Case([Push("lbr_link_7", (0.0, 0.0, -15.0), at=0.5, duration=0.5)], REACHED),
+    Case([Push("lbr_link_7", (0.0, 0.0, -50.0), at=0.5, duration=0.5)], STILL, _TORQUE, planner="small"),
+    Case([Push("lbr_link_7", (0.0, 100.0, 0.0), at=0.5, duration=0.5)], STILL, _TORQUE, planner="small"),
+    Case([Push("lbr_link_5", (0.0, 0.0, 80.0), at=2.0, duration=0.2)], STILL, _TORQUE, scene="wall"),
+    Case([], REACHED, scene="stiff ball", planner="small", force=60.0),
+    Case([], REACHED, scene="stiff wall", force=140.0),
+    # Observations of the obstacles
+    Case([Lost("obstacles", share=0.8)], REACHED, scene="ball", planner="small"),
+    Case([Lost("obstacles", at=0.5, duration=0.4)], REACHED, scene="ball", planner="small"),
+    Case([Lost("obstacles", at=0.2, duration=0.7)], REACHED, scene="ball", planner="small", refused="plans"),
+    Case([Lost("obstacles", at=0.2)], STILL, _NO_PLAN, scene="ball", planner="small", refused="plans", timeout=9.0),
+    Case([Lost("obstacles", at=0.2)], STILL, _NO_PLAN, scene="ball", refused="plans", timeout=9.0, rate=200),
+    Case([Lost("obstacles", at=1.5)], STILL, _NO_PLAN, scene="wall", force=30.0, refused="plans", timeout=9.0),
+    Case([Lost("obstacles", at=0.2)], STILL, _NO_PLAN, refused="plans", timeout=9.0),
     Case(
-        "clock_jump step=1 at=0.5; drop_obstacles at=0.6", STILL, _NO_PLAN, scene="ball", refused="plans", timeout=9.0
+        [WrongClock(step=1.0, at=0.5), Lost("obstacles", at=0.6)],
+        STILL,
+        _NO_PLAN,
+        scene="ball",
+        refused="plans",
+        timeout=9.0,
     ),
     # Clock
-    Case("clock_jump step=-0.01 at=0.5", REACHED),
-    Case("clock_jump step=1 at=0.5", REACHED, planner="small"),
-    Case("clock_jump step=-1 at=0.5", REACHED),
-    Case("clock_jump step=10 at=0.5 for=0.5", STILL, _NO_PLAN, timeout=9.0),
-    Case("clock_jump step=-1 at=2", REACHED, scene="wall", force=30.0, timeout=9.0),
-    Case("clock_jump step=1 at=0.5", REACHED, scene="ball", planner="small"),
-    Case("frozen_clock at=0.5", STILL, f"{_BLIND}the stamps", planner="small"),
-    Case("frozen_clock at=0.5 for=0.01", REACHED, planner="small", rate=500),
+    Case([WrongClock(step=-0.01, at=0.5)], REACHED),
+    Case([WrongClock(step=1.0, at=0.5)], REACHED, planner="small"),
+    Case([WrongClock(step=-1.0, at=0.5)], REACHED),
+    Case([WrongClock(step=10.0, at=0.5, duration=0.5)], STILL, _NO_PLAN, timeout=9.0),
+    Case([WrongClock(step=-1.0, at=2.0)], REACHED, scene="wall", force=30.0, timeout=9.0),
+    Case([WrongClock(step=1.0, at=0.5)], REACHED, scene="ball", planner="small"),
+    Case([WrongClock(at=0.5)], STILL, f"{_BLIND}the stamps", planner="small"),
+    Case([WrongClock(at=0.5, duration=0.01)], REACHED, planner="small", rate=500),
     # Other nodes
-    Case("planner_silent at=0.5", STILL, _NO_PLAN, planner="small", timeout=9.0),
-    Case("planner_silent at=2.5", STILL, _NO_PLAN, timeout=9.0, scene="wall", force=30.0),
-    Case("planner_silent at=0.5 for=0.2", REACHED),
-    Case("planner_silent at=0.5 for=0.6", REACHED, planner="small", timeout=8.0),
-    Case("observer_silent at=0.5", STILL, _NO_OBSERVER, planner="small"),
-    Case("observer_silent at=0.5", STILL, _NO_OBSERVER, planner="small", rate=200),
+    Case([Silent("planner", at=0.5)], STILL, _NO_PLAN, planner="small", timeout=9.0),
+    Case([Silent("planner", at=2.5)], STILL, _NO_PLAN, timeout=9.0, scene="wall", force=30.0),
+    Case([Silent("planner", at=0.5, duration=0.2)], REACHED),
+    Case([Silent("planner", at=0.5, duration=0.6)], REACHED, planner="small", timeout=8.0),
+    Case([Silent("observer", at=0.5)], STILL, _NO_OBSERVER, planner="small"),
+    Case([Silent("observer", at=0.5)], STILL, _NO_OBSERVER, planner="small", rate=200),
     Case(
-        "observer_silent",
+        [Silent("observer")],
         STILL,
         "controller: nothing heard from the observer",
         planner="small",
         from_start=True,
         timeout=2.0,
     ),
-    Case("observer_silent at=0.5 for=0.03", REACHED),
-    Case("observer_silent at=2.5", STILL, _NO_OBSERVER, scene="wall", force=30.0),
-    Case("observer_silent at=1.5", STILL, _NO_OBSERVER, scene="table", planner="small"),
-    Case("controller_silent at=0.5", STILL, _WATCHDOG, planner="small"),
-    Case("controller_silent at=0.5 for=0.015", REACHED),
-    Case("controller_silent at=0.5 for=0.06", REACHED),
-    Case("controller_silent at=0.5 for=0.3", STILL, _WATCHDOG, planner="small"),
-    Case("late_plans delay=0.05", REACHED),
-    Case("late_plans delay=0.2 at=0.5", REACHED),
-    Case("late_plans delay=0.5 at=0.5", STILL, _NO_PLAN, refused="plans", timeout=9.0),
-    Case("late_plans delay=0.1 at=0.5", REACHED, scene="ball", planner="small", timeout=8.0),
-    Case("late_plans delay=0.1 at=0.5", REACHED, scene="table", planner="small", timeout=8.0, rate=500),
-    Case('false_plans offset="0 0 0.2" at=0.5', STILL, _NO_PLAN, planner="small", timeout=9.0, rate=200),
-    Case('false_plans offset="0 0 -0.04" at=0.5', STILL, _NO_PLAN, scene="table", timeout=9.0, rate=200),
-    Case("false_plans stretch=20 at=0.5", STILL, _NO_PLAN, planner="small", refused="plans", timeout=9.0, rate=200),
-    Case("other_gains at=0.5", STILL, _NO_PLAN, planner="small", refused="plans", timeout=9.0, rate=200),
+    Case([Silent("observer", at=0.5, duration=0.03)], REACHED),
+    Case([Silent("observer", at=2.5)], STILL, _NO_OBSERVER, scene="wall", force=30.0),
+    Case([Silent("observer", at=1.5)], STILL, _NO_OBSERVER, scene="table", planner="small"),
+    Case([Silent("controller", at=0.5)], STILL, _WATCHDOG, planner="small"),
+    Case([Silent("controller", at=0.5, duration=0.015)], REACHED),
+    Case([Silent("controller", at=0.5, duration=0.06)], REACHED),
+    Case([Silent("controller", at=0.5, duration=0.3)], STILL, _WATCHDOG, planner="small"),
+    Case([Late("plans", 0.05)], REACHED),
+    Case([Late("plans", 0.2, at=0.5)], REACHED),
+    Case([Late("plans", 0.5, at=0.5)], STILL, _NO_PLAN, refused="plans", timeout=9.0),
+    Case([Late("plans", 0.1, at=0.5)], REACHED, scene="ball", planner="small", timeout=8.0),
+    Case([Late("plans", 0.1, at=0.5)], REACHED, scene="table", planner="small", timeout=8.0, rate=500),
+    Case([WrongPlans(offset=(0.0, 0.0, 0.2), at=0.5)], STILL, _NO_PLAN, planner="small", timeout=9.0, rate=200),
+    Case([WrongPlans(offset=(0.0, 0.0, -0.04), at=0.5)], STILL, _NO_PLAN, scene="table", timeout=9.0, rate=200),
+    Case([WrongPlans(stretch=20.0, at=0.5)], STILL, _NO_PLAN, planner="small", refused="plans", timeout=9.0, rate=200),
     # Second publishers
-    Case("foreign_commands at=0.5", STILL, planner="small"),
-    Case("foreign_commands torque=30 at=0.5", STILL, planner="small", rate=500),
-    Case("foreign_commands at=0.5 for=0.005", REACHED, planner="small", rate=500),
-    Case("foreign_states at=0.5", STILL, "observer: position and velocity of", planner="small"),
-    Case("foreign_states offset=0.05 at=0.5", STILL, "observer: position and velocity of", planner="small", rate=200),
+    Case([RivalCommands(at=0.5)], STILL, planner="small"),
+    Case([RivalCommands(30.0, at=0.5)], STILL, planner="small", rate=500),
+    Case([RivalCommands(at=0.5, duration=0.005)], REACHED, planner="small", rate=500),
     # Together
-    Case(f"{_IN_THE_WAY}; observer_silent at=0.9", STILL, f"{_NO_OBSERVER}|{_TORQUE}"),
-    Case(f"{_IN_THE_WAY}; drop_states share=0.3", STILL, _TORQUE),
+    Case([_in_the_way(), Silent("observer", at=0.9)], STILL, f"{_NO_OBSERVER}|{_TORQUE}"),
+    Case([_in_the_way(), Lost("states", share=0.3)], STILL, _TORQUE),
 )

@@ -16,14 +16,14 @@ from contact_reach_ros.experiments.bench_faults import SMALL_PLANNER
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.simulation.fault_schedules import parse_faults
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.rigid import Block
 
 CONTROLLER = ControllerSettings()
-TIMEOUTS = {"free": 4.0, "ball": 5.0, "wall": 5.0, "table": 5.0}
+TIMEOUT = 5.0
+"""To reach the goal, s, but in the scene `free`."""
 TABLE = Block("table", (0.45, -0.14, -0.16), (0.4, 0.4, 0.2))
 """Added to the scene `free`, under the goal."""
 PERIOD = 0.05
@@ -36,6 +36,8 @@ _outcomes: dict[str, tuple] = {}
 def scene(name):
     if name == "table":
         return dataclasses.replace(scene("free"), environment=(*scene("free").environment, TABLE))
+    if name.startswith("stiff "):
+        return dataclasses.replace(scene(name.removeprefix("stiff ")), foam_scale=5.0)
     return make_scene(read_scene(name), ARM, 0)
 
 
@@ -53,9 +55,9 @@ def run_case(case: Case) -> tuple:
             period=PERIOD,
             rate=case.rate,
             settle=0.0 if case.from_start else 0.6,
-            timeout=case.timeout or TIMEOUTS[case.scene],
+            timeout=case.timeout or (4.0 if case.scene == "free" else TIMEOUT),
             linger=1.0,
-            faults=parse_faults(case.fault, ARM),
+            faults=tuple(case.faults),
             watchdog=WatchdogSettings(),
         )
         result = run_episode(scene(case.scene), Method(planner, CONTROLLER), options)

@@ -4,14 +4,13 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM
 from conftest import CONTROLLER, scene, small_planner
 
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.experiments.episode_result import EpisodeResult
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
-from contact_reach_ros.simulation.fault_schedules import parse_faults
+from contact_reach_ros.simulation.faults import UnknownObstacle
 from contact_reach_ros.simulation.settings import WatchdogSettings
 
 
@@ -20,7 +19,7 @@ def episode(reaction: str, stiffness: float) -> EpisodeResult:
     options = EpisodeOptions(
         settle=0.6,
         timeout=3.0,
-        faults=parse_faults(f'obstacle position="0.512 -0.075 0.125" radius=0.05 at=0.2 stiffness={stiffness}', ARM),
+        faults=(UnknownObstacle((0.512, -0.075, 0.125), stiffness=stiffness, at=0.2),),
         watchdog=WatchdogSettings(),
         unexpected_contact=UnexpectedContactSettings(reaction=reaction),
     )

@@ -39,12 +39,13 @@ def test_prediction_is_inverse_dynamics(shifts, mass, center, seed):
     taken = samples(true, 0.2, seed)
     parameters = Parameters(ARM, tool, links=True)
     values = np.concatenate([flange_moment(tool), x, y, COULOMB, VISCOUS, OFFSET])
-    errors, columns = parameters.rows(taken, values)
+    regressor = parameters.regressor(taken)
+    errors, columns = parameters.rows(taken, *regressor, values)
     np.testing.assert_allclose(errors, 0.0, atol=1e-8)
     # The columns are the slopes: but for the tool's moment of inertia, which is found by repetition.
     step = 1e-6 * np.random.default_rng(seed).standard_normal(len(values))
     step[:4] = 0.0
-    np.testing.assert_allclose(parameters.rows(taken, values + step)[0], -columns @ step, atol=1e-9)
+    np.testing.assert_allclose(parameters.rows(taken, *regressor, values + step)[0], -columns @ step, atol=1e-9)
 
 
 def test_exact_torques_give_exact_values():

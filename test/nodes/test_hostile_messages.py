@@ -8,7 +8,6 @@ import time
 import traceback
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from page_tables import replaced
 from plans import make_plan
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
@@ -31,7 +29,7 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from stack_helpers import environment
-from std_msgs.msg import Float64MultiArray, Header, String
+from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -62,9 +60,6 @@ KNOTS = 5
 
 EXAMPLES = 40
 """Of messages of a topic, and of requests."""
-
-PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
-HEADING = "## Absurd messages and requests"
 
 
 class StandingStill:
@@ -186,7 +181,6 @@ VALID = {
     topics.EXTERNAL_TORQUE: lambda: joint_state(START_NS),
     topics.PLAN_MARKERS: plan_markers,
     topics.SIM_CONTACTS: contacts,
-    topics.SIM_FAULTS: lambda: String(data="payload mass=3 at=0.5; nan_states share=0.3"),
     topics.DIAGNOSTICS: diagnostics,
     topics.PLAN_STATISTICS: plan_statistics,
     topics.CLOCK: Clock,
@@ -207,12 +201,12 @@ ATTACKS = {
         topics.LOCKSTEP_HORIZON,
         topics.CLOCK,
     ),
-    DriverNode: (topics.COMMANDS, topics.SIM_FAULTS, topics.LOCKSTEP_HORIZON),
+    DriverNode: (topics.COMMANDS, topics.LOCKSTEP_HORIZON),
     ObserverNode: (topics.JOINT_STATES, topics.COMMANDS, topics.CLOCK),
     PlannerNode: (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.CLOCK),
     ViewerNode: HEARD_BY_VIEWER,
     AdapterNode: (topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.SETTINGS),
-    RecorderNode: (topics.JOINT_STATES, topics.REFERENCE_POSTURE, topics.OBSTACLES, topics.SIM_FAULTS),
+    RecorderNode: (topics.JOINT_STATES, topics.REFERENCE_POSTURE, topics.OBSTACLES),
 }
 
 PARAMETERS = {
@@ -423,28 +417,3 @@ def test_absurd_requests_are_answered(node_class, tmp_path, monkeypatch):
             State.PRIMARY_STATE_ACTIVE,
         )
         assert it.refusals > before
-
-
-def matrix_table():
-    """What is thrown at the nodes, for docs/faults.md."""
-    lines = ["| node | thrown at it | required | counted as |", "|---|---|---|---|"]
-    for node_class, heard in ATTACKS.items():
-        for topic in heard:
-            counted = "nothing: recorded as it is" if node_class is RecorderNode else f"`refused {_counted(topic)}`"
-            lines.append(f"| {node_class.NAME} | messages on `{topic.name}` | active, no internal error | {counted} |")
-        lines.append(f"| {node_class.NAME} | lifecycle transitions | answered | `refused transitions` |")
-        lines.append(
-            f"| {node_class.NAME} | parameters, `~/stop`, `~/reset` | answered | `refused requests`, `parameters` |"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def _counted(topic):
-    return "/clock" if topic is topics.CLOCK else topic.contents
-
-
-def test_the_page_lists_every_attack(request):
-    if request.config.getoption("--write-faults"):
-        PAGE.write_text(replaced(PAGE.read_text(), HEADING, matrix_table()))
-    text = PAGE.read_text()
-    assert replaced(text, HEADING, matrix_table()) == text, "run pytest with --write-faults"

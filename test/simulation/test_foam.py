@@ -8,7 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION
 
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.simulation.foam import Foam
+from contact_reach_ros.simulation.obstacles import Foam
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.press import press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.simulation.settings import JointSettings
