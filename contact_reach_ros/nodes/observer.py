@@ -9,7 +9,6 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
@@ -20,7 +19,6 @@ from contact_reach_ros.messages.serialized import JointStateReader, JointStateWr
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -38,7 +36,6 @@ class ObserverNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = OBSERVER_SECTIONS
-    CHANGEABLE = TOOL_PARAMETERS
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,18 +64,6 @@ class ObserverNode(ManagedNode):
     def configure(self) -> None:
         """Warm up all computations."""
         self._make_observer().rehearse()
-
-    def change_arm(self, arm: Arm) -> None:
-        """Observe an arm with another tool, once it is at rest."""
-        # Beside the loop, which has no time for it.
-        models = self._observer.models(arm)
-
-        def change() -> None:
-            self._observer.check_rest()
-            self.note_call(Taken.TOOL)
-            self._observer.change_model(models)
-
-        self.call_soon(change)
 
     def files(self) -> Mapping[str, Settings]:
         """The contact budget."""

@@ -39,7 +39,7 @@ VIEWER = "viewer"
 DOCTOR = "contact_reach_doctor"
 REPLAY = "replay"
 OPERATOR = "operator"
-"""The node of contact-reach goto, home, identify, speed, tool, stop and reset."""
+"""The node of contact-reach goto, home, identify, speed, stop and reset."""
 
 TUNABLE = ("planner", "controller", "observer", "driver")
 """Nodes whose parameters a restart of the stack may change."""
