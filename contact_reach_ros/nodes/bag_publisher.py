@@ -1,4 +1,4 @@
-"""Publishes the messages of a bag at their times, without decoding them."""
+"""Publishes the messages of a bag under /replay at their times, without decoding them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.nodes.recorded_qos import publisher_qos
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.ros.replay_guard import Guard
 from contact_reach_ros.ros.scheduling import request_realtime
 from contact_reach_ros.units import NANOSECONDS
 
@@ -40,7 +39,7 @@ PRIORITY = 26
 """Of the publishing thread, below everything that an arm depends on; that of the other threads is lower by one."""
 
 _MATCHED_S = 1.0
-_LOOK_S = 0.05
+_SPIN_S = 0.05
 _SHOW_S = 0.2
 _ARRIVAL_S = 1.0
 _PERCENTILES = {"p50": 50.0, "p99": 99.0}
@@ -48,8 +47,13 @@ _SWITCH_S = 1e-4
 """Switching interval of the interpreter: the thread that reads ahead must not delay the one that publishes."""
 
 
+def published_name(recorded: str) -> str:
+    """Name under which a recorded topic is published: no arm listens there."""
+    return f"/{REPLAY}{recorded}"
+
+
 class BagPublisher:
-    """Publishes a bag.
+    """Publishes a bag, each topic under `published_name`.
 
     Parameters
     ----------
@@ -76,17 +80,15 @@ class BagPublisher:
         self._loops = 0
         self._real_time = False
         self._end_ns = reader.summary.start_ns + int(reader.summary.duration * NANOSECONDS)
-        self._guard = None if options.allow_motion else Guard(node, chosen)
 
     def run(self, start_ns: int, ended: queue.SimpleQueue[BaseException | None]) -> int:
         """Publish from a time of the recording on, ns, until its end or until an entry is in the queue.
 
-        Raises `ContactReachError` if any part of a stack runs, or the bag cannot be read.
+        Raises `ContactReachError` if the bag cannot be read.
         """
-        if self._guard is not None:
-            self._guard.settle(lambda: not ended.empty())
         self._publishers = {
-            name: self._node.create_publisher(kind, name, self._profiles[name]) for name, kind in self._chosen.items()
+            name: self._node.create_publisher(kind, published_name(name), self._profiles[name])
+            for name, kind in self._chosen.items()
         }
         self._serve()
         executor = SingleThreadedExecutor()
@@ -136,10 +138,7 @@ class BagPublisher:
             return self._playback.run(messages, start_ns, self._publish)
 
     def _publish(self, message: RawMessage) -> None:
-        publisher = self._publishers[message.topic]
-        if self._guard is not None:
-            self._guard.admit(message.topic, publisher)
-        publisher.publish(message.data)
+        self._publishers[message.topic].publish(message.data)
 
     def _prioritise(self, priority: int) -> None:
         """Set the priority of the calling thread, where the system permits it."""
@@ -163,16 +162,13 @@ class BagPublisher:
     def _watch(
         self, executor: SingleThreadedExecutor, start_ns: int, ended: queue.SimpleQueue[BaseException | None]
     ) -> None:
-        """Answer services, check who listens, and show progress until the end."""
+        """Answer services and show progress until the end."""
         end_ns = self._end_ns
         with _progress((end_ns - start_ns) / NANOSECONDS) as show:
-            look_at = show_at = time.monotonic()
+            show_at = time.monotonic()
             while ended.empty():
-                executor.spin_once(timeout_sec=_LOOK_S)
+                executor.spin_once(timeout_sec=_SPIN_S)
                 now = time.monotonic()
-                if self._guard is not None and now >= look_at:
-                    self._guard.check_next()
-                    look_at = now + _LOOK_S
                 if now >= show_at:
                     position = min(max(self._playback.position_ns, start_ns), end_ns)
                     show((position - start_ns) / NANOSECONDS, "paused" if self._playback.paused else "")
@@ -182,9 +178,8 @@ class BagPublisher:
         self._node.create_service(SetBool, "~/pause", self._on_pause)
         self._node.create_service(Trigger, "~/step", self._on_step)
         if self._options.clock is not None:
-            publisher = self._node.create_publisher(
-                ClockMessage, "/" + topics.CLOCK.name, qos_profile(topics.CLOCK.qos)
-            )
+            name = published_name(f"/{topics.CLOCK.name}")
+            publisher = self._node.create_publisher(ClockMessage, name, qos_profile(topics.CLOCK.qos))
             steady = Clock(clock_type=ClockType.STEADY_TIME)
 
             def publish_time() -> None:

@@ -189,19 +189,6 @@ MANAGED = {
 ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 """Topics that must have a single publisher: with two, the arm receives the commands of both in turn."""
 
-COMMANDING = (
-    topics.COMMANDS,
-    topics.ADAPTER_COMMANDS,
-    topics.REFERENCE_POSE,
-    topics.REFERENCE_POSTURE,
-    topics.GOAL_POSE,
-    topics.SIM_FAULTS,
-)
-"""Topics whose messages make an arm move, or inject faults into its simulation."""
-
-ACTING = ("driver", ADAPTER, "controller", "planner")
-"""Nodes that act on the messages they receive; the others only watch."""
-
 INTERFACES = {
     **MANAGED,
     "bringup": _node(
@@ -227,7 +214,6 @@ INTERFACES = {
         ],
         calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
     ),
-    # Where security is on, replay may publish nothing that an arm might follow.
-    REPLAY: _node([topic for topic in topics.ALL if topic not in (*ALONE, *COMMANDING)], [], ["~/pause", "~/step"]),
+    REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], [], ["~/pause", "~/step"]),
 }
 """All nodes of the package, by name."""
