@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -28,7 +30,8 @@ from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_duration, to_point, to_time
-from contact_reach_ros.ros.node_processes import node_processes
+from contact_reach_ros.resources import PACKAGE
+from contact_reach_ros.ros.interfaces import INTERFACES
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.simulation.fault_kinds import kinds_table
@@ -119,6 +122,60 @@ def send_schedule(text: str, arm: Arm) -> None:
         publisher.publish(String(data=schedule))
         publisher.wait_for_all_acked()
     print(f"sent: {schedule or 'no faults'}")
+
+
+_MODULE = re.compile(rf"{PACKAGE}\.(?:nodes|bringup)\.(\w+)")
+_NAMESPACE = "__ns:="
+_PROC = Path("/proc")
+
+
+def node_processes(
+    domain: str, proc: Path = _PROC, user: int | None = None, namespace: str | None = None
+) -> dict[int, str]:
+    """Find the processes of this package's nodes in a ROS domain; returns the node's name by process id.
+
+    Parameters
+    ----------
+    domain
+        ROS_DOMAIN_ID.
+    proc
+        Where procfs is mounted.
+    user
+        Who owns the processes; None for everybody whose processes may be looked at.
+    namespace
+        Of the nodes; None for any.
+    """
+    found = {}
+    for folder in proc.iterdir():
+        if not folder.name.isdigit():
+            continue
+        try:
+            if user is not None and folder.stat().st_uid != user:
+                continue
+            arguments = (folder / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            env = (folder / "environ").read_bytes().split(b"\0")
+        except OSError:  # ended meanwhile, or another user's
+            continue
+        name = _node_name(arguments)
+        domains = [entry.partition(b"=")[2].decode() for entry in env if entry.startswith(b"ROS_DOMAIN_ID=")]
+        spaces = [argument.removeprefix(_NAMESPACE) for argument in arguments if argument.startswith(_NAMESPACE)]
+        if namespace is not None and (spaces or ["/"])[-1] != namespace:
+            continue
+        if name and (domains or ["0"])[0] == domain:
+            found[int(folder.name)] = name
+    return found
+
+
+def _node_name(arguments: list[str]) -> str:
+    """Name of the node that a command line runs, by `python -m` or as an executable; empty if it runs none."""
+    for index, argument in enumerate(arguments[:4]):
+        module = _MODULE.fullmatch(argument) if index and arguments[index - 1] == "-m" else None
+        # As the script of an interpreter, or below the package's own folder for executables.
+        executable = argument.startswith("/") and (index == 1 or f"/{PACKAGE}/" in argument)
+        name = module[1] if module else argument.rpartition("/")[2] if executable else ""
+        if name in INTERFACES:
+            return name
+    return ""
 
 
 def signal_node(name: str, number: signal.Signals) -> None:

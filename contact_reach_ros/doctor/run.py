@@ -59,7 +59,6 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
     report["software"] += [
         software.ros_version(),
         stack.discovery_in_use(),
-        stack.running_sockets(),
         software.parameter_file(file),
         software.contact_budget(file, arm),
     ]

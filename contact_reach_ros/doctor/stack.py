@@ -17,7 +17,6 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.discovery import OLD_SWITCH, RANGE, reach
 from contact_reach_ros.ros.interfaces import ALONE, INTERFACES, MANAGED, RECORDER, VIEWER
-from contact_reach_ros.ros.node_processes import bound_addresses, node_processes, stays_on_this_host
 from contact_reach_ros.timing import PERIOD
 
 _START = "contact-reach up"
@@ -108,29 +107,6 @@ def discovery_in_use() -> Finding:
     else:
         return passed(f"this host only ({heard.why}){who}", choice=heard.choice)
     return warned(found + who, fix, choice=heard.choice)
-
-
-@check("sockets")
-def running_sockets() -> Finding:
-    """Check whether the running nodes communicate on this host only, whatever they were configured to."""
-    opened: dict[str, list[str]] = {}
-    nodes = []
-    for process, node in node_processes(os.environ.get("ROS_DOMAIN_ID", "0")).items():
-        try:
-            addresses = bound_addresses(process)
-        except OSError:
-            continue
-        nodes.append(node)
-        outside = sorted(address for address in addresses if not stays_on_this_host(address))
-        if outside:
-            opened[node] = outside
-    if not nodes:
-        return passed("no process of this package's nodes runs in this domain")
-    if opened:
-        where = "; ".join(f"{node} on {', '.join(addresses)}" for node, addresses in sorted(opened.items()))
-        fix = "start the stack again with discovery: host to keep other computers from the arm, see docs/security.md"
-        return warned(f"reachable from outside: {where}", fix, opened=opened)
-    return passed(f"{', '.join(sorted(nodes))} on 127.0.0.1 and its multicast only")
 
 
 @check("nodes")

@@ -16,7 +16,6 @@ from contact_reach_ros.doctor import fault_tool as tool
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.ros.node_processes import node_processes
 from contact_reach_ros.simulation.fault_schedules import driver_faults
 
 ARM = load_arm("iiwa14")
@@ -121,17 +120,17 @@ def test_processes_are_those_of_the_node_and_the_domain(tmp_path):
     fake_process(tmp_path, 6, ["/venv/bin/python", "/venv/bin/viewer"], "7")
     fake_process(tmp_path, 7, ["python", "-m", "contact_reach_ros.cli", "demo"], "7")
     user = (tmp_path / "1").stat().st_uid
-    assert node_processes("7", tmp_path, user) == {1: "planner", 3: "controller", 5: "bringup", 6: "viewer"}
-    assert node_processes("8", tmp_path, user) == {2: "planner"}
-    assert node_processes("7", tmp_path, user + 1) == {}
+    assert tool.node_processes("7", tmp_path, user) == {1: "planner", 3: "controller", 5: "bringup", 6: "viewer"}
+    assert tool.node_processes("8", tmp_path, user) == {2: "planner"}
+    assert tool.node_processes("7", tmp_path, user + 1) == {}
 
 
 def test_processes_of_one_namespace_can_be_chosen(tmp_path):
     fake_process(tmp_path, 1, ["python", "-m", "contact_reach_ros.nodes.planner", "--ros-args"], "7")
     fake_process(tmp_path, 2, ["python", "-m", "contact_reach_ros.nodes.driver", "-r", "__ns:=/left"], "7")
-    assert node_processes("7", tmp_path, namespace="/") == {1: "planner"}
-    assert node_processes("7", tmp_path, namespace="/left") == {2: "driver"}
-    assert len(node_processes("7", tmp_path)) == 2
+    assert tool.node_processes("7", tmp_path, namespace="/") == {1: "planner"}
+    assert tool.node_processes("7", tmp_path, namespace="/left") == {2: "driver"}
+    assert len(tool.node_processes("7", tmp_path)) == 2
 
 
 def test_rate_and_time_are_checked():
