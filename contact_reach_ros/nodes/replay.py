@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import queue
 import signal
 import sys
 from collections.abc import Sequence
@@ -47,7 +46,6 @@ def make_parser() -> argparse.ArgumentParser:
         help=f"publish the recording's time on /replay/clock, where the bag has none (default rate: {_CLOCK_HZ:.0f})",
     )
     parser.add_argument("--discovery", default="host", choices=CHOICES, help="who hears it (default: host)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write counts and timing as JSON")
     return parser
 
 
@@ -58,20 +56,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         own = without_ros_arguments(given)
         options = make_parser().parse_args(own[1:])
         # ROS ignores arguments that are not its own.
-        sys.exit(run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])]))
+        run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])])
     except ContactReachError as error:
         print(f"{REPLAY}: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
 
 
-def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> int:
-    """Replay a bag with these options until its end, Ctrl-C or SIGTERM; returns the exit code.
+def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> None:
+    """Replay a bag with these options until its end, Ctrl-C or SIGTERM.
 
     Raises `ContactReachError` if the options or the bag are refused.
     """
-    ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.put(None))
     if not _RATES[0] <= options.rate <= _RATES[1]:
         raise InputError(f"--rate {options.rate:g}: expected {_RATES[0]:g} to {_RATES[1]:g}")
     if options.clock is not None and not 1.0 <= options.clock <= 1000.0:
@@ -88,7 +83,10 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     initialise(arguments, options.discovery)
     node = Node(REPLAY)
     try:
-        return BagPublisher(node, reader, chosen, options).run(start_ns, ended)
+        publisher = BagPublisher(node, reader, chosen, options)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: publisher.stop())
+        publisher.run(start_ns)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

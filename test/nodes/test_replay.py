@@ -117,7 +117,7 @@ def test_bag_is_published_as_it_was_and_steered_by_services(tmp_path, env, liste
     descriptions = listener.hear(String, "/replay/robot_description", latched)
     output = (tmp_path / "output").open("w+")
     names = ("--topics", "joint_states", "/robot_description")
-    arguments = (tmp_path / "bag", *names, "--paused", "--json", tmp_path / "json")
+    arguments = (tmp_path / "bag", *names, "--paused")
     process = subprocess.Popen(replay(*arguments), env=env, stdout=output, stderr=output)
     try:
         published = ("/replay/joint_states", "/replay/robot_description")
@@ -136,7 +136,6 @@ def test_bag_is_published_as_it_was_and_steered_by_services(tmp_path, env, liste
     assert decoded(states, JointState) == decoded(written["/joint_states"], JointState)
     output.seek(0)
     assert f"{TICKS + 1} messages of 2 topics" in output.read()
-    assert f'"messages": {TICKS + 1}' in (tmp_path / "json").read_text()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
