@@ -13,8 +13,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
 from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -110,7 +108,7 @@ class DriverNode(ManagedNode):
         self._next_ns = 0
         self._published_ns = 0
         self._rivalry = ""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
         self._round_trip = Histogram()
         self._wake_up_late = Histogram()
         self._missed = 0

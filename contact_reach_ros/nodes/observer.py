@@ -6,7 +6,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 
 from contact_reach_ros.errors import InputError
@@ -59,7 +58,7 @@ class ObserverNode(ManagedNode):
         self._torque_writer = JointStateWriter(self.arm.joint_names, self.arm.base_frame, ["effort"])
         self._wrench_writer = WrenchWriter(self.arm.base_frame)
         self._rivalry = ""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
 
     def configure(self) -> None:
         """Warm up all computations."""

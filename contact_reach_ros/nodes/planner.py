@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.bags.goals import goal_values
@@ -116,7 +115,7 @@ class PlannerNode(ManagedNode):
         """Number of the detour that the arm is on; 0 for none."""
         self._solve_times = Histogram(bucket_us=100)
         self._rivalry = ""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
 
     def configure(self) -> None:
         """Compile the solver."""

@@ -81,7 +81,7 @@ class ManagedNode(LifecycleNode):
         self._stop = threading.Event()
         self._lines: deque[tuple[LoggingSeverity, str]] = deque()
         self._said = self.create_guard_condition(self.write_out)
-        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(1.0, self._publish_diagnostics)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     @property
@@ -154,6 +154,10 @@ class ManagedNode(LifecycleNode):
         self.inbox.note(what)
         if self.inbox.intake is not None and self.running:
             self.inbox.intake.flush()
+
+    def every(self, period: float, act: Callable[[], None]) -> None:
+        """Call `act` each `period`, s of the steady clock, in the executor's thread."""
+        self.create_timer(period, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def offer(self, name: str, act: Callable[[], str]) -> None:
         """Offer a Trigger service; `act` returns the text of the answer, or raises what the request is refused for."""
