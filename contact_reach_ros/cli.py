@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.experiments.commands import add_benches
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.versions import VERSION
@@ -109,15 +109,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
     _add_stack(speed)
-    tool = add(
-        "tool",
-        _later("bringup.commands:tool"),
-        "give the running stack another tool, while the arm rests without a goal",
-    )
-    tool.add_argument("file", nargs="?", default=None, type=Path, metavar="FILE", help="with a section 'tool'")
-    tool.add_argument("--none", action="store_true", help="instead of a file: the flange carries nothing")
-    tool.add_argument("--attach", action="store_true", help="the simulated robot carries it, too")
-    _add_stack(tool)
+    tool = add("tool", _tool, "how to give the stack another tool: a running one keeps its tool")
+    tool.add_argument("files", nargs="*", metavar="FILE", help="of the tool; not read")
     stop = add("stop", _later("bringup.commands:stop"), "stop the arm of the running stack, compliantly, until reset")
     _add_stack(stop)
     reset = add(
@@ -252,6 +245,14 @@ def _goto(x: float, y: float, z: float, **options: Any) -> int:
     from contact_reach_ros.bringup.commands import goto
 
     return goto((x, y, z), **options)
+
+
+def _tool(**_: Any) -> None:
+    raise InputError(
+        "tool: a running stack keeps its tool. Stop the arm (contact-reach stop) and let the brakes close, end the "
+        "stack, put the section 'tool' under '/**: ros__parameters:' in the parameter file, and start it again with "
+        "this file; see docs/real_robot.md"
+    )
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:

@@ -129,7 +129,7 @@ NOT_RUN = {
     r"contact-reach bench ": "takes minutes to hours; test/experiments runs them smaller",
     r"--no-driver": "needs a robot",
     r"--namespace": "needs two stacks; test/nodes/test_namespaces.py has them",
-    r"contact-reach (identify|tool)\b": "moves the arm, or changes its tool; test/nodes has a stack for each",
+    r"contact-reach identify\b": "moves the arm; test/nodes has a stack for it",
     r"--discovery subnet": "opens the nodes to the network",
     r"make (test|build|venv)|\bown\b": "installs: see the test of installation; make build: test_package",
 }

@@ -1,4 +1,4 @@
-"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `home`, `speed`, `tool`, ...
+"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `home`, `speed`, ...
 
 Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError` stands for 2, no stack or bad input.
 """
@@ -7,20 +7,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.bringup.operating import Operator, operating
-from contact_reach_ros.bringup.tool_change import CARRYING, change_tool, tool_in
-from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.parameter_files import as_arguments
 from contact_reach_ros.planning.node_settings import SPEED_SCALE
-from contact_reach_ros.ros.interfaces import ADAPTER
 from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.stopping import Outcome, release_all, stop_arm
 
@@ -93,32 +88,6 @@ def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
         outcome = operator.change("planner", {SPEED_SCALE: scale})
         if outcome.done:
             outcome = Outcome(True, f"{SPEED_SCALE} = {scale:g}")
-    return _report(outcome)
-
-
-def tool(
-    file: Path | None = None, none: bool = False, attach: bool = False, discovery: str = "host", namespace: str = ""
-) -> int:
-    """Give the stack another tool while the arm rests without a goal.
-
-    Parameters
-    ----------
-    file
-        Parameter file with a section `tool`.
-    none
-        Without a file: the flange carries nothing from now on.
-    attach
-        Whether the simulated robot carries it, too; what a real one carries is not the stack's affair.
-    discovery, namespace
-        As for `goto`.
-    """
-    if (file is None) != none:
-        raise SettingsError("tool: expected a parameter file with a section 'tool', or --none")
-    wanted = Tool() if file is None else tool_in(file)
-    with operating(discovery, namespace) as operator:
-        operator.find_stack()
-        left_out = {*(() if attach else ("driver",)), *(() if ADAPTER in operator.diagnostics else (ADAPTER,))}
-        outcome = change_tool(operator.change, [node for node in CARRYING if node not in left_out], wanted)
     return _report(outcome)
 
 

@@ -170,15 +170,6 @@ class CommandGuard:
         self.stop_reason = ""
         self._harmless_ns = None
 
-    def change_tool(self, other: CommandGuard) -> None:
-        """Go on with the model of another guard, of the same settings, for the same arm with another tool.
-
-        Raises `InputError` if the arm moves, or this guard carries it instead of the controller.
-        """
-        if self.phase is Phase.HARMLESS or not self.rests:
-            raise InputError("another tool needs the arm at rest, and commands that are passed on: wait, or reset")
-        self._model, self._constants, self._damping = other._model, other._constants, other._damping
-
     def rehearse(self) -> None:
         """Run through every step once, with a guard that is not used for anything else."""
         self.see(JointState(1, np.array(self._arm.home), np.zeros(self._arm.n), None), 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.model import Models, RobotModel
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
@@ -322,44 +322,6 @@ class Controller:
         if was_silent:
             self.resume(self._hold_torque())
         self._restart(q, now_ns)
-
-    def check_tool(self) -> None:
-        """Raise `InputError` while `change_tool` would be refused: in motion, under a plan, and in a compliant stop."""
-        if self.mode in (Mode.TRACKING, Mode.STOPPED):
-            remedy = "withdraw the goal" if self.mode is Mode.TRACKING else "reset the controller"
-            raise InputError(f"the controller is {self.mode.value}; another tool needs it to hold the arm: {remedy}")
-        if self._started and self.state is not None:
-            self.supervisor.check_rest(self.state.v, "another tool")
-
-    def change_tool(self, other: Controller, watched: Models | None = None) -> None:
-        """Go on with the models of another controller, of the same settings, for the same arm with another tool.
-
-        The arm is held where it is from now on, with full authority and the new feed-forward, which the torque rate
-        limits on its way from the last torque; earlier plans are forgotten.
-
-        Parameters
-        ----------
-        other
-            A controller that is not used for anything else.
-        watched
-            The models for the controller's own watch, if it has one.
-
-        Raises
-        ------
-        InputError
-            As `check_tool`.
-        """
-        self.check_tool()
-        if self._watch is not None and watched is not None:
-            self._watch.change_model(watched)
-        self.arm, self.model, self._constants = other.arm, other.model, other._constants
-        self._stop_damping, self._stop_needs_care = other._stop_damping, other._stop_needs_care
-        self.references.clear(self.stamp_ns)
-        if self._started and self.state is not None:
-            self.model.update(self.state.q, self.state.v)
-            self._begin_hold(self.state.q, self.stamp_ns)
-            self._blend_from = self._followed = self._hold
-            self._had_plan = False
 
     def rehearse(self) -> None:
         """Run through every step once, with a controller that is not used for anything else.

@@ -7,7 +7,6 @@ from contextlib import suppress
 from typing import Protocol
 
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.model import Models
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.supervisor import Supervisor
 from contact_reach_ros.errors import InputError
@@ -42,9 +41,6 @@ class Watcher(Protocol):
 
     def reset(self) -> None:
         """Release what is latched; raises `InputError` if the arm moves or is pushed."""
-
-    def change_model(self, models: Models) -> None:
-        """Watch an arm with another tool; raises `InputError` if it moves."""
 
 
 class _Mean:
@@ -150,10 +146,6 @@ class OwnWatch:
         self._supervisor.hear_own(self._judge(self._watcher.report().verdict), clock_ns)
         if self._supervisor.own_reason:
             raise InputError(f"the controller's own watch is stopped ({self._supervisor.own_reason})")
-
-    def change_model(self, models: Models) -> None:
-        """Watch an arm with another tool; raises `InputError` if it moves."""
-        self._watcher.change_model(models)
 
     def _judge(self, verdict: Verdict) -> Verdict:
         """The watcher's verdict, with the reason that states were missed unless it has another."""

@@ -188,17 +188,13 @@ class Supervisor:
         Raises `InputError` if one of these does not hold; the message says which.
         """
         check_start(self._arm, q, v)
-        self.check_rest(v, "reset")
+        speed, limit = float(np.abs(v).max()), self._settings.reset_velocity
+        if not speed <= limit:
+            raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {limit:g} rad/s: wait for it")
         if self._verdict.reason:
             raise InputError(f"the observer is stopped ({self._verdict.reason}): reset the observer first")
         if self._silent_for(clock_ns) > self._timeout_ns:
             raise InputError("the observer is silent: start it, then reset")
-
-    def check_rest(self, v: Array, what: str) -> None:
-        """Raise `InputError` if the arm moves, with `v` (n,), rad/s, too fast for `what`."""
-        speed, limit = float(np.abs(v).max()), self._settings.reset_velocity
-        if not speed <= limit:
-            raise InputError(f"the arm moves with {speed:.3f} rad/s; {what} needs at most {limit:g} rad/s: wait for it")
 
     def hear_observer(self, verdict: Verdict, clock_ns: int) -> None:
         """Take a report of the observer, which is also its heartbeat; a reason in it stops the arm once it has started.

@@ -142,7 +142,7 @@ def _replaying(bag: Path, folder: Path, seconds: float) -> dict[str, Any]:
     # What a thread that only sleeps suffers on this machine at the same time.
     timer = TimerTest(seconds, _REPLAY_PRIORITY)
     timer.start()
-    run = _run(_module("nodes.replay", str(bag), "--everything", "--json", str(result)))
+    run = _run(_module("nodes.replay", str(bag), "--json", str(result)))
     timer.join()
     _check(run, "replay")
     late = json.loads(result.read_text())["late_us"]

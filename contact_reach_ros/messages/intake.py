@@ -43,8 +43,6 @@ class Taken(IntEnum):
     """The service, or another reason that lies outside of the messages."""
     RESET = 18
     """The service, as far as it was not refused for such a reason."""
-    TOOL = 19
-    """Another tool, which the next message on `settings` has."""
 
 
 TOPICS = {

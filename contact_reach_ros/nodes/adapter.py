@@ -9,24 +9,21 @@ from collections.abc import Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from std_msgs.msg import Header
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS, FRANKA, LBR, AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase
 from contact_reach_ros.control.supervisor import check_state
+from contact_reach_ros.drives.effort import EffortTarget
+from contact_reach_ros.drives.franka import FrankaTarget
+from contact_reach_ros.drives.lbr import LbrTarget
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
 from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.nodes.effort_target import EffortTarget
-from contact_reach_ros.nodes.franka_target import FrankaTarget
-from contact_reach_ros.nodes.lbr_target import LbrTarget
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER, CONTROLLER
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -48,7 +45,6 @@ class AdapterNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = ADAPTER_SECTIONS
-    CHANGEABLE = TOOL_PARAMETERS
 
     def __init__(self) -> None:
         super().__init__()
@@ -89,16 +85,11 @@ class AdapterNode(ManagedNode):
         """Joint states that were new, and those of them that the controller has not answered, in lockstep."""
         self._answers: deque[bytes | None] = deque()
         """Commands of the controller, None where it answered without one, whose joint state is still to come."""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
 
     def configure(self) -> None:
         """Warm up all computations."""
         self._make_guard().rehearse()
-
-    def change_arm(self, arm: Arm) -> None:
-        """Stop an arm with another tool from now on."""
-        other = self._make_guard(arm)
-        self.call_soon(lambda: self._guard.change_tool(other))
 
     def activate(self) -> None:
         """Wait for the first command."""
@@ -152,8 +143,8 @@ class AdapterNode(ManagedNode):
             return FrankaTarget(self, self.arm, settings, chosen.torque_rate)
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)
 
-    def _make_guard(self, arm: Arm | None = None) -> CommandGuard:
-        return CommandGuard(arm or self.arm, self.settings[""], self.period)
+    def _make_guard(self) -> CommandGuard:
+        return CommandGuard(self.arm, self.settings[""], self.period)
 
     def _clock_ns(self) -> int:
         """Time of the watchdog's clock: steady, or simulated in lockstep."""

@@ -1,18 +1,14 @@
-"""Publishes the messages of a bag at their times, without decoding them."""
+"""Publishes the messages of a bag under /replay at their times, without decoding them."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import queue
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
-from typing import Any
+from collections.abc import Sequence
+from contextlib import closing
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -32,15 +28,9 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.ros.replay_guard import Guard
-from contact_reach_ros.ros.scheduling import request_realtime
 from contact_reach_ros.units import NANOSECONDS
 
-PRIORITY = 26
-"""Of the publishing thread, below everything that an arm depends on; that of the other threads is lower by one."""
-
 _MATCHED_S = 1.0
-_LOOK_S = 0.05
 _SHOW_S = 0.2
 _ARRIVAL_S = 1.0
 _PERCENTILES = {"p50": 50.0, "p99": 99.0}
@@ -48,8 +38,13 @@ _SWITCH_S = 1e-4
 """Switching interval of the interpreter: the thread that reads ahead must not delay the one that publishes."""
 
 
+def published_name(recorded: str) -> str:
+    """Name under which a recorded topic is published: no arm listens there."""
+    return f"/{REPLAY}{recorded}"
+
+
 class BagPublisher:
-    """Publishes a bag.
+    """Publishes a bag, each topic under `published_name`.
 
     Parameters
     ----------
@@ -66,85 +61,70 @@ class BagPublisher:
     def __init__(self, node: Node, reader: BagReader, chosen: dict[str, type], options: argparse.Namespace) -> None:
         self._node = node
         self._reader = reader
-        self._chosen = chosen
         self._options = options
         ticks = {name for name in chosen if topics.find(name, [topics.JOINT_STATES])}
         self._playback = Playback(options.rate, ticks or set(chosen), options.paused)
         known = reader.topics()
         self._profiles = {name: publisher_qos(name, known[name].offered_qos) for name in chosen}
-        self._publishers: dict[str, Publisher] = {}
-        self._loops = 0
-        self._real_time = False
-        self._end_ns = reader.summary.start_ns + int(reader.summary.duration * NANOSECONDS)
-        self._guard = None if options.allow_motion else Guard(node, chosen)
-
-    def run(self, start_ns: int, ended: queue.SimpleQueue[BaseException | None]) -> int:
-        """Publish from a time of the recording on, ns, until its end or until an entry is in the queue.
-
-        Raises `ContactReachError` if any part of a stack runs, or the bag cannot be read.
-        """
-        if self._guard is not None:
-            self._guard.settle(lambda: not ended.empty())
-        self._publishers = {
-            name: self._node.create_publisher(kind, name, self._profiles[name]) for name, kind in self._chosen.items()
+        self._publishers: dict[str, Publisher] = {
+            name: node.create_publisher(kind, published_name(name), self._profiles[name])
+            for name, kind in chosen.items()
         }
-        self._serve()
+        self._loops = 0
+        self._end_ns = reader.summary.start_ns + int(reader.summary.duration * NANOSECONDS)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_service(SetBool, "~/pause", self._on_pause)
+        node.create_service(Trigger, "~/step", self._on_step)
+        if options.clock is not None:
+            name = published_name(f"/{topics.CLOCK.name}")
+            self._clock = node.create_publisher(ClockMessage, name, qos_profile(topics.CLOCK.qos))
+            node.create_timer(1.0 / options.clock, self._publish_time, clock=self._steady)
+
+    def stop(self) -> None:
+        """End `run`; may be called by a signal handler."""
+        self._playback.stop()
+
+    def run(self, start_ns: int) -> None:
+        """Publish from a time of the recording on, ns since the epoch, until its end or `stop`.
+
+        Raises `BagError` if the bag cannot be read.
+        """
+        sys.setswitchinterval(_SWITCH_S)
         executor = SingleThreadedExecutor()
         executor.add_node(self._node)
-        playing = threading.Thread(target=self._play, args=[start_ns, ended], name="player")
-        sys.setswitchinterval(_SWITCH_S)
-        # At a higher rate the publishing thread may never sleep.
-        if self._options.rate <= 1.0:
-            warning = request_realtime(PRIORITY - 1)
-            self._real_time = not warning
-            if warning:
-                self._node.get_logger().warning(warning)
-        # Subscriptions have to be matched before the first message.
-        time.sleep(_MATCHED_S)
-        began = time.monotonic()
-        playing.start()
-        try:
-            self._watch(executor, start_ns, ended)
-        finally:
-            self._playback.stop()
-            playing.join()
-            executor.shutdown()
-            self._report(time.monotonic() - began)
-        failure = ended.get()
-        if failure is not None:
-            raise failure
-        return 0
+        serving = threading.Thread(target=executor.spin, name="services")
+        with _progress() as progress:
+            self._show_on(progress, start_ns)
+            serving.start()
+            try:
+                # Subscriptions have to be matched before the first message.
+                time.sleep(_MATCHED_S)
+                began = time.monotonic()
+                self._play(start_ns)
+                seconds = time.monotonic() - began
+            finally:
+                executor.shutdown()
+                serving.join()
+        self._report(seconds)
 
-    def _play(self, start_ns: int, ended: queue.SimpleQueue[BaseException | None]) -> None:
-        try:
-            self._prioritise(PRIORITY)
-            for message in self._latched_before(start_ns):
-                self._publish(message)
-            while self._play_once(start_ns) and self._options.loop:
-                self._loops += 1
+    def _play(self, start_ns: int) -> None:
+        for message in self._latched_before(start_ns):
+            self._publish(message)
+        while self._play_once(start_ns):
             if not self._options.loop:
                 for publisher in self._publishers.values():
                     publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
-            ended.put(None)
-        except BaseException as error:  # handed to the main thread, which ends the process with it
-            ended.put(error)
+                return
+            self._loops += 1
 
     def _play_once(self, start_ns: int) -> bool:
-        stored = self._reader.raw_messages(list(self._chosen), start_ns)
-        # With the same priority as this one, the thread that reads ahead would keep it from running.
-        with closing(read_ahead(stored, lambda: self._prioritise(PRIORITY - 1))) as messages:
+        """Publish once; returns whether the end was reached."""
+        stored = self._reader.raw_messages(list(self._publishers), start_ns)
+        with closing(read_ahead(stored)) as messages:
             return self._playback.run(messages, start_ns, self._publish)
 
     def _publish(self, message: RawMessage) -> None:
-        publisher = self._publishers[message.topic]
-        if self._guard is not None:
-            self._guard.admit(message.topic, publisher)
-        publisher.publish(message.data)
-
-    def _prioritise(self, priority: int) -> None:
-        """Set the priority of the calling thread, where the system permits it."""
-        if self._real_time:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        self._publishers[message.topic].publish(message.data)
 
     def _latched_before(self, start_ns: int) -> list[RawMessage]:
         """Messages of the skipped part that latched topics would still show."""
@@ -160,39 +140,21 @@ class BagPublisher:
                 kept[message.topic].append(message)
         return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
 
-    def _watch(
-        self, executor: SingleThreadedExecutor, start_ns: int, ended: queue.SimpleQueue[BaseException | None]
-    ) -> None:
-        """Answer services, check who listens, and show progress until the end."""
-        end_ns = self._end_ns
-        with _progress((end_ns - start_ns) / NANOSECONDS) as show:
-            look_at = show_at = time.monotonic()
-            while ended.empty():
-                executor.spin_once(timeout_sec=_LOOK_S)
-                now = time.monotonic()
-                if self._guard is not None and now >= look_at:
-                    self._guard.check_next()
-                    look_at = now + _LOOK_S
-                if now >= show_at:
-                    position = min(max(self._playback.position_ns, start_ns), end_ns)
-                    show((position - start_ns) / NANOSECONDS, "paused" if self._playback.paused else "")
-                    show_at = now + _SHOW_S
+    def _show_on(self, progress: Progress, start_ns: int) -> None:
+        """Show the position on a terminal, some times a second, also in a pause."""
+        task = progress.add_task("", total=(self._end_ns - start_ns) / NANOSECONDS, word="")
 
-    def _serve(self) -> None:
-        self._node.create_service(SetBool, "~/pause", self._on_pause)
-        self._node.create_service(Trigger, "~/step", self._on_step)
-        if self._options.clock is not None:
-            publisher = self._node.create_publisher(
-                ClockMessage, "/" + topics.CLOCK.name, qos_profile(topics.CLOCK.qos)
-            )
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
+        def show() -> None:
+            position_ns = min(max(self._playback.position_ns, start_ns), self._end_ns)
+            word = "paused" if self._playback.paused else ""
+            progress.update(task, completed=(position_ns - start_ns) / NANOSECONDS, word=word, refresh=True)
 
-            def publish_time() -> None:
-                position_ns = self._playback.position_ns
-                if position_ns:
-                    publisher.publish(ClockMessage(clock=to_time(min(position_ns, self._end_ns))))
+        self._node.create_timer(_SHOW_S, show, clock=self._steady)
 
-            self._node.create_timer(1.0 / self._options.clock, publish_time, clock=steady)
+    def _publish_time(self) -> None:
+        position_ns = self._playback.position_ns
+        if position_ns:
+            self._clock.publish(ClockMessage(clock=to_time(min(position_ns, self._end_ns))))
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
@@ -211,7 +173,7 @@ class BagPublisher:
         playback = self._playback
         late = playback.late
         ended = f", {self._loops + 1} times" if self._loops else ""
-        print(f"{REPLAY}: {playback.count} messages of {len(self._chosen)} topics in {seconds:.1f} s{ended}")
+        print(f"{REPLAY}: {playback.count} messages of {len(self._publishers)} topics in {seconds:.1f} s{ended}")
         if late.count:
             numbers = ", ".join(f"{name} {late.percentile_us(value):.0f}" for name, value in _PERCENTILES.items())
             print(f"{REPLAY}: behind their time by {numbers}, at most {late.maximum_ns / 1000:.0f} us")
@@ -220,36 +182,17 @@ class BagPublisher:
         for note in self._reader.notes:
             if note not in self._reader.summary.notes:
                 print(f"{REPLAY}: {note}", file=sys.stderr)
-        if self._options.json is not None:
-            content = {
-                "messages": playback.count,
-                "topics": len(self._chosen),
-                "seconds": seconds,
-                "late_us": {**late.summary(), "max": late.maximum_ns / 1000},
-                "stalls": playback.stalls,
-            }
-            self._options.json.write_text(json.dumps(content, indent=2) + "\n")
 
 
-@contextmanager
-def _progress(duration: float) -> Iterator[Any]:
-    """Show progress in seconds, and a word, on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda seconds, word: None
-        return
+def _progress() -> Progress:
+    """A bar of seconds, with a word, which appears on a terminal only."""
     columns = (
         BarColumn(),
         TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
         TimeRemainingColumn(),
         TextColumn("{task.fields[word]}"),
     )
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
-        task = progress.add_task("", total=duration, word="")
-
-        def show(seconds: float, word: str) -> None:
-            progress.update(task, completed=seconds, word=word, refresh=True)
-
-        yield show
+    return Progress(*columns, console=Console(stderr=True), auto_refresh=False, disable=not sys.stderr.isatty())
 
 
 def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import differences, disagreement
 from contact_reach_ros.control.controller import Controller, ControllerSettings
@@ -30,7 +28,7 @@ from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS, full_name
+from contact_reach_ros.parameter_files import full_name
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.interfaces import ALONE, OBSERVER
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER
@@ -54,7 +52,6 @@ class ControllerNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = CONTROLLER_SECTIONS
-    CHANGEABLE = TOOL_PARAMETERS
 
     def __init__(self) -> None:
         super().__init__()
@@ -88,8 +85,6 @@ class ControllerNode(ManagedNode):
         """Settings that planner and observer have reported."""
         self._disagreement = ""
         """What the planner plans with and this controller has not."""
-        self._differed = ""
-        """What `_other_watch` was when the node last looked around."""
         self._other_watch = ""
         """What the observer watches with and this controller's own watch has not."""
         needs_effort = bool(self._watch) and ObserverSettings.from_sections(self._watch).torque_source == MEASURED
@@ -101,30 +96,13 @@ class ControllerNode(ManagedNode):
         self._controller.not_yet = "still looking for other publishers"
         self._compute = Histogram()
         self._published_mode: tuple[Mode, str] | None = None
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
 
     def configure(self) -> None:
         """Warm up all computations."""
         self._make_controller().rehearse()
         if self._watch:
             self._make_watcher().rehearse()
-
-    def change_arm(self, arm: Arm) -> None:
-        """Control an arm with another tool, once it is held at rest."""
-        self.call_soon(self._controller.check_tool)
-        # Beside the loop, which has no time for it.
-        other, watched = self._make_controller(arm), self._make_watcher().models(arm) if self._watch else None
-
-        def change() -> None:
-            self._controller.check_tool()
-            self.note_call(Taken.TOOL)
-            self._controller.change_tool(other, watched)
-
-        self.call_soon(change)
-
-    def on_change(self) -> None:
-        """Compare the new tool with those of the others."""
-        self._compare()
 
     def files(self) -> Mapping[str, Settings]:
         """The observer's settings, with which the controller watches itself; empty if it does not."""
@@ -160,9 +138,9 @@ class ControllerNode(ManagedNode):
         }
         return controller.stop_reason or waiting, values
 
-    def _make_controller(self, arm: Arm | None = None) -> Controller:
+    def _make_controller(self) -> Controller:
         settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
-        return Controller(arm or self.arm, settings, self.period)
+        return Controller(self.arm, settings, self.period)
 
     def _watch_settings(self) -> Mapping[str, Settings]:
         """Settings and budget of the observer by prefix; none if the controller does not watch itself."""
@@ -182,8 +160,6 @@ class ControllerNode(ManagedNode):
         controller = self._controller
         rivals, differs = rivalry(self, self._exclusive), self._other_watch
         controller.not_yet = f"{rivals}: end the others first" if rivals else differs
-        # A tool is changed in one node after the other.
-        differs, self._differed = differs if differs == self._differed else "", differs
         if (rivals or differs) and controller.started and not controller.stop_reason:
             code = StopCode.RIVAL if rivals else StopCode.DISAGREEMENT
             reason = StopReason(code, rivals or differs)

@@ -12,13 +12,10 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
 from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arrays import Array
@@ -28,7 +25,6 @@ from contact_reach_ros.messages.conversions import set_time
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -67,7 +63,6 @@ class DriverNode(ManagedNode):
 
     NAME = "driver"
     SECTIONS = DRIVER_SECTIONS
-    CHANGEABLE = TOOL_PARAMETERS
     COMMANDS = topics.COMMANDS
     """Where torques come from."""
 
@@ -103,7 +98,7 @@ class DriverNode(ManagedNode):
         self._next_ns = 0
         self._published_ns = 0
         self._rivalry = ""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
         self._round_trip = Histogram()
         self._wake_up_late = Histogram()
         self._missed = 0
@@ -128,11 +123,6 @@ class DriverNode(ManagedNode):
         start_ns = _LOCKSTEP_START_NS if self.lockstep else time.time_ns()
         robot.start_ns += start_ns - robot.now_ns
         self._next_ns = time.monotonic_ns() + self._period_ns
-
-    def change_arm(self, arm: Arm) -> None:
-        """Let the robot carry another tool: what nodes believe is their own affair."""
-        self.call_soon(lambda: self.robot.plant.change_tool(arm))
-        self._description.publish(String(data=build_urdf(arm)))
 
     def turn(self) -> None:
         """Run one tick."""

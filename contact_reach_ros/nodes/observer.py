@@ -6,10 +6,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
@@ -20,7 +18,6 @@ from contact_reach_ros.messages.serialized import JointStateReader, JointStateWr
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -38,7 +35,6 @@ class ObserverNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = OBSERVER_SECTIONS
-    CHANGEABLE = TOOL_PARAMETERS
 
     def __init__(self) -> None:
         super().__init__()
@@ -62,23 +58,11 @@ class ObserverNode(ManagedNode):
         self._torque_writer = JointStateWriter(self.arm.joint_names, self.arm.base_frame, ["effort"])
         self._wrench_writer = WrenchWriter(self.arm.base_frame)
         self._rivalry = ""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
 
     def configure(self) -> None:
         """Warm up all computations."""
         self._make_observer().rehearse()
-
-    def change_arm(self, arm: Arm) -> None:
-        """Observe an arm with another tool, once it is at rest."""
-        # Beside the loop, which has no time for it.
-        models = self._observer.models(arm)
-
-        def change() -> None:
-            self._observer.check_rest()
-            self.note_call(Taken.TOOL)
-            self._observer.change_model(models)
-
-        self.call_soon(change)
 
     def files(self) -> Mapping[str, Settings]:
         """The contact budget."""

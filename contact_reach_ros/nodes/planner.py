@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -15,10 +14,8 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
@@ -36,7 +33,6 @@ from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS
 from contact_reach_ros.planning.detour import current
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.latency import LatencyEstimate
@@ -62,8 +58,6 @@ NAME = "planner"
 _IDLE_NS = 100_000_000
 _POLL_S = 0.003
 _MARKERS_EVERY_NS = _GOAL_STATE_EVERY_NS = 100_000_000
-_REST_SPEED = 0.05
-"""Joint speed up to which the arm is at rest, rad/s."""
 OBSERVER, CONTROLLER = "observer", "controller"
 _GAINS = "impedance"
 """Section of the controller's parameters that the planner reads, too: plans hold for these gains only."""
@@ -74,7 +68,7 @@ class PlannerNode(ManagedNode):
 
     NAME = NAME
     SECTIONS = PLANNER_SECTIONS
-    CHANGEABLE = (SPEED_SCALE, *TOOL_PARAMETERS)
+    CHANGEABLE = (SPEED_SCALE,)
 
     def __init__(self) -> None:
         super().__init__()
@@ -101,9 +95,10 @@ class PlannerNode(ManagedNode):
         gains = {_GAINS: ImpedanceSettings}
         self._gains = settings_of(self.ARGUMENTS, CONTROLLER, gains, self.arm)[_GAINS]
         self._core: RecedingHorizonPlanner | None = None
-        self._take_arm(self.arm)
-        self._not_ready = ""
-        """Why no goal is taken; empty once there is a solver for the tool."""
+        stiffness = self.settings["planning"].contact_stiffness
+        reaction = ContactReaction(self.arm, self.settings["unexpected_contact"], stiffness, settings.max_spheres > 0)
+        self._planner = Planner(self.arm, None, reaction, settings, self._latency, self.refuse, self._gains.task)
+        self._markers = PlanMarkers(self.arm, self._budget.permitted_force)
         self._obstacle_reader = SerializedObstacleReader(
             self.arm.base_frame,
             AssumedMaterial.of(settings),
@@ -120,65 +115,20 @@ class PlannerNode(ManagedNode):
         """Number of the detour that the arm is on; 0 for none."""
         self._solve_times = Histogram(bucket_us=100)
         self._rivalry = ""
-        self.create_timer(LOOK_AROUND_S, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(LOOK_AROUND_S, self._look_around)
 
     def configure(self) -> None:
         """Compile the solver."""
-        self._planner.core = self._core = self._compile(self.arm)
-
-    def _compile(self, arm: Arm) -> RecedingHorizonPlanner:
         settings, planning = self.settings[""], self.settings["planning"]
         if self.lockstep:
             # With a wall-clock deadline the result would depend on how busy the machine is.
             planning = dataclasses.replace(planning, deadline=0.0)
-        core = RecedingHorizonPlanner(arm, planning, self._gains, self._budget.permitted_force, settings.max_spheres)
+        force, spheres = self._budget.permitted_force, settings.max_spheres
+        core = RecedingHorizonPlanner(self.arm, planning, self._gains, force, spheres)
         began = time.monotonic()
         core.warm_up(lambda line: self.get_logger().info(line))
         self.get_logger().info(f"compiled in {time.monotonic() - began:.1f} s")
-        return core
-
-    def _take_arm(self, arm: Arm) -> None:
-        """Plan for this arm, without a goal; what moves and stands around it will be heard again."""
-        settings: PlannerNodeSettings = self.settings[""]
-        stiffness = self.settings["planning"].contact_stiffness
-        reaction = ContactReaction(arm, self.settings["unexpected_contact"], stiffness, settings.max_spheres > 0)
-        self._planner = Planner(arm, None, reaction, settings, self._latency, self.refuse, self._gains.task)
-        self._markers = PlanMarkers(arm, self._budget.permitted_force)
-
-    def change_arm(self, arm: Arm) -> None:
-        """Plan for an arm with another tool; goals are refused until the solver is compiled for it."""
-        self.call_soon(lambda: self._part_with_tool(arm))
-        if self._core is not None:
-            threading.Thread(target=self._compile_for, args=[arm], name="compiler", daemon=True).start()
-
-    def _part_with_tool(self, arm: Arm) -> None:
-        state, goal = self._planner.state, self._planner.goal_state
-        if self._not_ready:
-            raise InputError(self._not_ready)
-        if goal is not None and goal.phase.is_open:
-            raise InputError("there is a goal; another tool needs the arm at rest: wait, or withdraw it with a stop")
-        if state is not None and float(np.abs(state.v).max()) > _REST_SPEED:
-            raise InputError(f"the arm moves with {np.abs(state.v).max():.3f} rad/s; another tool needs it at rest")
-        self.note_call(Taken.TOOL)
-        self._withdraw("the tool was changed")
-        self._take_arm(arm)
-        if self._core is not None:
-            self._not_ready = "the solver is being compiled for another tool: no goal is taken before that"
-
-    def _compile_for(self, arm: Arm) -> None:
-        """Compile beside the loop, which hears meanwhile, and the executor, which answers."""
-        try:
-            core = self._compile(arm)
-        except Exception as error:
-            self.refuse("the tool", error)
-            self._not_ready = f"there is no solver for this tool ({error}): no goal is taken; start the planner again"
-            return
-
-        def take() -> None:
-            self._planner.core = self._core = core
-            self._not_ready = ""
-
-        self.inbox.post(take)
+        self._planner.core = self._core = core
 
     def on_change(self) -> None:
         """Use another speed from the next plan on."""
@@ -203,8 +153,8 @@ class PlannerNode(ManagedNode):
         heard_by = commanders_that_hear(self, (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE))
         values["heard by"] = ", ".join(heard_by)
         planner, core = self._planner, self._core
-        if self._rivalry or self._not_ready:
-            return self._rivalry or self._not_ready, values
+        if self._rivalry:
+            return self._rivalry, values
         if planner.state is None:
             return topics.WAITING_FOR_STATE, values
         plan = planner.plan
@@ -313,8 +263,6 @@ class PlannerNode(ManagedNode):
     def _on_goal(self, message: PoseStamped) -> None:
         stamp_ns, before = nanoseconds(message.header.stamp), self._planner.goal_state
         try:
-            if self._not_ready:
-                raise InputError(self._not_ready)
             if self._frames.is_foreign(message.header):
                 self._frames.publish_goal(message)
                 return

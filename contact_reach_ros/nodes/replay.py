@@ -1,9 +1,8 @@
-"""Replay: publishes the messages of a bag again, unchanged and at their recorded pace."""
+"""Replay: publishes the messages of a bag again under /replay, unchanged and at their recorded pace."""
 
 from __future__ import annotations
 
 import argparse
-import queue
 import signal
 import sys
 from collections.abc import Sequence
@@ -19,7 +18,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.bag_publisher import BagPublisher
 from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
-from contact_reach_ros.ros.interfaces import COMMANDING, REPLAY
+from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.process import initialise, without_ros_arguments
 from contact_reach_ros.units import NANOSECONDS
 
@@ -31,18 +30,11 @@ _RATES = (0.01, 100.0)
 
 def make_parser() -> argparse.ArgumentParser:
     """Make the parser of the options of `run_replay`."""
-    parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages at their recorded pace.")
+    parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages under /replay.")
     parser.add_argument("bag", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
     parser.add_argument("--rate", type=float, default=1.0, help="recorded time per time, 0.01 to 100 (default: 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
-    chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument(
-        "--topics",
-        nargs="+",
-        metavar="TOPIC",
-        help="publish these only (default: all but commands, references and goals)",
-    )
-    chosen.add_argument("--everything", action="store_true", help="publish commands, references and goals as well")
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="publish these recorded topics only")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
     parser.add_argument("--paused", action="store_true", help="begin with a pause; see the services")
     parser.add_argument(
@@ -51,13 +43,9 @@ def make_parser() -> argparse.ArgumentParser:
         type=float,
         const=_CLOCK_HZ,
         metavar="HZ",
-        help=f"publish the recording's time on /clock, where the bag has none (default rate: {_CLOCK_HZ:.0f})",
-    )
-    parser.add_argument(
-        "--allow-motion", action="store_true", help="publish even beside a running stack, whose arm may then move"
+        help=f"publish the recording's time on /replay/clock, where the bag has none (default rate: {_CLOCK_HZ:.0f})",
     )
     parser.add_argument("--discovery", default="host", choices=CHOICES, help="who hears it (default: host)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write counts and timing as JSON")
     return parser
 
 
@@ -68,20 +56,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         own = without_ros_arguments(given)
         options = make_parser().parse_args(own[1:])
         # ROS ignores arguments that are not its own.
-        sys.exit(run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])]))
+        run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])])
     except ContactReachError as error:
         print(f"{REPLAY}: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
 
 
-def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> int:
-    """Replay a bag with these options until its end, Ctrl-C or SIGTERM; returns the exit code.
+def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> None:
+    """Replay a bag with these options until its end, Ctrl-C or SIGTERM.
 
-    Raises `ContactReachError` if the options or the bag are refused, or any part of a stack runs.
+    Raises `ContactReachError` if the options or the bag are refused.
     """
-    ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.put(None))
     if not _RATES[0] <= options.rate <= _RATES[1]:
         raise InputError(f"--rate {options.rate:g}: expected {_RATES[0]:g} to {_RATES[1]:g}")
     if options.clock is not None and not 1.0 <= options.clock <= 1000.0:
@@ -89,26 +74,25 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     reader = BagReader(options.bag)
     for note in reader.notes:
         print(f"{REPLAY}: {note}", file=sys.stderr)
-    chosen = choose_topics(reader, options.topics, options.everything)
+    chosen = choose_topics(reader, options.topics)
     start_ns = reader.summary.start_ns + int(options.start * NANOSECONDS)
     if not 0.0 <= options.start <= reader.summary.duration:
         raise InputError(f"--start {options.start:g}: expected 0 to {reader.summary.duration:.3f} s, which the bag has")
     if options.clock is not None and any(topics.find(name, [topics.CLOCK]) for name in chosen):
         raise InputError("--clock: the bag has a /clock of its own, which is replayed; leave the option out")
-    if not (options.topics or options.everything):
-        left_out = sorted(name for name in reader.topics() if topics.find(name, COMMANDING))
-        if left_out:
-            print(f"{REPLAY}: left out, use --everything or --topics: {', '.join(left_out)}", file=sys.stderr)
     initialise(arguments, options.discovery)
     node = Node(REPLAY)
     try:
-        return BagPublisher(node, reader, chosen, options).run(start_ns, ended)
+        publisher = BagPublisher(node, reader, chosen, options)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: publisher.stop())
+        publisher.run(start_ns)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
 
 
-def choose_topics(reader: BagReader, wanted: Sequence[str] | None, everything: bool) -> dict[str, type]:
+def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, type]:
     """Choose the topics to publish, with their message classes; prints on stderr which of them cannot be published.
 
     Raises `InputError` if a wanted topic is not in the bag, or none is left.
@@ -118,19 +102,14 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None, everything: b
     reader
         The bag.
     wanted
-        Names; None for all topics that do not make an arm move.
-    everything
-        Whether None stands for all topics.
+        Recorded names, with or without the leading slash; None for all topics.
     """
     known = reader.topics()
-    names = [name for name in known if everything or not topics.find(name, COMMANDING)]
-    if wanted is not None:
-        names = [name if name.startswith("/") else f"/{name}" for name in wanted]
-        for name in names:
-            if name not in known:
-                raise InputError(f"--topics {name}: the bag has no such topic; it has {', '.join(sorted(known))}")
+    names = list(known) if wanted is None else [f"/{name.removeprefix('/')}" for name in wanted]
     chosen = {}
     for name in names:
+        if name not in known:
+            raise InputError(f"--topics {name}: the bag has no such topic; it has {', '.join(sorted(known))}")
         try:
             if known[name].encoding != CDR:
                 raise BagError(f"its messages are {known[name].encoding or 'of no known encoding'}, expected {CDR}")
@@ -138,8 +117,7 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None, everything: b
         except BagError as error:
             print(f"{REPLAY}: {name} is left out: {error}", file=sys.stderr)
     if not chosen:
-        more = "; --everything publishes commands, references and goals" if not names else ""
-        raise InputError(f"{reader.summary.path}: there is no topic that can be published{more}")
+        raise InputError(f"{reader.summary.path}: there is no topic that can be published")
     return chosen
 
 

@@ -72,12 +72,6 @@ class MomentumObserver:
         self.updated_ns = None
         self._momentum = self._filtered = None
 
-    def change_model(self, model: RobotModel) -> None:
-        """Go on with another model of the arm, which is handed over again: the residual starts from zero."""
-        self._model = model
-        self.residual, self.known_for = np.zeros_like(self.residual), 0.0
-        self._momentum = self._filtered = None
-
     def update(self, q: Array, v: Array, torque: Array | None, stamp_ns: int) -> Array:
         """Take one state and return the residual, (n,), N m.
 

@@ -126,8 +126,9 @@ class Observer:
             budget = settings.commanded.widened(budget)
         momentum = settings.momentum.resolve(arm)
         self.arm = arm
-        self._shifts, self._inertias = (momentum.center_shift_x, momentum.center_shift_y), inertias
-        self._models = self.models(arm)
+        shifted = arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y)
+        nominal = RobotModel(arm, inertias)
+        self._models = Models(nominal if shifted is arm else RobotModel(shifted, inertias), nominal)
         self.momentum = MomentumObserver(settings.momentum, self._models.observed, period)
         self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
         self.contact: Contact | None = None
@@ -253,29 +254,6 @@ class Observer:
             If the arm moves or is still pushed; the stop stays.
         """
         self.monitor.reset()
-
-    def check_rest(self) -> None:
-        """Raise `InputError` while the arm moves and `change_model` would be refused."""
-        self.monitor.check_rest("another tool")
-
-    def models(self, arm: Arm) -> Models:
-        """Models of the arm, or of the same one with another tool, for `change_model`; making them takes long."""
-        shifted = arm.with_center_shifts(*self._shifts)
-        nominal = RobotModel(arm, self._inertias)
-        return Models(nominal if shifted is arm else RobotModel(shifted, self._inertias), nominal)
-
-    def change_model(self, models: Models) -> None:
-        """Observe an arm with another tool from the next state on, as after a hand-over; a stop stays latched.
-
-        Raises
-        ------
-        InputError
-            If the arm moves.
-        """
-        self.check_rest()
-        self.arm, self._models = models.nominal.arm, models
-        self.momentum.change_model(models.observed)
-        self._locator = ContactLocator(models.observed, self.monitor.budget.contact_thresholds)
 
     def resume(self, residual: Array) -> None:
         """Continue from an external torque (n,), N m, for recordings that begin late."""

@@ -181,7 +181,9 @@ class SafetyMonitor:
 
         Raises `InputError` if the arm moves or is still pushed; the stop stays.
         """
-        self.check_rest("reset")
+        speed, limit = float(np.abs(self._last_velocity).max()), self.settings.reset_velocity
+        if not speed <= limit:
+            raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {limit:g} rad/s: wait for it")
         budget = self.budget
         # What would stop the arm again at once is no reason to let go either.
         at_once = np.add(budget.model_error, budget.sudden_thresholds)
@@ -199,12 +201,6 @@ class SafetyMonitor:
         # Whatever the slow mean absorbed of the push that stopped the arm would be a sudden torque now.
         self._model_error.restart(self._last_residual.tolist(), self._last_posture)
         self.in_contact = False
-
-    def check_rest(self, what: str) -> None:
-        """Raise `InputError` if the arm moves too fast for `what`."""
-        speed, limit = float(np.abs(self._last_velocity).max()), self.settings.reset_velocity
-        if not speed <= limit:
-            raise InputError(f"the arm moves with {speed:.3f} rad/s; {what} needs at most {limit:g} rad/s: wait for it")
 
     def _scaled_contact_limits(self, share: float) -> list[tuple[float, float]]:
         limits = zip(self.budget.contact_thresholds, self.budget.contact_per_speed, strict=True)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, array_numbers, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
@@ -90,9 +91,7 @@ class RecordedInputs:
     settings :
         Recorded settings by node and full name.
     arm :
-        The arm that was recorded, with its last tool.
-    arms :
-        By node, the arm with one tool after the other.
+        The arm that was recorded, with its tool.
     columns :
         Messages of joint states, commands and external torques, by topic.
     intakes :
@@ -101,15 +100,11 @@ class RecordedInputs:
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
-        reports: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+        self._reports: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
         for status in self.messages(SETTINGS):
-            reports[status.name].append(read_settings(status))
-        self.settings = {node: values[-1] for node, values in reports.items()}
+            self._reports[status.name].append(read_settings(status))
+        self.settings = {node: values[-1] for node, values in self._reports.items()}
         self.arm = recorded_arm(self.settings)
-        self.arms = {
-            node: [arm for arm, _ in itertools.groupby(recorded_arm({node: values}) for values in every)]
-            for node, every in reports.items()
-        }
         joints = self.arm.n
         columns: dict[str, Collector] = {
             JOINT_STATES: JointStates(("position", "velocity", "effort"), self.arm.joint_names),
@@ -194,6 +189,16 @@ class RecordedInputs:
         if node not in self.settings:
             raise BagError(f"bag '{path}' lacks the settings of the {node} on topic '{SETTINGS}'")
         return recorded_sections(node, self.settings[node], path)
+
+    def arm_of(self, node: str) -> Arm:
+        """The arm that a node had, with its tool; raises `BagError` if its tool changed."""
+        first, *others = (recorded_arm({node: values}) for values in self._reports[node])
+        if any(other != first for other in others):
+            raise BagError(
+                f"bag '{self.bag.summary.path}': the tool of the {node} changes; expected a bag of one tool, which "
+                "alone can be re-executed"
+            )
+        return first
 
 
 def _join(messages: Sequence[RawMessage]) -> Intake:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
@@ -96,7 +95,7 @@ class _Loop:
         self.unpublished = ""
         """Reason of a stop after which no joint state was executed."""
         self.recorded_reasons = inputs.safety_reasons(node)
-        self.arm, *self._later_arms = inputs.arms[node]
+        self.arm = inputs.arm_of(node)
         self.handlers: dict[Taken, Callable[[Row], None]] = {}
 
     def run(self) -> Reexecution:
@@ -125,16 +124,6 @@ class _Loop:
             tuple(self._notes()),
             time.process_time() - began,
         )
-
-    def take_next_arm(self) -> Arm:
-        """The arm with the tool that the node changed to; raises `BagError` if the bag lacks it."""
-        if not self._later_arms:
-            raise BagError(
-                f"bag '{self.inputs.bag.summary.path}': the tool of the {self.node} was changed, and its settings "
-                "afterwards are not in the bag: it cannot be re-executed"
-            )
-        self.arm = self._later_arms.pop(0)
-        return self.arm
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
         """Keep an output, beside the recorded one unless the bag lacks it."""
@@ -199,7 +188,8 @@ def _make_observer(loop: _Loop, period: float, locates: bool = True) -> Observer
 class _ControllerLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
         super().__init__("controller", inputs, changes)
-        self.controller = self._make_controller()
+        sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
+        self.controller = Controller(self.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
         self.watch = _make_observer(self, self.controller.watch_period, locates=False)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
@@ -215,16 +205,7 @@ class _ControllerLoop(_Loop):
             Taken.REFERENCE_POSTURE: self._follow,
             Taken.STOP: self._stop,
             Taken.RESET: lambda row: self.controller.reset(self._clock_ns(row)),
-            Taken.TOOL: self._change_tool,
         }
-
-    def _make_controller(self) -> Controller:
-        sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
-        return Controller(self.arm, ControllerSettings(*sections), self.period, self.changes.inertia_set)
-
-    def _change_tool(self, _: Row) -> None:
-        watched = self.watch.models(self.take_next_arm())
-        self.controller.change_tool(self._make_controller(), watched)
 
     def _stop(self, _: Row) -> None:
         self.controller.stop(self.next_stop())
@@ -307,11 +288,7 @@ class _ObserverLoop(_Loop):
             Taken.COMMANDS: self._command,
             Taken.STOP: self._stop,
             Taken.RESET: lambda _: self.observer.reset(),
-            Taken.TOOL: self._change_tool,
         }
-
-    def _change_tool(self, _: Row) -> None:
-        self.observer.change_model(self.observer.models(self.take_next_arm()))
 
     def _stop(self, _: Row) -> None:
         self.unpublished = self.next_stop()

@@ -81,7 +81,7 @@ class RecordedPlans:
                 _ONE_THREAD,
             )
         self._settings = inputs.sections("planner")
-        self._arm, *_ = inputs.arms["planner"]
+        self._arm = inputs.arm_of("planner")
         self.requests = self._find_requests()
         self._planner: RecedingHorizonPlanner | None = None
 
@@ -217,9 +217,6 @@ class RecordedPlans:
         planner = Planner(arm, None, reaction, settings[""], refuse=lambda *_: None, task=settings["impedance"].task)
         requests: dict[int, Request] = {}
         for row in self._inputs.intakes["planner"]:
-            if row.what is Taken.TOOL:
-                _log.warning("the tool of the planner was changed: later plans are not re-executed")
-                break
             try:
                 request = self._take(planner, obstacles, row)
             except InputError:

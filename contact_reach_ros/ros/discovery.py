@@ -87,33 +87,23 @@ def reach(env: Mapping[str, str]) -> Reach:
     return Reach("subnet", f"{RANGE}={chosen}", fast_dds)
 
 
-def wait_until_settled(
-    look: Callable[[], Any],
-    pause: Callable[[], Any],
-    *,
-    complete: Callable[[Any], bool] = lambda seen: True,
-    ended: Callable[[], bool] = lambda: False,
-) -> None:
+def wait_until_settled(look: Callable[[], Any], pause: Callable[[], Any]) -> None:
     """Poll the graph until nothing new has appeared for 3.5 s, longer than participants take to announce themselves.
 
     After 10 s this returns in any case.
 
     Parameters
     ----------
-    look :
+    look
         Returns the current graph.
-    pause :
-        Called between two of them.
-    complete :
-        Whether a graph may be the final one.
-    ended :
-        Whether to give up.
+    pause
+        Called before each look.
     """
     changed = time.monotonic()
     deadline = changed + _DISCOVERY_S
     seen: Any = None
-    while time.monotonic() < min(deadline, changed + _SETTLED_S) and not ended():
+    while time.monotonic() < min(deadline, changed + _SETTLED_S):
         pause()
         found = look()
-        if found != seen or not complete(found):
+        if found != seen:
             seen, changed = found, time.monotonic()

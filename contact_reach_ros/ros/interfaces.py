@@ -39,7 +39,7 @@ VIEWER = "viewer"
 DOCTOR = "contact_reach_doctor"
 REPLAY = "replay"
 OPERATOR = "operator"
-"""The node of contact-reach goto, home, identify, speed, tool, stop and reset."""
+"""The node of contact-reach goto, home, identify, speed, stop and reset."""
 
 TUNABLE = ("planner", "controller", "observer", "driver")
 """Nodes whose parameters a restart of the stack may change."""
@@ -189,18 +189,6 @@ MANAGED = {
 ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 """Topics that must have a single publisher: with two, the arm receives the commands of both in turn."""
 
-COMMANDING = (
-    topics.COMMANDS,
-    topics.ADAPTER_COMMANDS,
-    topics.REFERENCE_POSE,
-    topics.REFERENCE_POSTURE,
-    topics.GOAL_POSE,
-)
-"""Topics whose messages make an arm move."""
-
-ACTING = ("driver", ADAPTER, "controller", "planner")
-"""Nodes that act on the messages they receive; the others only watch."""
-
 INTERFACES = {
     **MANAGED,
     "bringup": _node(
@@ -226,7 +214,6 @@ INTERFACES = {
         ],
         calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
     ),
-    # Where security is on, replay may publish nothing that an arm might follow.
-    REPLAY: _node([topic for topic in topics.ALL if topic not in (*ALONE, *COMMANDING)], [], ["~/pause", "~/step"]),
+    REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], [], ["~/pause", "~/step"]),
 }
 """All nodes of the package, by name."""

@@ -17,7 +17,6 @@ from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import ROBOT_DIGEST, arm_settings, load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages.cdr import stamp_in
@@ -60,7 +59,7 @@ class ManagedNode(LifecycleNode):
     NAME: ClassVar[str]
     SECTIONS: ClassVar[Sections]
     CHANGEABLE: ClassVar[Sequence[str]] = ()
-    """Parameters that may be changed while the node runs: some without a prefix, see `on_change`, and the tool's."""
+    """Parameters without a prefix that may be changed while the node runs, see `on_change`."""
     ARGUMENTS: ClassVar[Sequence[str]] = ()
     """The command line of the process, which `run` sets."""
 
@@ -82,7 +81,7 @@ class ManagedNode(LifecycleNode):
         self._stop = threading.Event()
         self._lines: deque[tuple[LoggingSeverity, str]] = deque()
         self._said = self.create_guard_condition(self.write_out)
-        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(1.0, self._publish_diagnostics)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     @property
@@ -156,6 +155,10 @@ class ManagedNode(LifecycleNode):
         if self.inbox.intake is not None and self.running:
             self.inbox.intake.flush()
 
+    def every(self, period: float, act: Callable[[], None]) -> None:
+        """Call `act` each `period`, s of the steady clock, in the executor's thread."""
+        self.create_timer(period, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
     def offer(self, name: str, act: Callable[[], str]) -> None:
         """Offer a Trigger service; `act` returns the text of the answer, or raises what the request is refused for."""
 
@@ -176,21 +179,6 @@ class ManagedNode(LifecycleNode):
 
     def on_change(self) -> None:
         """Take the values of settings that were changed, from `settings`; in the executor's thread."""
-
-    def change_arm(self, arm: Arm) -> None:
-        """Go on with the arm with another tool, in the executor's thread; `self.arm` is replaced afterwards.
-
-        Raises `InputError` unless the arm is at rest, without a goal.
-        """
-
-    def call_soon(self, task: Callable[[], None]) -> None:
-        """Let the loop run a task now or never: `TimeoutError` where it is too busy, and then the task is not run."""
-        given_up = threading.Event()
-        try:
-            self.inbox.call(lambda: None if given_up.is_set() else task())
-        except TimeoutError:
-            given_up.set()
-            raise
 
     def configure(self) -> None:
         """Prepare what must be ready before the first message; may raise."""
@@ -275,7 +263,7 @@ class ManagedNode(LifecycleNode):
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
             self._change(parameters)
-        except (ContactReachError, TimeoutError) as error:
+        except ContactReachError as error:
             self.refuse("parameters", error)
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -284,32 +272,12 @@ class ManagedNode(LifecycleNode):
         fixed = ", ".join(parameter.name for parameter in parameters if parameter.name not in self.CHANGEABLE)
         if fixed:
             raise InputError(f"{fixed}: parameters are set at the start; restart the node with other values")
-        before, values = self.settings, {one.name: one.value for one in parameters}
-        self.settings = {
-            prefix: self._changed(prefix, settings, values) if prefix in ("", TOOL) else settings
-            for prefix, settings in before.items()
-        }
-        try:
-            if self.settings[TOOL] != before[TOOL]:
-                arm = self._bare_arm.with_tool(self.settings[TOOL])
-                self.change_arm(arm)
-                self.arm = arm
-            self.on_change()
-        except (ContactReachError, TimeoutError):
-            self.settings = before
-            raise
+        entries = {entry.name: entry for entry in self.settings[""].declared()}
+        values = {one.name: entries[one.name].check(one.value, f"{one.name} of {self.NAME}") for one in parameters}
+        self.settings = {**self.settings, "": dataclasses.replace(self.settings[""], **values)}
+        self.on_change()
         if self.running:
             self._publish_settings()
-
-    def _changed(self, prefix: str, settings: Settings, values: Mapping[str, Any]) -> Settings:
-        """The settings of one prefix, with what there is for them among values by full name."""
-        names = {full_name(prefix, entry.name): entry for entry in settings.declared()}
-        own = {
-            entry.name: entry.check(values[name], f"{name} of {self.NAME}")
-            for name, entry in names.items()
-            if name in values
-        }
-        return dataclasses.replace(settings, **own) if own else settings
 
     def _log_refusals(self) -> None:
         for line in self.boundary.last_refusals():

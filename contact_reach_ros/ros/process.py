@@ -26,7 +26,6 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import check_arguments
 from contact_reach_ros.ros.scheduling import (
     Role,
-    arrange_memory,
     choose_cpus,
     give_way,
     isolated_cpus,
@@ -59,7 +58,6 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
     sys.setswitchinterval(2e-4)
-    arrange_memory(role)
     node: ManagedNode | None = None
     try:
         initialise(arguments)

@@ -12,10 +12,9 @@ from rclpy.node import Node
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.ros.graph import UNKNOWN_NODE, full_name, node_of
 from contact_reach_ros.ros.interfaces import ALONE, MANAGED
-from contact_reach_ros.ros.node_processes import node_processes
 
-LOOK_S = 0.5
-"""Time in which the first node of another host, or of another package, has mostly been discovered."""
+LOOK_S = 1.0
+"""Time in which a node has mostly been discovered; bring-up looks again before it starts the control loop."""
 _POLL_S = 0.02
 _SUPERVISORS = ("bringup", "demo")
 _DOMAINS = 102
@@ -23,12 +22,12 @@ _DOMAINS = 102
 
 
 def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> list[str]:
-    """What runs already of what is to be started, or publishes in its place.
+    """Full names of the nodes that already run under a planned name, or publish in the place of a planned node.
 
     Parameters
     ----------
     node
-        Whose graph is looked at, in its namespace; it counts as own.
+        Looks at the graph, in its namespace; it counts as own.
     planned
         Names of the nodes that are to be started.
     own
@@ -52,18 +51,14 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
 def refuse_beside_another(node: Node, planned: Collection[str], since: float) -> None:
     """Look for another stack until `LOOK_S` after `since`, on the monotonic clock.
 
-    A stack of this package on this machine is found at once, by its processes. Raises `InputError` if there is one,
-    with its nodes, the domain, and how to choose another.
+    Raises `InputError` if there is one, with its nodes, the domain, and how to choose another.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID", "0")
-    space = node.get_namespace()
-    processes = node_processes(domain, namespace=space)
-    processes.pop(os.getpid(), None)
-    found = sorted(full_name(space, name) for name in {*processes.values()} & {*planned, *_SUPERVISORS})
+    found = running(node, planned)
     while not found and time.monotonic() < since + LOOK_S:
         time.sleep(_POLL_S)
         found = running(node, planned)
     if found:
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
         other = (int(domain) + 1) % _DOMAINS if domain.isdigit() else 1
         raise InputError(
             f"a stack is already running in ROS domain {domain}: {', '.join(found)}. A second one would stop its arm: "

@@ -17,11 +17,6 @@ _THREADS = Path("/proc/self/task")
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
-_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3
-"""Parameters of mallopt(3)."""
-_LARGE_BLOCK = 128 * 1024
-"""Bytes; glibc's initial threshold."""
-
 DRIVER_PRIORITY, ADAPTER_PRIORITY, CONTROLLER_PRIORITY, OBSERVER_PRIORITY = 80, 75, 70, 60
 """SCHED_FIFO priorities of the loops: a node must not preempt those whose messages it waits for, but a controller that
 never sleeps must not keep the adapter from noticing its silence.
@@ -64,10 +59,8 @@ def choose_cpus(
     """Choose the CPUs for the threads of a process.
 
     On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
-    another CPU. All processes but onlookers have the others: the loop's data stay in its CPU's caches, and the threads
-    of a computing process are not stuck behind the loop while another CPU is free. Where the kernel isolates CPUs, the
-    control loop has the last of these. Raises `SettingsError` if `wanted` is none of these, or names a CPU that may not
-    be used.
+    another CPU, and all processes but onlookers have the others. Where the kernel isolates CPUs, the control loop has
+    the last of these. Raises `SettingsError` if `wanted` is none of these, or names a CPU that may not be used.
 
     Parameters
     ----------
@@ -122,9 +115,7 @@ def request_realtime(priority: int) -> str:
 
 
 def prioritise_middleware() -> str:
-    """Give the middleware's threads of a process without a loop of its own SCHED_FIFO priority, below all loops.
-
-    They only pass messages on; behind a process that computes, messages would wait for it.
+    """Give the middleware's threads SCHED_FIFO priority below all loops, as messages would wait for a computation.
 
     Returns
     -------
@@ -173,40 +164,12 @@ def _come_first() -> None:
 def give_way() -> None:
     """Lower the calling thread's SCHED_FIFO priority, if it has any, below that of every loop of the stack.
 
-    For services, diagnostics and the like, which would delay each loop on the same CPU: Linux does not preempt a thread
-    for another of the same priority.
+    For services and diagnostics, which would delay each loop on the same CPU: Linux does not preempt a thread for
+    another of the same priority.
     """
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
         priority = min(os.sched_getparam(0).sched_priority - 1, _SERVICES_PRIORITY)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-
-
-def arrange_memory(role: Role) -> None:
-    """Keep a process that computes or writes from growing; to be called before it has threads.
-
-    With glibc's heap for each thread, which leaves unused what others have freed, the planner grew by 3.2 MB in 540 s
-    beside 80 MB that compiling had freed; with one heap by nothing in 270 s. A loop, which would wait for another
-    thread's allocation, keeps its own. Without glibc this has no effect.
-    """
-    if role in (Role.COMPUTING, Role.BACKGROUND):
-        _mallopt(_M_ARENA_MAX, 1)
-    if role is Role.BACKGROUND:
-        return_large_blocks()
-
-
-def return_large_blocks() -> None:
-    """Let this process return large blocks as soon as they are freed; without glibc this has no effect.
-
-    Otherwise glibc raises its threshold to the largest block freed, and buffers of varying size leave holes in the
-    heap: the recorder grew by 2.1 MB in 540 s, with its chunk index; now by 0.1 MB in 600 s. The price is page faults.
-    """
-    _mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
-
-
-def _mallopt(parameter: int, value: int) -> None:
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(parameter, value)
 
 
 def _threads() -> list[int]:

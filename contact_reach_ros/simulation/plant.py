@@ -9,7 +9,6 @@ from enum import Enum
 import mujoco
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.simulation.contacts import ContactReader, Contacts
@@ -241,24 +240,6 @@ class Plant:
         model.body_ipos[body] = PAYLOAD_CENTER
         # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._set_constants()
-
-    def change_tool(self, arm: Arm) -> None:
-        """Let the flange carry another tool: its weight and its tip; a capsule stays what it is."""
-        model, mismatch = self.model, self.scene.mismatch
-        other = mujoco.MjModel.from_xml_string(build_mjcf(arm, mismatch.inertia_set, payload=mismatch.payload))
-        for name in (arm.link_names[-1], arm.tip_frame):
-            body, source = model.body(name).id, other.body(name).id
-            for field in ("mass", "inertia", "ipos", "iquat", "pos", "quat"):
-                getattr(model, f"body_{field}")[body] = getattr(other, f"body_{field}")[source]
-            # What was compiled as a frame of the centre of mass is none any more.
-            model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-            model.geom_sameframe[model.geom_bodyid == body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-            model.site_sameframe[model.site_bodyid == body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        model.site_pos[self._flange], model.site_quat[self._flange] = (
-            other.site(TIP_SITE).pos,
-            other.site(TIP_SITE).quat,
-        )
         self._set_constants()
 
     def _set_constants(self) -> None:

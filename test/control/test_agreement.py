@@ -7,10 +7,12 @@ from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
 import contact_reach_ros as cr
+from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.control.agreement import differences, disagreement, plan_basis
 from contact_reach_ros.control.settings import ImpedanceSettings
 
 GAINS = ImpedanceSettings()
+TOOL = Tool(mass=1.0, center=(0.03, 0.0, 0.06), flange_to_tip=(0.0, 0.0, 0.15, 0.0, 0.3, 0.0))
 OWN = {**plan_basis(ARM, GAINS), "state_rate": 1000.0, "supervision.hold_limit": 5.0}
 
 
@@ -39,6 +41,16 @@ def test_a_difference_is_named_with_both_values(name, value, own):
 def test_arms_of_one_name_are_told_apart_by_their_digest():
     other = plan_basis(dataclasses.replace(SIX_AXIS, name=ARM.name), GAINS)
     assert "robot digest" in disagreement(OWN, other)
+
+
+def test_planner_and_controller_with_different_tools_disagree_and_the_tool_is_named():
+    def reported(tool):
+        values = {f"tool.{entry.name}": getattr(tool, entry.name) for entry in Tool.declared()}
+        return plan_basis(ARM.with_tool(tool), GAINS) | values
+
+    assert disagreement(reported(TOOL), reported(TOOL)) == ""
+    differs = disagreement(reported(TOOL), reported(dataclasses.replace(TOOL, mass=2.0)))
+    assert differs.startswith("tool.mass = 2.0 in the planner, 1.0 in the controller; robot digest = ")
 
 
 def test_a_stack_refuses_a_planner_for_other_gains():

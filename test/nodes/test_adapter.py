@@ -21,12 +21,12 @@ from std_srvs.srv import Trigger
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.adapter_settings import EffortSettings
+from contact_reach_ros.drives import effort
+from contact_reach_ros.drives.effort import EffortTarget
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.plan_messages import to_references
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
-from contact_reach_ros.nodes import effort_target
 from contact_reach_ros.nodes.adapter import AdapterNode
-from contact_reach_ros.nodes.effort_target import EffortTarget
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER, CONTROLLER
 from contact_reach_ros.ros.qos import qos_profile
@@ -219,9 +219,9 @@ def test_a_stop_deactivates_the_controller_unless_the_arm_would_drop(carries, br
     settings = EffortSettings(ask_joints=False, brakes=brakes)
     EffortTarget(node, ARM, settings, carries).stop()
     warned = [warning for warning in node.warnings if warning.startswith("controller_manager_msgs is not installed")]
-    if effort_target.SwitchController is None:
+    if effort.SwitchController is None:
         assert len(warned) == switches
-    monkeypatch.setattr(effort_target, "SwitchController", _SwitchController)
+    monkeypatch.setattr(effort, "SwitchController", _SwitchController)
     target = EffortTarget(node, ARM, settings, carries)
     target.stop()
     target.resume()

@@ -13,8 +13,8 @@ from contact_reach_ros.ros import discovery
 from contact_reach_ros.ros.parameters import early_value
 
 TALK = """
-import json, os, sys
-from contact_reach_ros.ros.node_processes import bound_addresses
+import json, os, socket, sys
+from contextlib import suppress
 from contact_reach_ros.ros import discovery
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.process import initialise
@@ -26,7 +26,13 @@ node = Node("test")
 publisher = node.create_publisher(topics.JOINT_STATES.type, topics.JOINT_STATES.name, qos_profile(topics.STREAM))
 node.create_subscription(topics.JOINT_STATES.type, topics.JOINT_STATES.name, print, qos_profile(topics.NEWEST))
 publisher.publish(topics.JOINT_STATES.type())
-print(json.dumps([sorted(bound_addresses(os.getpid())), discovery.reach(os.environ)]))
+addresses = set()
+for name in os.listdir("/proc/self/fd"):
+    with suppress(OSError):
+        with socket.socket(fileno=os.dup(int(name))) as opened:
+            if opened.family in (socket.AF_INET, socket.AF_INET6) and opened.getsockname()[1]:
+                addresses.add(opened.getsockname()[0])
+print(json.dumps([sorted(addresses), discovery.reach(os.environ)]))
 """
 
 VARIABLES = (discovery.RANGE, *discovery.PROFILES, discovery.OLD_SWITCH)

@@ -15,9 +15,8 @@ from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.adapter_settings import FrankaSettings, LbrSettings
+from contact_reach_ros.drives import effort, franka, lbr
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.nodes import franka_target, lbr_target
-from contact_reach_ros.ros import requests
 from contact_reach_ros.stop_reasons import StopCode
 from contact_reach_ros.units import NANOSECONDS
 
@@ -79,15 +78,15 @@ def packages(pytestconfig):
         from franka_msgs.srv import SetFullCollisionBehavior
         from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
 
-        patched.setattr(lbr_target, "LBRState", LBRState)
-        patched.setattr(lbr_target, "LBRTorqueCommand", LBRTorqueCommand)
-        patched.setattr(lbr_target, "SetHardwareComponentState", SetHardwareComponentState)
-        patched.setattr(franka_target, "SetFullCollisionBehavior", SetFullCollisionBehavior)
+        patched.setattr(lbr, "LBRState", LBRState)
+        patched.setattr(lbr, "LBRTorqueCommand", LBRTorqueCommand)
+        patched.setattr(lbr, "SetHardwareComponentState", SetHardwareComponentState)
+        patched.setattr(franka, "SetFullCollisionBehavior", SetFullCollisionBehavior)
         yield
 
 
-def lbr(node=None, lockstep=False, **settings):
-    return lbr_target.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002, lockstep)
+def make_lbr(node=None, lockstep=False, **settings):
+    return lbr.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002, lockstep)
 
 
 def message(tick=1, **fields):
@@ -101,11 +100,11 @@ def message(tick=1, **fields):
         "time_stamp_nano_sec": stamp_ns % NANOSECONDS,
         "measured_torque": np.arange(7.0),
     }
-    return lbr_target.LBRState(**{**values, **fields})
+    return lbr.LBRState(**{**values, **fields})
 
 
 def test_stamps_have_the_robots_steps_on_this_machines_clock():
-    target, stamps = lbr(), []
+    target, stamps = make_lbr(), []
     for tick, late_ms in enumerate([3, 1, 7, 2, 9, 1, 30, 1]):
         arrives_ns = START_NS + AHEAD_NS + (2 * tick + late_ms) * MS
         stamps.append(target.read(message(tick), arrives_ns).stamp_ns)
@@ -114,7 +113,7 @@ def test_stamps_have_the_robots_steps_on_this_machines_clock():
     np.testing.assert_allclose(np.diff(stamps[1:]), 2 * MS, rtol=5e-4)
     # One that comes twice is no new state, except in lockstep, whose first one is repeated.
     assert target.read(message(7), START_NS + AHEAD_NS + 16 * MS) is None
-    assert [lbr(lockstep=True).read(message(), 0).stamp_ns for _ in range(2)] == [START_NS + 2 * MS] * 2
+    assert [make_lbr(lockstep=True).read(message(), 0).stamp_ns for _ in range(2)] == [START_NS + 2 * MS] * 2
     # This machine's clock is set.
     set_ns = START_NS - AHEAD_NS + 16 * MS
     assert target.read(message(8), set_ns).stamp_ns == set_ns
@@ -122,7 +121,7 @@ def test_stamps_have_the_robots_steps_on_this_machines_clock():
 
 @pytest.mark.parametrize(("cutoff", "tolerance"), [(0.0, 1e-9), (100.0, 1e-9)])
 def test_velocity_is_that_of_the_positions(cutoff, tolerance):
-    target, speed = lbr(velocity_cutoff=cutoff), np.linspace(-1.0, 1.0, 7)
+    target, speed = make_lbr(velocity_cutoff=cutoff), np.linspace(-1.0, 1.0, 7)
     for tick in range(100):
         state = target.read(message(tick, measured_joint_position=0.002 * tick * speed), START_NS + 2 * tick * MS)
     np.testing.assert_allclose(state.v, speed, atol=tolerance)
@@ -135,7 +134,7 @@ def test_velocity_is_that_of_the_positions(cutoff, tolerance):
 def test_noise_of_positions_becomes_less_noise_of_velocities_with_the_filter():
     random, noise = np.random.default_rng(0), {}
     for cutoff in (0.0, 50.0):
-        target = lbr(velocity_cutoff=cutoff)
+        target = make_lbr(velocity_cutoff=cutoff)
         found = [
             target.read(message(tick, measured_joint_position=1e-5 * random.normal(size=7)), START_NS).v
             for tick in range(500)
@@ -145,15 +144,15 @@ def test_noise_of_positions_becomes_less_noise_of_velocities_with_the_filter():
 
 
 def test_commands_mirror_the_measured_position():
-    target, q = lbr(), np.linspace(0.1, 0.7, 7)
+    target, q = make_lbr(), np.linspace(0.1, 0.7, 7)
     target.read(message(measured_joint_position=q), START_NS)
-    sent = deserialize_message(target.write(np.arange(7.0)), lbr_target.LBRTorqueCommand)
+    sent = deserialize_message(target.write(np.arange(7.0)), lbr.LBRTorqueCommand)
     assert sent.joint_position.tolist() == q.tolist() and sent.torque.tolist() == list(range(7))
 
 
 @pytest.mark.parametrize("sign", ["positive", "negative"])
 def test_measured_torques_have_the_sign_of_the_setting(sign):
-    torque = lbr(torque_sign=sign).read(message(), START_NS).torque
+    torque = make_lbr(torque_sign=sign).read(message(), START_NS).torque
     assert torque.tolist() == [index * (1.0 if sign == "positive" else -1.0) for index in range(7)]
 
 
@@ -168,7 +167,7 @@ def test_measured_torques_have_the_sign_of_the_setting(sign):
     ],
 )
 def test_a_driver_that_is_not_ready_is_explained_and_gives_states_nevertheless(fields, words):
-    target = lbr()
+    target = make_lbr()
     assert "no state on lbr/state yet" in target.problem
     assert target.read(message(1, **fields), START_NS) is not None
     assert target.problem.startswith(words)
@@ -178,11 +177,11 @@ def test_a_driver_that_is_not_ready_is_explained_and_gives_states_nevertheless(f
 
 def test_states_that_are_no_numbers_are_refused():
     with pytest.raises(InputError, match=r"lbr/state: measured_joint_position = .*nan.* expected finite"):
-        lbr().read(message(measured_joint_position=np.full(7, np.nan)), START_NS)
+        make_lbr().read(message(measured_joint_position=np.full(7, np.nan)), START_NS)
 
 
 def test_kukas_external_torque_is_compared_with_the_observers():
-    target = lbr()
+    target = make_lbr()
     for tick in range(5000):
         target.read(message(tick, external_torque=np.full(7, 3.0)), START_NS)
         target._on_external(JointState(name=list(ARM.joint_names), effort=[1.0] * 7))
@@ -193,23 +192,23 @@ def test_kukas_external_torque_is_compared_with_the_observers():
 
 def test_a_stop_deactivates_the_component_unless_it_has_no_name():
     node = Node()
-    lbr(node, driver="left").stop()
+    make_lbr(node, driver="left").stop()
     assert node.asked_for == "left/controller_manager/set_hardware_component_state"
     assert node.asked[0].name == "lbr_system_interface" and node.asked[0].target_state.label == "inactive"
     silent = Node()
-    lbr(silent, component="").stop()
+    make_lbr(silent, component="").stop()
     assert silent.asked == []
 
 
 def test_a_missing_message_package_is_named():
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(lbr_target, "LBRState", None)
-        patched.setattr(franka_target, "SetFullCollisionBehavior", None)
+        patched.setattr(lbr, "LBRState", None)
+        patched.setattr(franka, "SetFullCollisionBehavior", None)
         with pytest.raises(SettingsError, match="lbr_fri_idl is not installed; build lbr_fri_ros2_stack"):
-            lbr()
+            make_lbr()
         with pytest.raises(SettingsError, match="franka_msgs is not installed; build franka_ros2"):
-            franka()
-        assert "effort_controller" in franka(set_reflexes=False).problem
+            make_franka()
+        assert "effort_controller" in make_franka(set_reflexes=False).problem
 
 
 @pytest.mark.parametrize("kind", ["lbr", "franka"])
@@ -232,7 +231,7 @@ def bench():
 def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
     node, command = bench.node, np.arange(7.0)
     sent, states, source = [], [], node._target._source
-    node._write = lambda data: sent.append(deserialize_message(data, lbr_target.LBRTorqueCommand).torque.tolist())
+    node._write = lambda data: sent.append(deserialize_message(data, lbr.LBRTorqueCommand).torque.tolist())
     node._write_state = lambda data: states.append(deserialize_message(data, JointState))
 
     def show(tick, **fields):
@@ -253,17 +252,17 @@ def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
     assert (np.abs(sent[-1][1:]) < command[1:]).all() and len(sent) == 2 and len(states) == 3
 
 
-def franka(node=None, torque_rate=1000.0, **settings):
-    return franka_target.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings), torque_rate)
+def make_franka(node=None, torque_rate=1000.0, **settings):
+    return franka.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings), torque_rate)
 
 
 def answer(success, error=""):
-    return franka_target.SetFullCollisionBehavior.Response(success=success, error=error)
+    return franka.SetFullCollisionBehavior.Response(success=success, error=error)
 
 
 def test_nothing_passes_before_the_reflexes_are_set():
     node = Node(answer(True))
-    target = franka(node, ask_joints=False, reflex_force=50.0)
+    target = make_franka(node, ask_joints=False, reflex_force=50.0)
     assert target.problem.startswith("the reflexes are not set yet")
     target.look()
     (request,) = node.asked
@@ -276,7 +275,7 @@ def test_nothing_passes_before_the_reflexes_are_set():
 
 def test_reflexes_that_are_refused_are_set_again():
     node = Node(answer(False, "the robot moves"))
-    target = franka(node, ask_joints=False)
+    target = make_franka(node, ask_joints=False)
     target.look()
     assert target.problem == "the arm refuses the reflexes: the robot moves"
     node.answer = answer(True)
@@ -295,13 +294,13 @@ def test_reflexes_that_are_refused_are_set_again():
     ],
 )
 def test_settings_that_the_arm_would_cut_short_are_named(node, settings, words):
-    said = franka().hear(node, settings)
+    said = make_franka().hear(node, settings)
     assert said.startswith(words) and bool(said) == bool(words)
 
 
 def test_harmless_torques_change_no_faster_than_the_arm_follows():
     with pytest.raises(SettingsError, match="torque_rate = 4000; expected at most 1000 Nm/s"):
-        franka(torque_rate=4000.0)
+        make_franka(torque_rate=4000.0)
 
 
 def test_a_request_whose_answer_is_lost_is_sent_again(monkeypatch):
@@ -314,8 +313,8 @@ def test_a_request_whose_answer_is_lost_is_sent_again(monkeypatch):
             self.lines.append("forgotten")
 
     now, client = [100.0], Lost()
-    monkeypatch.setattr(requests.time, "monotonic", lambda: now[0])
-    repeated = requests.RepeatedRequest(client, lambda answer: None)
+    monkeypatch.setattr(effort.time, "monotonic", lambda: now[0])
+    repeated = effort.RepeatedRequest(client, lambda answer: None)
     for now[0] in (100.0, 101.9, 102.1, 103.0, 104.2):
         repeated.send("request")
     assert len(client.asked) == 3 and client.lines == ["forgotten"] * 2

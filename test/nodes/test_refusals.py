@@ -2,6 +2,7 @@
 
 import pytest
 import rclpy
+from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from serialized_helpers import garbage
 from stack_helpers import environment, module, ros, running
@@ -63,3 +64,13 @@ def test_a_refused_reset_leaves_the_loop_running(tmp_path):
                 assert answer.done() and controller.poll() is None, log.read_text()
                 assert not answer.result().success
                 assert answer.result().message == "the controller has not seen a joint state yet"
+
+
+@pytest.mark.parametrize("node_class", [AdapterNode, ControllerNode, DriverNode, ObserverNode])
+def test_a_node_keeps_the_tool_that_it_was_started_with(node_class):
+    with ros():
+        node = node_class()
+        before = node.arm
+        (result,) = node.set_parameters([Parameter("tool.mass", value=1.0)])
+        assert not result.successful and "read-only" in result.reason
+        assert node.arm is before and node.get_parameter("tool.mass").value == 0.0

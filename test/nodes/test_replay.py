@@ -1,4 +1,4 @@
-"""Replaying: what is published, how it is steered, and where it is refused."""
+"""Replaying: what is published, under which names, and how it is steered."""
 
 import signal
 import subprocess
@@ -20,11 +20,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.bag_publisher import publisher_qos
 from contact_reach_ros.nodes.replay import main
-from contact_reach_ros.ros.replay_guard import Endpoints, Guard, signs_of_a_stack
 
 PATIENCE = 60.0
 MS = 1_000_000
@@ -59,6 +57,9 @@ def make_bag(directory: Path) -> dict[str, list[bytes]]:
 def decoded(messages: list[bytes], kind: type) -> list[object]:
     """For comparison: on its way a message is padded."""
     return [deserialize_message(message, kind) for message in messages]
+
+
+COMMANDS, STATES = "/effort_controller/commands", "/joint_states"
 
 
 def replay(*arguments: object) -> list[str]:
@@ -112,16 +113,16 @@ def test_bag_is_published_as_it_was_and_steered_by_services(tmp_path, env, liste
     written = make_bag(tmp_path / "bag")
     deep = QoSProfile(depth=1000)
     latched = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    states = listener.hear(JointState, "/joint_states", deep)
-    descriptions = listener.hear(String, "/robot_description", latched)
+    states = listener.hear(JointState, "/replay/joint_states", deep)
+    descriptions = listener.hear(String, "/replay/robot_description", latched)
     output = (tmp_path / "output").open("w+")
     names = ("--topics", "joint_states", "/robot_description")
-    arguments = (tmp_path / "bag", *names, "--paused", "--json", tmp_path / "json")
+    arguments = (tmp_path / "bag", *names, "--paused")
     process = subprocess.Popen(replay(*arguments), env=env, stdout=output, stderr=output)
     try:
-        published = ("/joint_states", "/robot_description")
+        published = ("/replay/joint_states", "/replay/robot_description")
         wait_for(lambda: all(map(listener.node.count_publishers, published)), PATIENCE, "publishers")
-        (offered,) = listener.node.get_publishers_info_by_topic("/robot_description")
+        (offered,) = listener.node.get_publishers_info_by_topic("/replay/robot_description")
         assert offered.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         for count in (1, 2):
             assert listener.call(Trigger, "/replay/step", Trigger.Request()).success
@@ -135,15 +136,14 @@ def test_bag_is_published_as_it_was_and_steered_by_services(tmp_path, env, liste
     assert decoded(states, JointState) == decoded(written["/joint_states"], JointState)
     output.seek(0)
     assert f"{TICKS + 1} messages of 2 topics" in output.read()
-    assert f'"messages": {TICKS + 1}' in (tmp_path / "json").read_text()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_an_endless_replay_cleanly(tmp_path, env, listener, number):
     make_bag(tmp_path / "bag")
-    states = listener.hear(JointState, "/joint_states", QoSProfile(depth=1000))
+    states = listener.hear(JointState, "/replay/joint_states", QoSProfile(depth=1000))
     times: list[int] = []
-    listener.node.create_subscription(Clock, "/clock", lambda message: times.append(message.clock.sec), 10)
+    listener.node.create_subscription(Clock, "/replay/clock", lambda message: times.append(message.clock.sec), 10)
     arguments = (tmp_path / "bag", "--topics", "joint_states", "--loop", "--rate", 10, "--start", 0.2, "--clock")
     process = subprocess.Popen(replay(*arguments), env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
@@ -158,131 +158,39 @@ def test_signal_ends_an_endless_replay_cleanly(tmp_path, env, listener, number):
     assert set(times) == {START // 1_000_000_000}
 
 
-@pytest.mark.parametrize(
-    "chosen", [[], ["--everything"], ["--topics", "effort_controller/commands"]], ids=lambda c: " ".join(c[:1])
-)
-def test_nothing_is_replayed_beside_a_live_arm(tmp_path, env, chosen):
-    make_bag(tmp_path / "bag")
-    arm = Listener(env, "my_arm")
-    newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    arm.hear(Float64MultiArray, "/effort_controller/commands", newest)
+def test_a_live_arm_hears_nothing_of_what_is_replayed(tmp_path, env, listener):
+    written = make_bag(tmp_path / "bag")
+    deep = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    live = listener.hear(Float64MultiArray, COMMANDS, deep)
+    replayed = listener.hear(Float64MultiArray, f"/replay{COMMANDS}", deep)
+    process = subprocess.Popen(replay(tmp_path / "bag", "--paused"), env=env, stderr=subprocess.PIPE, text=True)
     try:
-        result = subprocess.run(
-            replay(tmp_path / "bag", *chosen), env=env, capture_output=True, text=True, timeout=PATIENCE
-        )
-        assert result.returncode == 2
-        *_, line = result.stderr.splitlines()
-        assert "an arm could move" in line
-        assert "/effort_controller/commands is heard by /my_arm" in line
-        assert "--allow-motion" in line
-        # It must not even appear as a second publisher, for which a driver would stop its arm.
-        for name in ("/effort_controller/commands", "/joint_states"):
-            assert arm.node.count_publishers(name) == 0
+        names = [topic.name for topic in TOPICS]
+        wait_for(lambda: all(listener.node.count_publishers(f"/replay{name}") for name in names), PATIENCE, "topics")
+        # Not even as a second publisher, for which nodes would stop the arm.
+        assert not any(map(listener.node.count_publishers, names))
+        assert listener.call(SetBool, "/replay/pause", SetBool.Request(data=False)).success
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
     finally:
-        arm.close()
+        process.kill()
+    assert decoded(replayed, Float64MultiArray) == decoded(written[COMMANDS], Float64MultiArray)
+    assert not live
 
 
-def test_commands_are_left_out_unless_they_are_asked_for(tmp_path, env):
-    make_bag(tmp_path / "bag")
-    watching = Listener(env, "recorder")
-    commands = watching.hear(Float64MultiArray, "/effort_controller/commands", QoSProfile(depth=1000))
+def test_a_remapping_gives_a_topic_its_recorded_name(tmp_path, env, listener):
+    written = make_bag(tmp_path / "bag")
+    states = listener.hear(JointState, STATES, QoSProfile(depth=1000))
+    remapping = ("--paused", "--ros-args", "-r", f"/replay{STATES}:={STATES}")
+    process = subprocess.Popen(replay(tmp_path / "bag", *remapping), env=env, stderr=subprocess.PIPE, text=True)
     try:
-        result = subprocess.run(replay(tmp_path / "bag"), env=env, capture_output=True, text=True, timeout=PATIENCE)
-        assert result.returncode == 0, result.stderr
-        assert f"{TICKS + 1} messages of 2 topics" in result.stdout
-        assert "left out, use --everything or --topics: /effort_controller/commands" in result.stderr
-        assert not commands
+        wait_for(lambda: listener.node.count_publishers(STATES), PATIENCE, "a publisher")
+        assert listener.call(SetBool, "/replay/pause", SetBool.Request(data=False)).success
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
     finally:
-        watching.close()
-
-
-def test_bag_of_nothing_but_commands_says_what_publishes_them(tmp_path, capsys):
-    with BagWriter(tmp_path / "bag", TOPICS[2:]) as writer:
-        writer.write(COMMANDS, serialize_message(Float64MultiArray(data=[0.0])), START)
-    with pytest.raises(SystemExit) as ended:
-        main([str(tmp_path / "bag")])
-    assert ended.value.code == 2
-    assert "--everything publishes commands, references and goals" in capsys.readouterr().err
-
-
-def test_no_message_goes_to_an_arm_found_too_late_to_be_looked_at(env, listener):
-    arm = Listener(env, "my_arm")
-    kind, name = Float64MultiArray, COMMANDS
-    try:
-        guard = Guard(listener.node, [name])
-        publisher = listener.node.create_publisher(kind, name, 1)
-        guard.admit(name, publisher)
-        arm.hear(kind, name, QoSProfile(depth=1))
-        wait_for(publisher.get_subscription_count, PATIENCE, "a match")
-        with pytest.raises(InputError, match=f"{name} is heard by /my_arm"):
-            guard.admit(name, publisher)
-    finally:
-        arm.close()
-
-
-def test_whoever_only_watches_gets_messages(env, listener):
-    watching = Listener(env, "recorder")
-    try:
-        guard = Guard(listener.node, [COMMANDS])
-        publisher = listener.node.create_publisher(Float64MultiArray, COMMANDS, 1)
-        watching.hear(Float64MultiArray, COMMANDS, QoSProfile(depth=1))
-        wait_for(publisher.get_subscription_count, PATIENCE, "a match")
-        guard.admit(COMMANDS, publisher)
-    finally:
-        watching.close()
-
-
-def nodes(*names: str) -> frozenset[str]:
-    return frozenset(f"/{name}" for name in names)
-
-
-COMMANDS, STATES, GOAL = "/effort_controller/commands", "/joint_states", "/goal_pose"
-
-
-@pytest.mark.parametrize(
-    ("name", "publishers", "listeners", "expected"),
-    [
-        (COMMANDS, ["controller"], ["driver", "observer"], "commands is heard by /driver"),
-        (COMMANDS, ["controller"], ["observer"], "commands is published by /controller"),
-        (STATES, ["driver"], ["observer"], "joint_states is published by /driver"),
-        (STATES, [], ["controller", "observer", "planner"], "joint_states is heard by /controller, /planner"),
-        (GOAL, ["viewer"], ["planner"], "goal_pose is heard by /planner"),
-        ("/obstacles", [], ["planner"], "obstacles is heard by /planner"),
-        ("/left/goal_pose", [], ["left/planner"], "/left/planner"),
-        # Unknown nodes, by what they do.
-        (COMMANDS, [], ["lbr/hardware"], "/lbr/hardware"),
-        ("/reference/pose", ["my_planner"], [], "/my_planner"),
-        ("/sim/faults", [], ["my_simulation"], "/my_simulation"),
-        # Those that only watch.
-        (COMMANDS, [], ["observer", "recorder"], ""),
-        (STATES, [], ["rviz2", "observer"], ""),
-        (GOAL, ["rviz2"], ["viewer"], ""),
-        ("/external_torque", ["observer"], ["rviz2"], ""),
-    ],
-)
-def test_what_shows_that_a_stack_runs(name, publishers, listeners, expected):
-    found = "; ".join(signs_of_a_stack({name: Endpoints(nodes(*publishers), nodes(*listeners))}))
-    assert expected in found
-    assert bool(found) == bool(expected)
-
-
-def test_a_stack_that_starts_during_a_replay_ends_it(env, listener):
-    driver = Listener(env, "my_driver")
-    try:
-        guard = Guard(listener.node, ["/robot_description"])
-        driver.node.create_publisher(JointState, "/left/joint_states", 1)
-        wait_for(lambda: listener.node.count_publishers("/left/joint_states"), PATIENCE, "a publisher")
-
-        def is_refused() -> bool:
-            try:
-                guard.check_next()
-            except InputError as error:
-                return "/left/joint_states is published by /my_driver" in str(error)
-            return False
-
-        wait_for(is_refused, PATIENCE, "a refusal")
-    finally:
-        driver.close()
+        process.kill()
+    assert decoded(states, JointState) == decoded(written[STATES], JointState)
 
 
 def test_quality_of_service_is_the_best_that_was_offered():

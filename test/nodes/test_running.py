@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from contact_reach_ros.ros.node_processes import node_processes
 from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, running, wait_for
 
 from contact_reach_ros.bringup import bringup
 from contact_reach_ros.messages import topics
-from contact_reach_ros.ros.node_processes import node_processes
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.running import running as running_parts
 

@@ -1,6 +1,5 @@
 """Which CPUs a process runs on, and which of its threads comes first."""
 
-import ctypes
 import os
 import subprocess
 import sys
@@ -19,29 +18,6 @@ from contact_reach_ros.ros.scheduling import (
     give_way,
     isolated_cpus,
 )
-
-_HOLD_AND_RELEASE = """
-import ctypes, mmap
-from contact_reach_ros.ros.scheduling import return_large_blocks
-
-def in_use():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * mmap.PAGESIZE
-
-if {returning}:
-    return_large_blocks()
-libc = ctypes.CDLL(None)
-libc.malloc.restype = ctypes.c_void_p
-libc.free.argtypes = [ctypes.c_void_p]
-size = 4 << 20
-# After the first release glibc takes blocks of this size from its heap.
-libc.free(libc.malloc(size))
-before = in_use()
-block, above = libc.malloc(size), libc.malloc(1000)
-ctypes.memset(ctypes.c_void_p(block), 1, size)
-libc.free(block)
-print((in_use() - before) / size)
-"""
 
 _ARRANGE_THREADS_THAT_END = """
 import itertools, os, threading
@@ -66,16 +42,6 @@ finally:
     ended.set()
     churning.join()
 """
-
-
-def test_a_large_block_is_given_back_though_something_lies_above_it():
-    if not hasattr(ctypes.CDLL(None), "mallopt"):
-        pytest.skip("there is no glibc")
-    kept = {}
-    for returning in (False, True):
-        command = [sys.executable, "-c", _HOLD_AND_RELEASE.format(returning=returning)]
-        kept[returning] = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    assert kept[False] > 0.9 and kept[True] < 0.1
 
 
 def test_on_few_cpus_the_loop_has_one_for_itself():

@@ -1,4 +1,4 @@
-"""Where the adapter sends commands to: an effort controller of ros2_control on franka_ros2."""
+"""Drive of a Franka arm: an effort controller of ros2_control on franka_ros2."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from rclpy.node import Node
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.adapter_settings import FrankaSettings
+from contact_reach_ros.drives.effort import EffortTarget, RepeatedRequest
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.nodes.effort_target import EffortTarget
 from contact_reach_ros.ros.lockstep import CONTROLLER
-from contact_reach_ros.ros.requests import RepeatedRequest
 
 try:
     from franka_msgs.srv import SetFullCollisionBehavior

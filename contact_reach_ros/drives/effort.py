@@ -1,11 +1,13 @@
-"""Where the adapter sends commands to: an effort controller of ros2_control."""
+"""Drive behind an effort controller of ros2_control."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -14,7 +16,6 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.adapter_settings import EffortSettings
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import CommandWriter
-from contact_reach_ros.ros.requests import RepeatedRequest
 
 try:
     from controller_manager_msgs.srv import SwitchController
@@ -22,6 +23,36 @@ except ImportError:
     SwitchController = None
 
 PACKAGE = "controller_manager_msgs"
+_PATIENCE_S = 2.0
+"""An answer that is lost, as before the server has discovered who asks, is not waited for any longer."""
+
+
+class RepeatedRequest:
+    """A request that is sent when the service is there, and again while no answer comes."""
+
+    def __init__(self, client: Client, on_answer: Callable[[Any], None]) -> None:
+        """`on_answer` is called with each answer, in the executor's thread."""
+        self._client = client
+        self._on_answer = on_answer
+        self._future: Future | None = None
+        self._sent = 0.0
+
+    def send(self, request: Any) -> None:
+        """Send it, unless the service is not there, or an answer may still come; to be called again and again."""
+        if not self._client.service_is_ready():
+            return
+        if self._future is not None and not self._future.done():
+            if time.monotonic() - self._sent < _PATIENCE_S:
+                return
+            self._client.remove_pending_request(self._future)
+        self._sent = time.monotonic()
+        self._future = self._client.call_async(request)
+        self._future.add_done_callback(self._take)
+
+    def _take(self, future: Future) -> None:
+        answer = future.result()
+        if answer is not None:
+            self._on_answer(answer)
 
 
 class EffortTarget:

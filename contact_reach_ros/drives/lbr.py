@@ -1,4 +1,4 @@
-"""Where the adapter sends commands to, and has the joint states from: a KUKA LBR behind lbr_fri_ros2_stack."""
+"""Drive of a KUKA LBR behind lbr_fri_ros2_stack, which sends the joint states as well."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""Drives behind the adapter: how each takes torques, in which order, and what stops it."""
