@@ -176,10 +176,10 @@ class _EpisodeStack(Stack):
         super()._send(torque)
 
     def _follow(self, plan: Plan) -> Plan:
-        gains = self.controller.settings.impedance
+        gains, reach = self.controller.settings.impedance, self.controller.settings.supervision.max_position_error
         for fault in self._active(OTHER_GAINS):
             others = dataclasses.replace(gains, task_stiffness=fault["factor"] * gains.task_stiffness)
-            raise InputError(disagreement(plan_basis(self.arm, gains), plan_basis(self.arm, others)))
+            raise InputError(disagreement(plan_basis(self.arm, gains, reach), plan_basis(self.arm, others, reach)))
         for fault in self._active(FALSE_PLANS):
             positions, duration = plan.positions + fault["offset"], fault["stretch"] * plan.knot_duration_s
             plan = dataclasses.replace(plan, positions=positions, knot_duration_s=duration)

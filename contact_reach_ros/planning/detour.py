@@ -1,4 +1,4 @@
-"""Detours: where the way to a goal has come to its end, the arm moves to another posture in which it is at the goal.
+"""Detours: when progress stalls, the arm moves through joint space to another posture that reaches the goal.
 
 A plan of 0.3 s sees no way around a joint's limit: with the orientation held, the straight way to a goal often ends
 there, whatever the arm may touch. A detour leads straight through joint space, where limits are in the way of nothing,
@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
@@ -59,7 +58,7 @@ _CANDIDATES, _STATIONS = 24, 12
 
 
 class Detour(NamedTuple):
-    """Progress towards a goal and on the detours to it, in single precision, as bags record it."""
+    """Progress towards a goal and on the detours to it."""
 
     least: float
     """Least distance so far: in m and `_METRES_PER_RADIAN` from the goal, or in rad from the posture."""
@@ -74,21 +73,10 @@ class Detour(NamedTuple):
     posture: Array
     """(n,) rad, of the last detour; where there was none that of the arm."""
 
-    @classmethod
-    def of(cls, values: NDArray[np.floating]) -> Detour:
-        """From the numbers of a record, see `numbers`."""
-        least, waited, number, is_on, arrived, *posture = values.astype(float).tolist()
-        return cls(least, waited, int(number), bool(is_on), bool(arrived), np.array(posture))
-
-    @property
-    def numbers(self) -> Array:
-        """(5 + n,) what a bag records."""
-        return np.array([self.least, self.waited, self.number, self.is_on, self.arrived, *self.posture])
-
 
 def begin(q: Array) -> Detour:
     """The state at joint angles `q` (n,), rad, with a new goal."""
-    return _single(Detour(np.inf, 0.0, 0, False, False, q))
+    return Detour(np.inf, 0.0, 0, False, False, q)
 
 
 def current(detour: Detour | None) -> int:
@@ -139,11 +127,7 @@ def follow(
         else:
             length = float(np.linalg.norm(posture - q))
             detour = Detour(length, 0.0, detour.number + 1, True, False, posture)
-    return _single(detour)
-
-
-def _single(detour: Detour) -> Detour:
-    return Detour.of(detour.numbers.astype(np.float32))
+    return detour
 
 
 def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:

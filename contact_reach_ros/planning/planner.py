@@ -16,7 +16,7 @@ from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
 from contact_reach_ros.planning.known_obstacles import KnownObstacles
-from contact_reach_ros.planning.node_settings import RETREAT, ReplanningSettings
+from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planning_core import PlanningCore, Request
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
@@ -161,8 +161,8 @@ class Planner:
         changes = self.reaction.report(contact, self.state.q, self.obstacles.spheres, self.state.stamp_ns)
         if changes:
             self.due_ns = self.state.stamp_ns
-        if self._progress is not None and self.reaction.reason and self.reaction.reaction == RETREAT:
-            self._progress.end(GoalPhase.WITHDRAWN, f"{RETREAT}: {self.reaction.reason}")
+        if self._progress is not None and self.reaction.reason:
+            self._progress.end(GoalPhase.WITHDRAWN, self.reaction.reason)
         return changes
 
     def request(self, state: JointState, clock_ns: int | None = None) -> Request | None:
@@ -202,7 +202,7 @@ class Planner:
         if problem:
             self._refuse("plans", InputError(problem))
             return None
-        goal, spheres = self.reaction.goal(self.goal), self.reaction.spheres(self.obstacles.spheres)
+        goal, spheres = self.reaction.goal(self.goal), self.obstacles.spheres
         effect_ns, detours = stamp_ns + self._latency(), not self.reaction.is_retreating
         return Request(q, v, stamp_ns, effect_ns, goal, spheres, self.speed_scale, detours)
 
