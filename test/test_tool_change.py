@@ -134,7 +134,7 @@ def test_the_simulated_flange_carries_what_it_would_from_the_start():
 def test_planner_and_controller_with_different_tools_disagree_and_the_tool_is_named():
     def reported(tool):
         values = {f"tool.{entry.name}": getattr(tool, entry.name) for entry in Tool.declared()}
-        return plan_basis(ARM.with_tool(tool), ImpedanceSettings()) | values
+        return plan_basis(ARM.with_tool(tool), ImpedanceSettings(), 0.1) | values
 
     assert disagreement(reported(TOOL), reported(TOOL)) == ""
     differs = disagreement(reported(TOOL), reported(dataclasses.replace(TOOL, mass=2.0)))

@@ -81,7 +81,7 @@ def _is_running() -> bool:
     import jax
 
     try:
-        jax.config.update("jax_num_cpu_devices", jax.config.read("jax_num_cpu_devices"))
+        jax.config.update("jax_num_cpu_devices", jax.config.jax_num_cpu_devices)
     except RuntimeError:
         return True
     return False
