@@ -39,11 +39,10 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import TOOL_PARAMETERS
 from contact_reach_ros.planning.detour import current
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
-from contact_reach_ros.planning.latency import LatencyEstimate
 from contact_reach_ros.planning.memory import Memory
 from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.planner import LatencyEstimate, Planner
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -29,6 +30,10 @@ from contact_reach_ros.world.task import Task
 
 _ABANDONED_NS = 2_000_000_000
 """Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""
+
+_RECENT = 8
+"""Plans whose times the estimate of the latency is made from."""
+_MAX_LATENCY_NS = NANOSECONDS // 4
 
 
 class Planner:
@@ -258,6 +263,30 @@ class Planner:
     def _pursue(self, goal: Target) -> None:
         self.goal = goal
         self.reaction.reset()
+
+
+class LatencyEstimate:
+    """Time until a plan begun now can take effect: as long as the last ones took, which varies on a busy machine.
+
+    Parameters
+    ----------
+    least_ns
+        Shortest estimate, ns.
+    fixed
+        Whether the shortest estimate always holds, as in lockstep, where no plan is late.
+    """
+
+    def __init__(self, least_ns: int, fixed: bool = False) -> None:
+        self._least_ns = least_ns
+        self._recent_ns: deque[int] = deque(maxlen=0 if fixed else _RECENT)
+
+    def add(self, took_ns: int) -> None:
+        """Take the time from a plan's request to its publication, ns."""
+        self._recent_ns.append(took_ns)
+
+    def __call__(self) -> int:
+        """The estimate, ns."""
+        return max(self._least_ns, min(max(self._recent_ns, default=0), _MAX_LATENCY_NS))
 
 
 def _ignore(*_: object) -> None:

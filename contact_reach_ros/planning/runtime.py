@@ -77,13 +77,15 @@ def _gpu_support() -> bool:
 
 
 def _is_running() -> bool:
-    """Whether the backend is running already: JAX then refuses the setting of its devices."""
+    """Whether the backend is running already: JAX then refuses another number of devices."""
     import jax
 
+    devices = jax.config.jax_num_cpu_devices
     try:
-        jax.config.update("jax_num_cpu_devices", jax.config.jax_num_cpu_devices)
+        jax.config.update("jax_num_cpu_devices", devices + 2)
     except RuntimeError:
         return True
+    jax.config.update("jax_num_cpu_devices", devices)
     return False
 
 

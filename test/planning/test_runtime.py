@@ -64,7 +64,8 @@ def test_flags_that_a_running_backend_does_not_have_are_not_claimed(tmp_path):
 def test_compiled_programs_are_kept_and_found_by_the_next_process(tmp_path):
     events = SCRIPT.replace(
         "configure_jax(",
-        "import jax\nevents = []\njax.monitoring.register_event_listener(lambda event, **_: events.append(event))\nconfigure_jax(",
+        "import jax\nevents = []\n"
+        "jax.monitoring.register_event_listener(lambda event, **_: events.append(event))\nconfigure_jax(",
         1,
     ).replace('os.environ.get("XLA_FLAGS")', '"/jax/compilation_cache/cache_misses" in events')
     assert start(tmp_path, events)[-1] == "True"
