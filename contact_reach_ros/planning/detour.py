@@ -27,11 +27,10 @@ from contact_reach_ros.world.spheres import Spheres
 NAME = "detour"
 """Of the term of the cost that leads to the posture."""
 
-REPLACED = ("goal", "progress", "orientation")
-"""Terms that have no weight on a detour."""
-
-CONTACT = 5.0
-"""Factor on the weight of permitted contact on a detour, which has room to avoid it."""
+_ON = {"goal": 0.0, "progress": 0.0, "orientation": 0.0, "contact": 5.0}
+"""Factors on the weights of the cost's terms on a detour, which has room to avoid contact."""
+_OFF = {NAME: 0.0}
+"""The same without one."""
 
 _SPEEDS = 0.01, 0.1
 """Progress that counts: in `_distance`, 1/s, and of the joints on a detour, rad/s."""
@@ -82,6 +81,13 @@ def begin(q: Array) -> Detour:
 def current(detour: Detour | None) -> int:
     """Number of the detour that the arm is on; 0 for none."""
     return detour.number if detour is not None and detour.is_on else 0
+
+
+def weight_factors(detour: Detour | None) -> dict[str, float]:
+    """Factors on the weights of the cost's terms; `detour` is None where the settings permit none."""
+    if detour is None:
+        return {}
+    return _ON if detour.is_on else _OFF
 
 
 def follow(

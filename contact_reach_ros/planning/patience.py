@@ -26,6 +26,11 @@ class Approach(NamedTuple):
     share: float
     """Share of the weight of permitted contact for the next plan."""
 
+    @property
+    def weight_factors(self) -> dict[str, float]:
+        """Factors on the weights of the cost's terms for the next plan."""
+        return {"contact": self.share}
+
     @classmethod
     def begin(cls, distance: float) -> Approach:
         """Progress at the moment of a new goal."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -18,8 +19,7 @@ from contact_reach_ros.control.agreement import plan_basis
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
-from contact_reach_ros.planning.detour import CONTACT, REPLACED, Detour, current, follow
-from contact_reach_ros.planning.detour import NAME as DETOUR
+from contact_reach_ros.planning.detour import Detour, current, follow, weight_factors
 from contact_reach_ros.planning.detour import begin as begin_detour
 from contact_reach_ros.planning.memory import Memory
 from contact_reach_ros.planning.objectives import ReferenceSpace, initial_spread
@@ -334,15 +334,15 @@ class RecedingHorizonPlanner:
         return _on_device(problem)
 
     def _weights_for(self, goal: Target, detour: Detour | None) -> dict[str, Number]:
-        """The weights of the settings, reduced by a free orientation, patience with contact and detours."""
-        weights = term_weights(self._settings)
+        """The weights of the settings, times the factors of a free orientation, patience with contact and detours."""
+        factors = [weight_factors(detour)]
         if goal.rotation is None:
-            weights["orientation"] = 0.0
+            factors.append({"orientation": 0.0})
         if self.memory is not None and goal.same_as(self.memory.request.goal) and not current(detour):
-            weights["contact"] *= self.memory.approach.share
-        if detour is not None:
-            weights |= dict.fromkeys(REPLACED if detour.is_on else (DETOUR,), 0.0)
-            weights["contact"] *= CONTACT if detour.is_on else 1.0
+            factors.append(self.memory.approach.weight_factors)
+        weights = term_weights(self._settings)
+        for name, factor in itertools.chain.from_iterable(each.items() for each in factors):
+            weights[name] *= factor
         return {name: single(weight) for name, weight in weights.items()}
 
     def _start(self, problem: Problem, request: Request, detour: Detour | None) -> tuple[State, float]:
