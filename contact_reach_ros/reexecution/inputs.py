@@ -160,6 +160,12 @@ class RecordedInputs:
         raw = self._plain[name].get(sent_ns)
         return None if raw is None else self.bag.decode(raw)
 
+    def messages_until(self, name: str, sent_ns: int) -> Iterator[Any]:
+        """The decoded messages of a topic up to one that was sent at that time, which the bag may lack."""
+        kept = self._plain[name]
+        if sent_ns in kept:
+            yield from (self.bag.decode(kept[each]) for each in sorted(kept) if each <= sent_ns)
+
     def messages(self, name: str) -> Iterator[Any]:
         """The decoded messages of a topic, which the bag may lack."""
         topic = f"/{name}"

@@ -6,7 +6,9 @@ may choose other candidates that are as good: costs and references are compared 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import BagError
+from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
 from contact_reach_ros.messages.references import pose_knots, posture_knots
@@ -109,13 +111,8 @@ class RecordedPlans:
         began = time.perf_counter()
         statistics = self.statistics[number]
         planning = self._settings["planning"]
-        # As many steps as were taken, since rounding may decide whether the last one still lowers the cost enough.
-        settings = self._settings | {"planning": dataclasses.replace(planning, stagnation_tolerance=0.0)}
-        steps: int | None = int(statistics["steps"])
-        if changes:
-            settings = changes.apply("planner", self._settings)
-            steps = steps if statistics.get("stop reason") == "deadline" else None
-        planner = self._make_planner(settings)
+        planner = self._make_planner(changes.apply("planner", self._settings)) if changes else self._planner
+        steps = int(statistics["steps"])
         request, recorded = self._request(number), self._requests[number]
         try:
             ramp_s = self._settings["impedance"].reference_ramp
@@ -125,10 +122,17 @@ class RecordedPlans:
                 raise BagError(f"bag '{self._path}': plan {number} started from another solver: {error}") from error
             memory = None
         planner.memory = memory
-        planner.limit_steps(steps)
+        # With changed settings the search ends by its own rule, unless the clock ended it.
+        planner.limit_steps(None if changes and statistics["stop reason"] != "deadline" else steps)
         plan = planner.plan(request)
         differences = {} if changes else self._differences(plan, number)
         return ReexecutedPlan(plan, statistics, differences, _exceeded(differences), time.perf_counter() - began)
+
+    @functools.cached_property
+    def _planner(self) -> RecedingHorizonPlanner:
+        """Takes as many steps as were recorded, since rounding may decide whether the last one still counts."""
+        planning = dataclasses.replace(self._settings["planning"], stagnation_tolerance=0.0)
+        return self._make_planner(self._settings | {"planning": planning})
 
     def _make_planner(self, settings: Mapping[str, Any]) -> RecedingHorizonPlanner:
         # The recorded number of steps stands for the deadline.
@@ -147,11 +151,15 @@ class RecordedPlans:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""
         if not sent_ns:
             return Spheres.none()
-        message = self._inputs.message(OBSTACLES, sent_ns)
-        if message is None:
-            raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
         reader = ObstacleMarkerReader(self._arm.base_frame, AssumedMaterial.of(self._settings[""]))
-        return reader.read(message)
+        spheres = None
+        # Obstacles may rest where they were seen first.
+        for message in self._inputs.messages_until(OBSTACLES, sent_ns):
+            with contextlib.suppress(InputError):  # as the node refused it
+                spheres = reader.read(message)
+        if spheres is None:
+            raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
+        return spheres
 
     def _differences(self, plan: Plan, number: int) -> dict[str, float]:
         """Differences from the recorded plan, as `ReexecutedPlan.differences`."""
