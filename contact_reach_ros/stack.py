@@ -16,7 +16,6 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import disagreement, plan_basis
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
@@ -206,13 +205,14 @@ class Stack:
                 sphere_capacity(scene),
                 planning=planning,
                 replanning=replanning,
-                impedance=self.controller.settings.impedance,
+                controller=self.controller.settings,
                 budget=budget,
                 unexpected_contact=unexpected_contact,
                 core=planner,
             )
         basis = getattr(self.planner.core, "basis", {})
-        differs = disagreement(plan_basis(self.arm, self.controller.settings.impedance), basis)
+        gains, supervision = self.controller.settings.impedance, self.controller.settings.supervision
+        differs = disagreement(plan_basis(self.arm, gains, supervision.max_position_error), basis)
         if differs:
             raise SettingsError(f"planner and controller disagree: {differs}; give both the same")
         self.refused: dict[str, int] = {}
@@ -257,14 +257,14 @@ class Stack:
             raise InputError(problem)
         self.warm_up()
         core, state = self._core(), self.state
-        history = core.history()
+        memory = core.memory
         try:
             core.reset()
             effect_ns, spheres = state.stamp_ns + self.planner.settings.latency_ns, self.planner.obstacles.spheres
             scale = self.planner.speed_scale
             return core.plan(Request(state.q, state.v, state.stamp_ns, effect_ns, target, spheres, scale))
         finally:
-            core.go_on_from(history)
+            core.memory = memory
 
     def step(self) -> Tick:
         """Control, observe and plan from the joint states that have arrived, then advance the robot by one period."""
@@ -464,7 +464,7 @@ def make_planner(
     *,
     planning: PlanningSettings | None = None,
     replanning: ReplanningSettings | None = None,
-    impedance: ImpedanceSettings | None = None,
+    controller: ControllerSettings | None = None,
     budget: ContactBudget | None = None,
     unexpected_contact: UnexpectedContactSettings | None = None,
     solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = make_solver,
@@ -480,8 +480,8 @@ def make_planner(
         Number of obstacle spheres that plans take into account; 0 for none.
     planning, replanning, budget, unexpected_contact
         Settings; None for the defaults.
-    impedance
-        Gains of the controller that follows the plans.
+    controller
+        Settings of the controller that follows the plans.
     solver
         Makes the solver from a cost, the number of its variables and the settings; by default the one that the
         settings name.
@@ -489,18 +489,16 @@ def make_planner(
         Makes the plans instead of the package's own method.
     """
     planning = planning or PlanningSettings()
-    sees_spheres = core is not None or capacity > 0
+    controller = controller or ControllerSettings()
+    gains = controller.impedance
     if core is None:
         # JAX takes a while to import.
         from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 
-        force = (budget or ContactBudget()).permitted_force
-        gains = impedance or ImpedanceSettings()
-        core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, solver=solver)
-    unexpected_contact = unexpected_contact or UnexpectedContactSettings()
-    reaction = ContactReaction(arm, unexpected_contact, planning.contact_stiffness, sees_spheres)
-    task = (impedance or ImpedanceSettings()).task
-    return Planner(arm, core, reaction, replanning or ReplanningSettings(), task=task)
+        force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
+        core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver)
+    reaction = ContactReaction(arm, unexpected_contact or UnexpectedContactSettings())
+    return Planner(arm, core, reaction, replanning or ReplanningSettings(), task=gains.task)
 
 
 def _check_type(name: str, value: object, *kinds: type) -> None:

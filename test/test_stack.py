@@ -13,7 +13,8 @@ from plans import make_plan
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
@@ -37,6 +38,8 @@ BEYOND = Goal([5.0, 0.0, 0.0])
 class StayingCore:
     """Plans to stay where the arm is, without compiling anything; keeps what it was asked."""
 
+    memory = None
+
     def __init__(self, failing_after: int | None = None) -> None:
         self.asked: list[Request] = []
         self.failing_after = failing_after
@@ -49,12 +52,6 @@ class StayingCore:
         pass
 
     def reseed(self, seed: int) -> None:
-        pass
-
-    def history(self) -> None:
-        return None
-
-    def go_on_from(self, history: None) -> None:
         pass
 
     def plan(self, request):
@@ -460,3 +457,12 @@ def test_the_scene_names_the_arm_and_the_parts_have_it():
     stack = staying()
     assert isinstance(stack.scene, Scene)
     assert stack.arm is stack.controller.arm is stack.observer.arm is FREE_SCENE.arm
+
+
+def test_the_planner_knows_when_the_controller_drops_its_plans():
+    controller = ControllerSettings(supervision=SupervisionSettings(max_position_error=0.2))
+    stack = Stack(FREE_SCENE, planning=SMALL, controller=controller)
+    assert stack.planner.core.basis["supervision.max_position_error"] == 0.2
+    core = RecedingHorizonPlanner(ARM, SMALL, ImpedanceSettings(), 10.0, 0)
+    with pytest.raises(SettingsError, match=r"max_position_error = [\d.]+ in the planner, 0.2 in the controller"):
+        Stack(FREE_SCENE, planner=core, controller=controller)

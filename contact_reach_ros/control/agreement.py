@@ -20,16 +20,20 @@ SHARED = (ROBOT, *(f"tool.{entry.name}" for entry in Tool.declared()), ROBOT_DIG
 SHARED_SECTION = "impedance."
 """Prefix of the gains, which the planner has to know to predict what the controller will do."""
 
+MAX_POSITION_ERROR = "supervision.max_position_error"
+"""Setting above which the controller drops a plan, which the planner has to know, too."""
 
-def plan_basis(arm: Arm, gains: ImpedanceSettings) -> dict[str, Any]:
-    """What plans are made for, by the full names of the settings: the arm, and the gains that follow them."""
-    basis = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest}
+
+def plan_basis(arm: Arm, gains: ImpedanceSettings, max_position_error: float) -> dict[str, Any]:
+    """What plans are made for, by the full names of the settings: the arm, and the controller that follows them."""
+    basis = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest, MAX_POSITION_ERROR: max_position_error}
     return basis | {SHARED_SECTION + name: value for name, value in asdict(gains).items()}
 
 
 def disagreement(own: Mapping[str, Any], planners: Mapping[str, Any]) -> str:
     """What the planner plans with and the controller has not, as `differences` has it."""
-    return differences(own, planners, "planner", [name for name in own if name.startswith(SHARED_SECTION)])
+    names = [name for name in own if name.startswith(SHARED_SECTION)]
+    return differences(own, planners, "planner", [*names, MAX_POSITION_ERROR])
 
 
 def differences(own: Mapping[str, Any], others: Mapping[str, Any], other: str, names: Iterable[str]) -> str:

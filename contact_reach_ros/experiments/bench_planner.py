@@ -29,7 +29,7 @@ from contact_reach_ros.experiments.scaling import measure_scaling, plot_scaling,
 from contact_reach_ros.experiments.solver_limit import limit_table, measure_limit
 from contact_reach_ros.experiments.workers import run_each
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
+from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.scene import SceneFile
 from contact_reach_ros.world.spheres import sphere_capacity
@@ -273,6 +273,6 @@ _ROWS: list[tuple[str, str, Callable[[Report], str]]] = [
     ),
     ("rollout batch, ms", "", lambda r: f"{r['rollout_batch_ms']:.2f}"),
     ("MuJoCo, no controller, 2 threads", "", lambda r: f"{r['mujoco_two_threads']['batch_ms']:.0f}"),
-    *((f"Brax {name}, ms (dt ms)", "", functools.partial(_brax_batch, name)) for name in BRAX_PIPELINES),
+    *((f"Brax {name}, ms (dt ms)", "", functools.partial(_brax_batch, name)) for name in PIPELINES[1:]),
 ]
 """Label, key of `TARGETS` if it has one, and what is shown of a scene's report."""

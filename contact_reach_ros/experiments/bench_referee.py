@@ -25,7 +25,7 @@ from contact_reach_ros.experiments.model_cases import simulate_from
 from contact_reach_ros.experiments.output import percentiles, say, table, write_report
 from contact_reach_ros.experiments.recorded_runs import RecordedPlan, RecordingPlanner, record_runs, spread_states
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.action_space import ReferenceSpace
+from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.files import read_scene

@@ -16,7 +16,7 @@ from contact_reach_ros.experiments.recorded_runs import RecordedPlan, RecordingP
 from contact_reach_ros.experiments.solver_race import plot_race, race_table, run_race
 from contact_reach_ros.experiments.solver_steps import compare_steps, steps_table
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
+from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.spheres import sphere_capacity
@@ -68,7 +68,7 @@ def bench_solver(
             report[name] = compare_steps(settings, found)
         else:
             space = ReferenceSpace(load_arm(), settings, ImpedanceSettings())
-            report[name] = run_race(scaled_cost(space), len(space.bounds), settings, found, seconds)
+            report[name] = run_race(space.cost, len(space.bounds), settings, found, seconds)
         write_report(report, file)
     names = list(report)
     print(steps_table(report, names) if steps else race_table(report, names))

@@ -12,7 +12,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.output import Report, say, table
-from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
+from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.settings import PlanningSettings
 
@@ -33,7 +33,7 @@ def measure_candidates(
     report: Report = {"device": jax.devices()[0].device_kind, "batch_ms": {}}
     for name in pipelines:
         space = ReferenceSpace(arm, dataclasses.replace(settings, pipeline=name), gains)
-        cost = jax.jit(scaled_cost(space))
+        cost = jax.jit(space.cost)
         measured = report["batch_ms"][name] = {}
         expected = 0.0
         for number in sorted(numbers):

@@ -17,7 +17,7 @@ import yaml
 from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.settings import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.planning.settings import BRAX_PIPELINES
+from contact_reach_ros.planning.settings import PIPELINES
 
 if TYPE_CHECKING:
     from contact_reach_ros.experiments.grid_run import Running
@@ -79,7 +79,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     planner.add_argument(
         "--brax",
         nargs="*",
-        choices=BRAX_PIPELINES,
+        choices=PIPELINES[1:],
         help="Brax's pipelines to compare with, which takes minutes; nothing for none (default: generalized)",
     )
     planner.add_argument("--quick", action="store_true", help="show that it runs, with a tiny budget")
@@ -89,9 +89,8 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     planner.add_argument(
         "--candidates", type=int, nargs="+", metavar="K", help="instead, batches of so many candidates, ours and Brax's"
     )
-    planner.add_argument("--cpus", type=int, default=1, help="cores that share the candidates (default: 1)")
     planner.add_argument(
-        "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H, nodes and cores"
+        "--plot", type=Path, metavar="FILE", help="measure and draw how the time grows with k, H, nodes"
     )
     model = add("model", _model, "the planner's transfer model against the simulated robot")
     model.add_argument("--states", type=int, help="random states and actions (default: 500)")
@@ -99,7 +98,7 @@ def add_benches(bench: argparse.ArgumentParser) -> None:
     model.add_argument(
         "--against",
         nargs="+",
-        choices=BRAX_PIPELINES,
+        choices=PIPELINES[1:],
         help="instead, roll out the plans of closed-loop runs with Brax's pipelines and with MuJoCo",
     )
     model.add_argument("--scene", dest="scenes", nargs="+", help="with --against: scenes (default: free ball wall)")
@@ -224,7 +223,6 @@ def _planner(
     quick: bool = False,
     limit: bool = False,
     candidates: Sequence[int] = (),
-    cpus: int = 1,
     arm: str = DEFAULT_ARM,
     file: Path | None = None,
     plot: Path | None = None,
@@ -235,8 +233,7 @@ def _planner(
 
     names = tuple(scenes or matching_scene_names())
     bench = PlannerBench.quick(names, seed) if quick else PlannerBench(names, seed=seed, **options)
-    settings = dataclasses.replace(bench.settings, cpus=cpus)
-    bench = dataclasses.replace(bench, limit=limit, candidates=tuple(candidates), arm=arm, settings=settings)
+    bench = dataclasses.replace(bench, limit=limit, candidates=tuple(candidates), arm=arm)
     bench_planner(bench, file, plot)
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.experiments.output import Report, say
 from contact_reach_ros.experiments.recorded_runs import RecordedRuns, Solve
-from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
-from contact_reach_ros.planning.objectives import action_bounds
+from contact_reach_ros.planning.objectives import ReferenceSpace, action_bounds
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
@@ -44,7 +43,7 @@ def measure_rollouts(
     lanes: dict[str, int] = {"mujoco": settings.population}
     for name in ("closed_loop", *pipelines):
         space = ReferenceSpace(arm, dataclasses.replace(settings, pipeline=name), gains)
-        cost = jax.jit(scaled_cost(space))
+        cost = jax.jit(space.cost)
         steps[name] = space.objective.integration_steps
         lanes[name] = settings.population
         if name != "closed_loop" and spheres > _MANY_SPHERES:

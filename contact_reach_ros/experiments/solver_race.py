@@ -25,7 +25,6 @@ from contact_reach_ros.experiments.output import Report, table
 from contact_reach_ros.experiments.recorded_runs import RecordedPlan
 from contact_reach_ros.experiments.statistics import estimate
 from contact_reach_ros.planning.problem import Problem
-from contact_reach_ros.planning.programs import Program, preparing
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS, make_solver
 from contact_reach_ros.planning.solver.cma_es import Distribution
@@ -48,7 +47,7 @@ class _Simple(HybridSolver[Problem]):
 
     def _advance(self, problem: Problem, search: Search, draw: Draw) -> Search:
         points = self._points(problem, search, draw)
-        return self._finish(search, points, self._costs(problem, points))
+        return self._finish(search, points, self._cost(problem, points))
 
     def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
         """The points (n, k) of a step; candidates about the mean."""
@@ -124,8 +123,7 @@ def run_race(
     for name in LABELS:
         own = dataclasses.replace(settings, solver=name if name in SOLVERS else "hybrid")
         solver = solvers[name] = _OTHERS.get(name, make_solver)(cost, size, own)
-        with preparing():
-            step = min(solver.warm_up(states[0].solve.problem, solver.init(still, spread)) for _ in range(3))
+        step = min(solver.warm_up(states[0].solve.problem, solver.init(still, spread)) for _ in range(3))
         # Reserve, since steps take less time back to back.
         solver.max_steps = math.ceil(1.3 * seconds / step)
         times[name] = []
@@ -159,12 +157,11 @@ def make_cost_of(
     cost: CostFunction[Problem], size: int, settings: PlanningSettings
 ) -> Callable[[Problem, Array], float]:
     """The cost of single points (n,), by the program that evaluates candidates."""
-    program = Program(cost)
+    program = jax.jit(cost)
 
     def cost_of(problem: Problem, point: Array) -> float:
         points = single(np.broadcast_to(point[:, None], (size, settings.population)))
-        with preparing():
-            return float(program(problem, points)[0])
+        return float(program(problem, points)[0])
 
     return cost_of
 

@@ -18,10 +18,9 @@ from contact_reach_ros.experiments.output import Report, table
 from contact_reach_ros.experiments.recorded_runs import RecordedPlan
 from contact_reach_ros.experiments.solver_race import make_cost_of
 from contact_reach_ros.experiments.statistics import estimate
-from contact_reach_ros.planning.action_space import ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.detour import NAME as DETOUR
+from contact_reach_ros.planning.objectives import ReferenceSpace, initial_spread
 from contact_reach_ros.planning.problem import Number, Problem
-from contact_reach_ros.planning.programs import preparing
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS, make_solver
 from contact_reach_ros.planning.terms import term_weights
@@ -77,7 +76,7 @@ def _changed(settings: PlanningSettings, configuration: str) -> PlanningSettings
 def _decreases(settings: PlanningSettings, states: Sequence[RecordedPlan], ramped: bool) -> Report:
     gains = preset("shipped" if ramped else _LITERAL).controller.impedance
     space = ReferenceSpace(load_arm(), settings, gains)
-    cost, size = scaled_cost(space), len(space.bounds)
+    cost, size = space.cost, len(space.bounds)
     still, spread = np.zeros(size), initial_spread(settings, space.bounds)
     limited = dataclasses.replace(settings, max_steps=STEPS, stagnation_steps=STEPS)
     problems = [_problem(state.solve.problem, settings, ramped) for state in states]
@@ -86,8 +85,7 @@ def _decreases(settings: PlanningSettings, states: Sequence[RecordedPlan], rampe
     seconds: dict[str, list[float]] = {}
     for name in SOLVERS:
         solver = make_solver(cost, size, dataclasses.replace(limited, solver=name))
-        with preparing():
-            solver.warm_up(problems[0], solver.init(still, spread))
+        solver.warm_up(problems[0], solver.init(still, spread))
         decreases[name], seconds[name] = [], []
         for number, problem in enumerate(problems):
             start_cost = cost_of(problem, still)

@@ -1,8 +1,8 @@
 """What a node took in, and when: the log that lets a bag be re-executed to the tick.
 
 A bag holds every message, but in real time a node may skip some, and which plan or safety state came before which
-joint state is known to the node alone. So controller, observer and planner note each message that they handle by the
-time at which it was sent, which the bag has too. The notes go out in batches: a row costs less than a microsecond.
+joint state is known to the node alone. So controller and observer note each message that they handle by the time at
+which it was sent, which the bag has too. The notes go out in batches: a row costs less than a microsecond.
 
 A batch is a std_msgs/Int64MultiArray without a layout: the number of its first row, counted from the start of the node,
 then rows of `COLUMNS`.
@@ -18,7 +18,7 @@ from contact_reach_ros.messages.cdr import ARRAY_COUNT, ARRAY_START, COUNT, PLAI
 
 COLUMNS = ("what", "sent_ns", "clock_ns", "outputs")
 """What was taken in; when it was sent, ns since the epoch, 0 for a call; the watchdogs' clock then, ns; and how many
-commands, external torques or plans the node had published before."""
+commands or external torques the node had published before."""
 
 BATCH = 128
 """Rows of a full batch: a tenth of a second of a 1 kHz loop."""
@@ -35,8 +35,6 @@ class Taken(IntEnum):
     REFERENCE_POSTURE = 3
     SAFETY_STATE = 4
     COMMANDS = 5
-    OBSTACLES = 6
-    GOAL_POSE = 7
     ACTIVATE = 16
     """The lifecycle transition."""
     STOP = 17
@@ -51,8 +49,6 @@ TOPICS = {
     Taken.REFERENCE_POSTURE: "reference/posture",
     Taken.SAFETY_STATE: "safety_state",
     Taken.COMMANDS: "effort_controller/commands",
-    Taken.OBSTACLES: "obstacles",
-    Taken.GOAL_POSE: "goal_pose",
 }
 """Relative names of the topics."""
 

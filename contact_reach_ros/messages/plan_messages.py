@@ -62,8 +62,8 @@ def to_statistics(plan: Plan, values: Mapping[str, Any], name: str, arm: Arm) ->
     return DiagnosticArray(header=_header(plan.effect_ns, arm), status=[to_status(name, plan.stop_reason, values)])
 
 
-def to_solution(parts: Mapping[str, NDArray[np.float32]]) -> Float32MultiArray:
-    """The parts of a solution one after the other; the dimensions name them."""
+def to_request(parts: Mapping[str, NDArray[np.float32]]) -> Float32MultiArray:
+    """The parts of `plan_request` one after the other; the dimensions name them."""
     message = Float32MultiArray()
     message.layout.dim = [MultiArrayDimension(label=name, size=part.size) for name, part in parts.items()]
     message.data = array.array("f", np.concatenate([part.ravel() for part in parts.values()]).tobytes())

@@ -17,17 +17,17 @@ from geometry_msgs.msg import PoseStamped
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.bags.goals import goal_values
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.goals import to_goal
-from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_markers import PlanMarkers
-from contact_reach_ros.messages.plan_messages import to_path, to_references, to_solution, to_statistics
+from contact_reach_ros.messages.plan_messages import to_path, to_references, to_request, to_statistics
+from contact_reach_ros.messages.plan_request import request_parts
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.serialized import JointStateReader
@@ -35,11 +35,10 @@ from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.detour import current
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
-from contact_reach_ros.planning.latency import LatencyEstimate
+from contact_reach_ros.planning.memory import Memory
 from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.plan_record import plan_statistics, solution_parts
-from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.planner import LatencyEstimate, Planner
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
@@ -50,7 +49,7 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.settings import Settings
+from contact_reach_ros.settings import Sections, Settings
 from contact_reach_ros.timing import Histogram
 
 NAME = "planner"
@@ -59,8 +58,8 @@ _IDLE_NS = 100_000_000
 _POLL_S = 0.003
 _MARKERS_EVERY_NS = _GOAL_STATE_EVERY_NS = 100_000_000
 OBSERVER, CONTROLLER = "observer", "controller"
-_GAINS = "impedance"
-"""Section of the controller's parameters that the planner reads, too: plans hold for these gains only."""
+_GAINS, _SUPERVISION = "impedance", "supervision"
+"""Sections of the controller's parameters that the planner reads, too: plans hold for these only."""
 
 
 class PlannerNode(ManagedNode):
@@ -78,8 +77,7 @@ class PlannerNode(ManagedNode):
         self._goal_states = self.make_publisher(topics.GOAL_STATE)
         self._marker_publisher = self.make_publisher(topics.PLAN_MARKERS)
         self._statistics = self.make_publisher(topics.PLAN_STATISTICS)
-        self._solutions = self.make_publisher(topics.PLAN_SOLUTION)
-        self._intake = self.log_intake(topics.PLANNER_INTAKE)
+        self._requests = self.make_publisher(topics.PLAN_REQUEST)
         self._lockstep = self.make_lockstep()
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
@@ -92,11 +90,12 @@ class PlannerNode(ManagedNode):
         self._latency = LatencyEstimate(settings.latency_ns, fixed=self.lockstep)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._budget = load_budget(settings.contact_budget).resolve(self.arm)
-        gains = {_GAINS: ImpedanceSettings}
-        self._gains = settings_of(self.ARGUMENTS, CONTROLLER, gains, self.arm)[_GAINS]
+        sections: Sections = {_GAINS: ImpedanceSettings, _SUPERVISION: SupervisionSettings}
+        controllers = settings_of(self.ARGUMENTS, CONTROLLER, sections, self.arm)
+        self._gains: ImpedanceSettings = controllers[_GAINS]
+        self._supervision: SupervisionSettings = controllers[_SUPERVISION]
         self._core: RecedingHorizonPlanner | None = None
-        stiffness = self.settings["planning"].contact_stiffness
-        reaction = ContactReaction(self.arm, self.settings["unexpected_contact"], stiffness, settings.max_spheres > 0)
+        reaction = ContactReaction(self.arm, self.settings["unexpected_contact"])
         self._planner = Planner(self.arm, None, reaction, settings, self._latency, self.refuse, self._gains.task)
         self._markers = PlanMarkers(self.arm, self._budget.permitted_force)
         self._obstacle_reader = SerializedObstacleReader(
@@ -110,6 +109,8 @@ class PlannerNode(ManagedNode):
         """Stamp of the last goal that was taken."""
         self._published_goal: tuple[int, GoalPhase] | None = None
         self._goal_state_due_ns = 0
+        self._seen_ns = 0
+        """When the obstacles were sent, ns since the epoch."""
         self._late = 0
         self._detour = 0
         """Number of the detour that the arm is on; 0 for none."""
@@ -123,8 +124,14 @@ class PlannerNode(ManagedNode):
         if self.lockstep:
             # With a wall-clock deadline the result would depend on how busy the machine is.
             planning = dataclasses.replace(planning, deadline=0.0)
-        force, spheres = self._budget.permitted_force, settings.max_spheres
-        core = RecedingHorizonPlanner(self.arm, planning, self._gains, force, spheres)
+        core = RecedingHorizonPlanner(
+            self.arm,
+            planning,
+            self._gains,
+            self._budget.permitted_force,
+            settings.max_spheres,
+            self._supervision.max_position_error,
+        )
         began = time.monotonic()
         core.warm_up(lambda line: self.get_logger().info(line))
         self.get_logger().info(f"compiled in {time.monotonic() - began:.1f} s")
@@ -139,8 +146,8 @@ class PlannerNode(ManagedNode):
         self._withdraw("the planner was activated")
 
     def files(self) -> Mapping[str, Settings]:
-        """The contact budget, and the controller's gains."""
-        return {"budget": self._budget, _GAINS: self._gains}
+        """The contact budget, and the controller's settings that plans depend on."""
+        return {"budget": self._budget, _GAINS: self._gains, _SUPERVISION: self._supervision}
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Plans, solve times and the terms of the last plan's cost."""
@@ -158,14 +165,12 @@ class PlannerNode(ManagedNode):
         if planner.state is None:
             return topics.WAITING_FOR_STATE, values
         plan = planner.plan
-        if core is not None:
-            values["candidates"] = core.candidates
         if plan is not None:
             values |= {
                 "plan": plan.number,
                 "solve ms": 1000 * plan.solve_s,
                 "stop reason": plan.stop_reason,
-                **plan_statistics(plan),
+                **plan.statistics(),
             }
             if core is not None and core.memory is not None:
                 values["contact share"] = core.memory.approach.share
@@ -175,7 +180,7 @@ class PlannerNode(ManagedNode):
         if problem:
             return problem if obstacles.are_seen else topics.WAITING_FOR_OBSTACLES, values
         if planner.reaction.reason:
-            return f"{planner.reaction.reaction}: {planner.reaction.reason}", values
+            return planner.reaction.reason, values
         if planner.goal is not None:
             return "planning", values
         return "waiting for a goal" if heard_by else topics.WAITING_FOR_CONTROLLER, values
@@ -200,7 +205,7 @@ class PlannerNode(ManagedNode):
             self._lockstep.done(stamp_in(data))
 
     def _solve(self, request: Request) -> None:
-        """Make the plan and publish it; why there is none is refused."""
+        """Make and publish the plan; a failure is counted and logged."""
         try:
             self._make_plan(request)
         except ContactReachError as error:
@@ -208,36 +213,39 @@ class PlannerNode(ManagedNode):
 
     def _make_plan(self, request: Request) -> None:
         began_ns = time.monotonic_ns()
+        memory = None if self._core is None else self._core.memory
         plan = self._planner.solve(request)
         self._publish(plan)
-        self._intake.outputs += 1
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
         self._latency.add(took_ns)
         self._late += took_ns > request.effect_ns - request.state_ns
         self._report_detour()
         self._publish_markers(plan)
-        self._publish_record(plan, request.state_ns, took_ns)
+        self._publish_record(plan, request, memory, took_ns)
 
-    def _publish_record(self, plan: Plan, state_ns: int, took_ns: int) -> None:
-        """Publish for bags how the plan was found, and what is needed to find it again."""
+    def _publish_record(self, plan: Plan, request: Request, memory: Memory | None, took_ns: int) -> None:
+        """Publish for bags how the plan was found, and what is needed to solve it again."""
         core = self._core
         if core is None or core.memory is None:
             return
+        # The planner has already counted this plan.
+        since_reset = core.memory.plans - 1
         values = {
             "plan": plan.number,
-            "state ns": state_ns,
-            # The planner has already counted this plan.
-            "plans since reset": core.since_reset - 1,
+            "state ns": request.state_ns,
+            "obstacles sent ns": self._seen_ns,
+            "plans since reset": since_reset,
             "stop reason": plan.stop_reason,
             "solve ms": 1000 * plan.solve_s,
             "took ms": took_ns / 1e6,
-            **plan_statistics(plan),
+            **plan.statistics(),
             **({} if self._planner.goal is None else goal_values(self._planner.goal.position)),
             **self._planner.reaction.values(),
         }
         self._statistics.publish(to_statistics(plan, values, NAME, self.arm))
-        self._solutions.publish(to_solution(solution_parts(plan, core.memory)))
+        # An arm that jumped made the planner forget what it had.
+        self._requests.publish(to_request(request_parts(plan.number, request, memory if since_reset else None)))
 
     def _report_detour(self) -> None:
         """Log a detour that begins: the arm moves away from its goal."""
@@ -279,7 +287,7 @@ class PlannerNode(ManagedNode):
         self._report_goal()
         if self._rivalry:
             why = f"{self._rivalry}: no goal is taken; end the others"
-            self._withdraw_noted(why)
+            self._withdraw(why)
             raise InputError(why)
         self._goals += 1
         waiting = "; waiting for the first joint state" if self._planner.state is None else ""
@@ -308,6 +316,7 @@ class PlannerNode(ManagedNode):
             self._frames.publish_obstacles(decode(data, MarkerArray, topics.OBSTACLES.name))
         else:
             self._planner.see(spheres, self._obstacle_reader.stamp_ns)
+            self._seen_ns = self.inbox.sent_ns
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if self._planner.goal is None:
@@ -325,7 +334,7 @@ class PlannerNode(ManagedNode):
         reaction = self._planner.reaction
         known = reaction.reason
         if self._planner.touched(contact) and not known:
-            self.get_logger().warning(f"{reaction.reaction}: {reaction.reason}")
+            self.get_logger().warning(reaction.reason)
 
     def _look_around(self) -> None:
         """Nothing is planned from what two arms report in turns; runs beside the loop, a few times a second."""
@@ -337,11 +346,7 @@ class PlannerNode(ManagedNode):
         if self._planner.goal is None:
             return
         self.get_logger().warning(f"goal withdrawn: {self._rivalry}")
-        self._withdraw_noted(self._rivalry)
-
-    def _withdraw_noted(self, why: str) -> None:
-        self.note_call(Taken.STOP)
-        self._withdraw(why)
+        self._withdraw(self._rivalry)
 
     def _withdraw(self, why: str) -> None:
         """Forget the goal: after a stop the arm moves again only with a new one."""

@@ -17,14 +17,13 @@ from brax.envs.base import PipelineEnv, State
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.planning.brax_pipeline import ClosedLoop
+from contact_reach_ros.planning.brax_pipeline import ClosedLoop, bodies_and_fields
 from contact_reach_ros.planning.collisions import nearest_bodies
 from contact_reach_ros.planning.objectives import knot_bounds, make_objective, planned
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, term_weights, weighted_terms
-from contact_reach_ros.planning.transfer.brax_spheres import bodies_and_fields
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.planning.transfer.pipeline import Pose

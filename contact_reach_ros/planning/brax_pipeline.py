@@ -1,30 +1,39 @@
 """The closed loop as a Brax pipeline, on Brax's own types: `init(sys, q, qd)` and `step(sys, state, act)`.
 
 The action is that of a knot, {Δx, Δq}, which takes effect when the knot begins; law (3) is inside. The links of the
-system are those of the arm, and spheres on sliders, see `planning.transfer.brax_spheres`. All arithmetic is that of
-the planner's rollouts; only the types are Brax's.
+system are the arm's, and obstacle spheres, each of which moves on three sliders. The springs and dampers of spheres
+are those of the sliders. Where spheres are joined to one another, two custom fields of the MJCF hold the matrices L and
+D of the network instead, row by row; Brax's own pipelines do not know these. All arithmetic is that of the planner's
+rollouts; only the types are Brax's.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from typing import NamedTuple
+from xml.etree.ElementTree import Element
 
 import brax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from brax import base, kinematics
 from flax import struct
 from numpy.typing import NDArray
 
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.cost import Objective, on_the_way
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.brax_spheres import read_spheres
+from contact_reach_ros.planning.transfer.brax_generalized import SPHERE, network, sphere_body
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.model import read_arm
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.model import custom_field, read_arm
+
+NETWORK_STIFFNESS, NETWORK_DAMPING = "network_stiffness", "network_damping"
+"""Custom fields with the matrices (K, K) of spheres that are joined, N/m and N s/m."""
 
 
 @struct.dataclass
@@ -158,3 +167,67 @@ class ClosedLoop:
             speed = (moved - state.q[kernel.sliders]) / kernel.objective.system.timestep
             q, qd = q.at[kernel.sliders].set(moved), qd.at[kernel.sliders].set(speed)
         return q, qd
+
+
+def bodies_and_fields(obstacles: Obstacles | None) -> tuple[list[Element], dict[str, list[float]]]:
+    """What an MJCF has of obstacles with one lane: bodies, and fields where spheres are joined."""
+    if obstacles is None:
+        return [], {}
+    obstacles = jax.tree.map(lambda values: np.asarray(values, np.float64), obstacles)
+    stiffness, damping = (np.asarray(matrix) for matrix in network(obstacles))
+    alone = not (_off_diagonal(stiffness) or _off_diagonal(damping))
+    rest, radius = obstacles.rest[..., 0].T, obstacles.radius[:, 0]
+    springs = np.stack([np.diag(stiffness), np.diag(damping)], axis=1) if alone else np.zeros((len(radius), 2))
+    bodies = [
+        sphere_body(index, rest[index], float(radius[index]), float(spring), float(damper))
+        for index, (spring, damper) in enumerate(springs)
+    ]
+    fields = {NETWORK_STIFFNESS: stiffness.ravel().tolist(), NETWORK_DAMPING: damping.ravel().tolist()}
+    return bodies, {} if alone else fields
+
+
+def _off_diagonal(matrix: Array) -> bool:
+    return bool(np.abs(matrix - np.diag(np.diag(matrix))).max() > 1e-6 * np.abs(matrix).max())
+
+
+def read_spheres(system: brax.System) -> Obstacles | None:
+    """The spheres of a system, at rest and with one lane; None if there are none.
+
+    Raises
+    ------
+    SettingsError
+        If a sphere is not held by springs and dampers, or is no sphere on three sliders.
+    """
+    links = np.flatnonzero([kind == "3" for kind in system.link_types])
+    if not len(links):
+        return None
+    model = system.mj_model
+    geoms = np.array([int(np.argmax(model.geom_bodyid == link + 1)) for link in links])
+    dofs = np.array([system.dof_ranges()[link] for link in links])
+    if (
+        not np.array_equal(model.geom_bodyid[geoms], links + 1)
+        or np.any(model.geom_type[geoms] != SPHERE)
+        or np.any(np.asarray(system.dof.motion.vel)[dofs] != np.eye(3))
+    ):
+        names = [system.link_names[link] for link in links]
+        raise SettingsError(f"links {names}: expected spheres on sliders along x, y and z, one geometry each")
+    size = len(links) ** 2
+    stiffness, damping = (
+        np.diag(np.asarray(values, float)[dofs[:, 0]]) if given is None else given.reshape(len(links), -1)
+        for values, given in (
+            (system.dof.stiffness, custom_field(system, NETWORK_STIFFNESS, size)),
+            (system.dof.damping, custom_field(system, NETWORK_DAMPING, size)),
+        )
+    )
+    if min(np.linalg.eigvalsh(stiffness)[0], np.linalg.eigvalsh(damping)[0]) <= 0.0:
+        raise SettingsError("expected a spring and a damper for each sphere: give its sliders stiffness and damping")
+    rates, shapes = scipy.linalg.eigh(stiffness, damping)
+    rest = np.asarray(system.link.transform.pos)[links].T[:, :, None]
+    return Obstacles(
+        center=single(rest),
+        rest=single(rest),
+        radius=single(np.asarray(system.geom_size)[geoms, :1]),
+        shapes=single(shapes),
+        amplitudes=single(shapes.T @ damping),
+        rates=single(rates),
+    )

@@ -1,4 +1,4 @@
-"""Detours: where the way to a goal has come to its end, the arm moves to another posture in which it is at the goal.
+"""Detours: when progress stalls, the arm moves through joint space to another posture that reaches the goal.
 
 A plan of 0.3 s sees no way around a joint's limit: with the orientation held, the straight way to a goal often ends
 there, whatever the arm may touch. A detour leads straight through joint space, where limits are in the way of nothing,
@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
@@ -28,11 +27,10 @@ from contact_reach_ros.world.spheres import Spheres
 NAME = "detour"
 """Of the term of the cost that leads to the posture."""
 
-REPLACED = ("goal", "progress", "orientation")
-"""Terms that have no weight on a detour."""
-
-CONTACT = 5.0
-"""Factor on the weight of permitted contact on a detour, which has room to avoid it."""
+_ON = {"goal": 0.0, "progress": 0.0, "orientation": 0.0, "contact": 5.0}
+"""Factors on the weights of the cost's terms on a detour, which has room to avoid contact."""
+_OFF = {NAME: 0.0}
+"""The same without one."""
 
 _SPEEDS = 0.01, 0.1
 """Progress that counts: in `_distance`, 1/s, and of the joints on a detour, rad/s."""
@@ -59,7 +57,7 @@ _CANDIDATES, _STATIONS = 24, 12
 
 
 class Detour(NamedTuple):
-    """Progress towards a goal and on the detours to it, in single precision, as bags record it."""
+    """Progress towards a goal and on the detours to it."""
 
     least: float
     """Least distance so far: in m and `_METRES_PER_RADIAN` from the goal, or in rad from the posture."""
@@ -74,26 +72,22 @@ class Detour(NamedTuple):
     posture: Array
     """(n,) rad, of the last detour; where there was none that of the arm."""
 
-    @classmethod
-    def of(cls, values: NDArray[np.floating]) -> Detour:
-        """From the numbers of a record, see `numbers`."""
-        least, waited, number, is_on, arrived, *posture = values.astype(float).tolist()
-        return cls(least, waited, int(number), bool(is_on), bool(arrived), np.array(posture))
-
-    @property
-    def numbers(self) -> Array:
-        """(5 + n,) what a bag records."""
-        return np.array([self.least, self.waited, self.number, self.is_on, self.arrived, *self.posture])
-
 
 def begin(q: Array) -> Detour:
     """The state at joint angles `q` (n,), rad, with a new goal."""
-    return _single(Detour(np.inf, 0.0, 0, False, False, q))
+    return Detour(np.inf, 0.0, 0, False, False, q)
 
 
 def current(detour: Detour | None) -> int:
     """Number of the detour that the arm is on; 0 for none."""
     return detour.number if detour is not None and detour.is_on else 0
+
+
+def weight_factors(detour: Detour | None) -> dict[str, float]:
+    """Factors on the weights of the cost's terms; `detour` is None where the settings permit none."""
+    if detour is None:
+        return {}
+    return _ON if detour.is_on else _OFF
 
 
 def follow(
@@ -139,11 +133,7 @@ def follow(
         else:
             length = float(np.linalg.norm(posture - q))
             detour = Detour(length, 0.0, detour.number + 1, True, False, posture)
-    return _single(detour)
-
-
-def _single(detour: Detour) -> Detour:
-    return Detour.of(detour.numbers.astype(np.float32))
+    return detour
 
 
 def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:

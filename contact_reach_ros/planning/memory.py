@@ -6,41 +6,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.patience import Approach
-from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.plan import ReferenceTrajectory
+from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.solver.solver import State
-from contact_reach_ros.world.goal import Target
-
-PLANS_KEPT = 16
-"""How many of its last plans a planner keeps: one of them is in force when the next is made."""
 
 
 class Memory(NamedTuple):
-    """The start of the next plan."""
+    """Everything that the next plan depends on besides its request and the seed."""
 
-    plan: Plan
-    goal: Target
+    trajectories: tuple[ReferenceTrajectory, ...]
+    """The last plans, in order; one of them is in force when the next plan is made."""
+    request: Request
+    """What the last plan was made for."""
     best: np.ndarray
-    """(N,) the last plan as a point of its action space."""
+    """(N,) the last plan as a point of the solver's box."""
     state: State
     """State of the solver at the end of its search."""
     approach: Approach
     """Progress towards the goal."""
-    detour: Detour | None = None
+    detour: Detour | None
     """The same, and the way that leads there; None if the settings permit no detours."""
-
-
-class History(NamedTuple):
-    """Everything that a plan depends on besides its arguments, so that it can be computed again."""
-
-    plans: tuple[Plan, ...]
-    """Plans that may be in force before it takes effect, in order."""
-    memory: Memory | None
-    last_state: tuple[int, Array] | None
-    """Time in ns and joint angles (n,) in rad that the last plan was made for."""
-    since_reset: int
+    plans: int
     """Number of plans since the planner was reset, which selects the random numbers together with the seed."""
-    number: int
-    """Number of the last plan."""

@@ -13,7 +13,7 @@ from contact_reach_ros.world.task import ANGLE_TOLERANCE, REST_SPEED, TOLERANCE
 SPEED_SCALE = "speed_scale"
 """Name of the setting that may be changed while the planner runs."""
 
-IGNORE, REPLAN, RETREAT = REACTIONS = ("ignore", "replan", "retreat")
+IGNORE, RETREAT = REACTIONS = ("ignore", "retreat")
 """Reaction to contact that no known obstacle explains."""
 
 
@@ -69,14 +69,12 @@ class UnexpectedContactSettings(Settings):
 
     reaction: str = setting(
         RETREAT,
-        "reaction to contact within the budget that no known obstacle explains: none; further plans with a sphere "
-        "there that pushes with the measured force; or a retreat of the flange along its path, where the arm waits for "
-        "another goal",
+        "reaction to contact within the budget that no known obstacle explains: none; or a retreat of the flange "
+        "along its path, where the arm waits for another goal",
         choices=REACTIONS,
     )
     patience: float = setting(0.01, "least duration of the contact", unit="s", minimum=0.0, maximum=5.0)
     least_force: float = setting(5.0, "least force that counts", unit="N", minimum=0.0, maximum=140.0)
-    radius: float = setting(0.05, "radius of the sphere", unit="m", minimum=0.005, maximum=0.5)
     retreat: float = setting(0.05, "distance of the retreat", unit="m", minimum=0.01, maximum=0.5)
 
 

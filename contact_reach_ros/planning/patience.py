@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 LEAST_SPEED = 0.3
 """Mean speed of approach down to which contact may slow the arm, as a share of what γ permits."""
 
@@ -21,17 +19,22 @@ _THERE = 0.005
 
 
 class Approach(NamedTuple):
-    """Progress towards a goal when a plan takes effect, in single precision, as bags record it."""
+    """Progress towards a goal when a plan takes effect."""
 
     distance: float
     """From flange to goal, m."""
     share: float
     """Share of the weight of permitted contact for the next plan."""
 
+    @property
+    def weight_factors(self) -> dict[str, float]:
+        """Factors on the weights of the cost's terms for the next plan."""
+        return {"contact": self.share}
+
     @classmethod
     def begin(cls, distance: float) -> Approach:
         """Progress at the moment of a new goal."""
-        return cls(float(np.float32(distance)), 1.0)
+        return cls(distance, 1.0)
 
     def updated(
         self, distance: float, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
@@ -52,7 +55,7 @@ class Approach(NamedTuple):
         least_speed
             Mean speed of approach below which the arm is behind, m/s; 0 and infinity keep the share as it is.
         is_firm
-            Whether the expected contact is as strong as patience may make it.
+            Whether the expected contact is stronger than permitted.
         """
         share = self.share
         if patience > 0.0 and 0.0 < least_speed < math.inf and distance > _THERE:
@@ -61,4 +64,4 @@ class Approach(NamedTuple):
                 ahead = max(ahead, elapsed)
             # The limits keep the exponential finite, whatever happened in between.
             share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
-        return Approach(float(np.float32(distance)), float(np.float32(share)))
+        return Approach(distance, share)

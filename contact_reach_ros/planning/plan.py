@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from scipy.spatial.transform import Rotation
 
@@ -27,15 +27,10 @@ Held = tuple[Any, ...]
 """What is in force for a while, a NamedTuple of arrays: `HeldReference`, unless a method plans something different."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """References of H knots and the motion predicted under them.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReferenceTrajectory:
+    """References of H knots. Knot i holds from effect + i dt, excluded, to effect + (i + 1) dt, included."""
 
-    Knot i holds from effect + i dt, excluded, to effect + (i + 1) dt, included.
-    """
-
-    number: int
-    """Counted from 1 by each planner."""
     effect_ns: int
     """When knot 0 takes effect, on the clock of the states, ns."""
     knot_duration_s: float
@@ -46,30 +41,8 @@ class Plan:
     """(H, 3, 3) rotation of x_d."""
     postures: Array
     """(H, n) q_d of law (2), rad."""
-    predicted_q: Array
-    """(H + 1, n) joint angles at the knot boundaries, rad."""
-    predicted_positions: Array
-    """(H + 1, 3) flange at the knot boundaries, m."""
-    predicted_contact_forces: Array
-    """(H, L) largest contact force within each knot on each of the arm's `contact_links`, N."""
-    cost: float
-    """Value of (5)."""
-    cost_terms: dict[str, float]
-    """The terms that add up to `cost`."""
-    steps: int
-    """Solver steps taken."""
-    stop_reason: str
-    """"stagnated", "max_steps" or "deadline"."""
-    solve_s: float
-    """Wall-clock time of the whole call, s."""
-    rejected: int
-    """Candidates whose cost was not finite."""
-    left_out: int
-    """Obstacle spheres beyond the planner's capacity, which were ignored."""
     before: HeldReference | None = None
     """What is in force at the effect, from which the reference moves to knot 0; None if it steps."""
-    speed_scale: float = 1.0
-    """Share of γ that its actions are bounded by."""
     ramp_s: float = 0.0
     """Time in which the reference moves to a knot, from its beginning on, s."""
 
@@ -83,8 +56,8 @@ class Plan:
         ends_ns = tuple((knot + 1) * self.knot_duration_ns for knot in range(len(self.positions)))
         return References(self.effect_ns, ends_ns, self.positions, self.rotations, self.postures)
 
-    def without_knots(self) -> Plan:
-        """The same plan with nothing in force after its effect."""
+    def without_knots(self) -> Self:
+        """The same trajectory with nothing in force after its effect."""
         none = {name: getattr(self, name)[:0] for name in ("positions", "rotations", "postures")}
         return dataclasses.replace(self, **none)
 
@@ -108,6 +81,47 @@ class Plan:
         # Where the knot before it ended.
         start: Any = self.before if knot == 0 else self.in_force(self.effect_ns + knot * self.knot_duration_ns)
         return _between(start, target, elapsed / self.ramp_s)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plan(ReferenceTrajectory):
+    """References of H knots and the motion predicted under them."""
+
+    number: int
+    """Counted from 1 by each planner."""
+    predicted_q: Array
+    """(H + 1, n) joint angles at the knot boundaries, rad."""
+    predicted_positions: Array
+    """(H + 1, 3) flange at the knot boundaries, m."""
+    predicted_contact_forces: Array
+    """(H, L) largest contact force within each knot on each of the arm's `contact_links`, N."""
+    cost: float
+    """Value of (5)."""
+    cost_terms: dict[str, float]
+    """The terms that add up to `cost`."""
+    steps: int
+    """Solver steps taken."""
+    stop_reason: str
+    """"stagnated", "max_steps" or "deadline"."""
+    solve_s: float
+    """Wall-clock time of the whole call, s."""
+    rejected: int
+    """Candidates whose cost was not finite."""
+    left_out: int
+    """Obstacle spheres beyond the planner's capacity, which were ignored."""
+    speed_scale: float = 1.0
+    """Share of γ that its actions are bounded by."""
+
+    def statistics(self) -> dict[str, Any]:
+        """How the plan was found, by the keys of diagnostics and plan/statistics; the same for the same request."""
+        return {
+            "steps": self.steps,
+            "non-finite candidates": self.rejected,
+            "spheres left out": self.left_out,
+            "speed scale": self.speed_scale,
+            "cost": self.cost,
+            **{f"cost {name}": value for name, value in self.cost_terms.items()},
+        }
 
 
 def _between(start: HeldReference, end: HeldReference, share: float) -> HeldReference:

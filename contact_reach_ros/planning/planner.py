@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,7 @@ from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
 from contact_reach_ros.planning.known_obstacles import KnownObstacles
-from contact_reach_ros.planning.node_settings import RETREAT, ReplanningSettings
+from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planning_core import PlanningCore, Request
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
@@ -29,6 +30,10 @@ from contact_reach_ros.world.task import Task
 
 _ABANDONED_NS = 2_000_000_000
 """Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""
+
+_RECENT = 8
+"""Plans whose times the estimate of the latency is made from."""
+_MAX_LATENCY_NS = NANOSECONDS // 4
 
 
 class Planner:
@@ -161,8 +166,8 @@ class Planner:
         changes = self.reaction.report(contact, self.state.q, self.obstacles.spheres, self.state.stamp_ns)
         if changes:
             self.due_ns = self.state.stamp_ns
-        if self._progress is not None and self.reaction.reason and self.reaction.reaction == RETREAT:
-            self._progress.end(GoalPhase.WITHDRAWN, f"{RETREAT}: {self.reaction.reason}")
+        if self._progress is not None and self.reaction.reason:
+            self._progress.end(GoalPhase.WITHDRAWN, self.reaction.reason)
         return changes
 
     def request(self, state: JointState, clock_ns: int | None = None) -> Request | None:
@@ -202,7 +207,7 @@ class Planner:
         if problem:
             self._refuse("plans", InputError(problem))
             return None
-        goal, spheres = self.reaction.goal(self.goal), self.reaction.spheres(self.obstacles.spheres)
+        goal, spheres = self.reaction.goal(self.goal), self.obstacles.spheres
         effect_ns, detours = stamp_ns + self._latency(), not self.reaction.is_retreating
         return Request(q, v, stamp_ns, effect_ns, goal, spheres, self.speed_scale, detours)
 
@@ -258,6 +263,30 @@ class Planner:
     def _pursue(self, goal: Target) -> None:
         self.goal = goal
         self.reaction.reset()
+
+
+class LatencyEstimate:
+    """Time until a plan begun now can take effect: as long as the last ones took, which varies on a busy machine.
+
+    Parameters
+    ----------
+    least_ns
+        Shortest estimate, ns.
+    fixed
+        Whether the shortest estimate always holds, as in lockstep, where no plan is late.
+    """
+
+    def __init__(self, least_ns: int, fixed: bool = False) -> None:
+        self._least_ns = least_ns
+        self._recent_ns: deque[int] = deque(maxlen=0 if fixed else _RECENT)
+
+    def add(self, took_ns: int) -> None:
+        """Take the time from a plan's request to its publication, ns."""
+        self._recent_ns.append(took_ns)
+
+    def __call__(self) -> int:
+        """The estimate, ns."""
+        return max(self._least_ns, min(max(self._recent_ns, default=0), _MAX_LATENCY_NS))
 
 
 def _ignore(*_: object) -> None:

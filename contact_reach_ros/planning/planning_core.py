@@ -1,4 +1,4 @@
-"""What makes plans, and what it is asked for."""
+"""The interface of a core that makes plans, and its requests."""
 
 from __future__ import annotations
 
@@ -33,7 +33,16 @@ class Request(NamedTuple):
 
 
 class PlanningCore(Protocol):
-    """Computes plans, each for a state that was measured some time before the plan takes effect."""
+    """Computes plans, each for a state that was measured some time before the plan takes effect.
+
+    Attributes
+    ----------
+    memory
+        What the next plan depends on besides its request. Setting it to an earlier value makes the core plan from
+        there; a core that remembers nothing has None.
+    """
+
+    memory: Any
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Prepare what the first plan would otherwise wait for; `progress` gets a line for the user at each stage."""
@@ -43,12 +52,6 @@ class PlanningCore(Protocol):
 
     def reseed(self, seed: int) -> None:
         """Forget the plans made so far and draw other random numbers from now on."""
-
-    def history(self) -> Any:
-        """What the next plan depends on besides its request."""
-
-    def go_on_from(self, history: Any) -> None:
-        """Plan next as a core with this history would."""
 
     def plan(self, request: Request) -> Plan:
         """Make a plan; its `speed_scale` is the one that it was made for.

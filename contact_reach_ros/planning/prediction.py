@@ -14,9 +14,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.planning.plan import Held, HeldReference, Plan
-from contact_reach_ros.planning.programs import Program
+from contact_reach_ros.planning.plan import Held, HeldReference, ReferenceTrajectory
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
@@ -24,9 +22,6 @@ from contact_reach_ros.planning.transfer.pipeline import State, System
 
 MAX_PIECES = 128
 """Steps that one prediction may take."""
-
-_REACH = SupervisionSettings().max_position_error
-"""Distance of x_d from the tip above which the controller drops a plan, unless it is set otherwise, m."""
 
 
 def hold_at(arm: Arm, q: Array) -> HeldReference:
@@ -43,7 +38,7 @@ class Piece(NamedTuple):
     held: Held
 
 
-def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
+def reference_at(plans: Sequence[ReferenceTrajectory], time_ns: int) -> Held | None:
     """What is in force at a time: the latest plan that has taken effect, or None if it has run out."""
     for plan in reversed(plans):
         if plan.effect_ns < time_ns:
@@ -51,33 +46,37 @@ def reference_at(plans: Sequence[Plan], time_ns: int) -> Held | None:
     return None
 
 
-def followed(plans: Sequence[Plan], hold: Held, time_ns: int, speed: float) -> list[Plan]:
+def followed(
+    plans: Sequence[ReferenceTrajectory], tip: Array, time_ns: int, speed: float, max_position_error: float
+) -> list[ReferenceTrajectory]:
     """The plans as the controller follows them: those whose x_d is too far from the tip have no knots.
 
-    It drops such a plan and holds the arm. Other actions than references are all followed.
+    It drops such a plan and holds the arm.
 
     Parameters
     ----------
-    hold
-        What holds the arm where it is.
+    tip
+        (3,) position of the flange, m.
     time_ns
         Time of that, ns.
     speed
         At which the tip may still come nearer to x_d until a plan takes effect, m/s.
+    max_position_error
+        Distance of x_d from the tip above which the controller drops a plan, m.
     """
-    if not isinstance(hold, HeldReference):
-        return list(plans)
 
-    def is_dropped(plan: Plan) -> bool:
+    def is_dropped(plan: ReferenceTrajectory) -> bool:
         elapsed_ns = time_ns - plan.effect_ns
         nearer = -1e-9 * elapsed_ns * speed if elapsed_ns < 0 else 0.0
         knot = max(0, elapsed_ns - 1) // plan.knot_duration_ns
-        return any(math.dist(x_d, hold.position) > _REACH + nearer for x_d in plan.positions[knot : knot + 1])
+        return any(math.dist(x_d, tip) > max_position_error + nearer for x_d in plan.positions[knot : knot + 1])
 
     return [plan.without_knots() if is_dropped(plan) else plan for plan in plans]
 
 
-def pieces_between(plans: Sequence[Plan], hold: Held, start_ns: int, end_ns: int, longest: float) -> list[Piece]:
+def pieces_between(
+    plans: Sequence[ReferenceTrajectory], hold: Held, start_ns: int, end_ns: int, longest: float
+) -> list[Piece]:
     """Cut (start, end] where what is in force begins to change, and into pieces of at most `longest` seconds.
 
     `hold` is in force without a plan.
@@ -109,7 +108,7 @@ class Predictor:
     def __init__(self, system: System, step: Callable[[System, State, Any], State] = pipeline.step) -> None:
         self._system = system
         self._step = step
-        self._run = Program(self._advance)
+        self._run = jax.jit(self._advance)
 
     def predict(
         self, q: Array, v: Array, obstacles: Obstacles | None, pieces: Sequence[Piece]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
+import itertools
 import math
 import time
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -17,18 +16,16 @@ from numpy.typing import ArrayLike
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import plan_basis
-from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.errors import InputError, PlanningError, SettingsError
-from contact_reach_ros.planning.action_space import ActionSpace, ReferenceSpace, initial_spread, scaled_cost
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
-from contact_reach_ros.planning.detour import CONTACT, REPLACED, Detour, current, follow
-from contact_reach_ros.planning.detour import NAME as DETOUR
+from contact_reach_ros.planning.detour import Detour, current, follow, weight_factors
 from contact_reach_ros.planning.detour import begin as begin_detour
-from contact_reach_ros.planning.exhaustion import EXHAUSTION, with_fewer_candidates
-from contact_reach_ros.planning.memory import PLANS_KEPT, History, Memory
+from contact_reach_ros.planning.memory import Memory
+from contact_reach_ros.planning.objectives import ReferenceSpace, initial_spread
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
-from contact_reach_ros.planning.plan import Held, HeldReference, Plan
+from contact_reach_ros.planning.plan import Held, HeldReference, Plan, ReferenceTrajectory
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import (
     MAX_PIECES,
@@ -39,7 +36,6 @@ from contact_reach_ros.planning.prediction import (
     reference_at,
 )
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
-from contact_reach_ros.planning.programs import Program, at_once, preparing
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
@@ -59,11 +55,14 @@ from contact_reach_ros.world.spheres import Spheres
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
+_PLANS_KEPT = 16
+"""How many of its last plans a planner keeps: one of them is in force when the next is made."""
+
 _T = TypeVar("_T")
 
 
 class RecedingHorizonPlanner:
-    """Plans continuously, from one thread: references for laws (1)-(3), or the actions of another space.
+    """Plans references for laws (1)-(3) continuously, from one thread.
 
     Parameters
     ----------
@@ -77,8 +76,8 @@ class RecedingHorizonPlanner:
         ε of (4d), N, from the contact budget.
     capacity
         Number of obstacle spheres that the compiled program takes; 0 compiles one without contact.
-    space
-        Variables of a plan; references by default.
+    max_position_error
+        Distance of x_d from the tip above which the controller drops a plan, m; by default that of its settings.
     solver
         Makes the solver from a cost, the number of its variables and the settings.
 
@@ -86,6 +85,8 @@ class RecedingHorizonPlanner:
     ----------
     basis
         What the plans are made for, see `control.agreement`.
+    memory
+        What the next plan starts from; None after a reset. It may be set to an earlier value.
     """
 
     def __init__(
@@ -95,27 +96,25 @@ class RecedingHorizonPlanner:
         gains: ImpedanceSettings,
         permitted_force: float,
         capacity: int,
-        space: ActionSpace | None = None,
+        max_position_error: float = SupervisionSettings().max_position_error,
         solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = make_solver,
     ) -> None:
-        configure_jax(cache_directory() / "jax", settings.device, settings.cpus)
-        self.basis = plan_basis(arm, gains)
+        configure_jax(cache_directory() / "jax", settings.device)
+        self.basis = plan_basis(arm, gains, max_position_error)
         self._arm = arm
         self._settings = settings
         self._obstacles = ObstacleReader(arm, capacity)
         self._permitted_force = permitted_force
         self._speed = steady_speed(settings, gains)
-        self._space = ReferenceSpace(arm, settings, gains) if space is None else space
+        self._max_position_error = max_position_error
+        self._ramp_s = gains.reference_ramp
+        self._space = self._make_space(gains)
         self._spread = initial_spread(settings, self._space.bounds)
-        self._predictor = Predictor(self._space.objective.system, self._space.step)
-        self._new_solver = functools.partial(solver, scaled_cost(self._space), self.size)
-        self._solver = self._new_solver(settings)
-        self._evaluate = Program(functools.partial(_roll_out, self._space))
-        self._plans: deque[Plan] = deque(maxlen=PLANS_KEPT)
-        self._memory: Memory | None = None
-        self._last_state: tuple[int, Array] | None = None
+        self._predictor = self._make_predictor()
+        self._solver = solver(self._space.cost, self.size, settings)
+        self._evaluate = jax.jit(self._roll_out)
+        self.memory: Memory | None = None
         self._number = 0
-        self._since_reset = 0
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.
@@ -124,35 +123,19 @@ class RecedingHorizonPlanner:
         ------
         SettingsError
             If the deadline is too short for one step of the solver on this machine.
-        PlanningError
-            If the device has too little memory and `least_population` does not permit as few candidates as it has
-            room for.
         """
-        is_ready = False
-        while not is_ready:
-            try:
-                with preparing():
-                    self._warm_up(progress)
-                is_ready = True
-            except EXHAUSTION as error:
-                progress(f"planner: {self._use_less_memory(error)}")
-
-    def _warm_up(self, progress: Callable[[str], None]) -> None:
         begin = time.perf_counter()
         q, v = np.array(self._arm.home), np.zeros(self._arm.n)
         request = Request(q, v, 0, 0, Target(hold_at(self._arm, q).position), Spheres.none())
         obstacles, _ = self._obstacles.read(q, request.spheres)
-        pieces = pieces_between((), self._space.hold(q), 0, 10_000_000, self._settings.knot_duration)
+        hold = self._hold(q)
+        pieces = pieces_between((), hold, 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the programs (seconds if this machine has done it before, else up to a minute)")
-        before = self._before(self._space.hold(q))
         detour = begin_detour(q) if self._settings.takes_detours else None
-        bodies = self._bodies(q, ())
-        problem = self._problem(single(q[:, None]), single(v[:, None]), obstacles, request, bodies, before, detour)
-        *_, step = at_once(
-            lambda: self._predictor.predict(q, v, obstacles, pieces),
-            lambda: jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size)))),
-            lambda: self._solver.warm_up(problem, self.fresh_state),
-        )
+        predicted = self._predictor.predict(q, v, obstacles, pieces)
+        problem = self._problem(*predicted, request, self._bodies(q, ()), self._before(hold), detour)
+        jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
+        step = self._solver.warm_up(problem, self.fresh_state)
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
         if 0.0 < self._settings.deadline < step:
             raise SettingsError(
@@ -165,10 +148,7 @@ class RecedingHorizonPlanner:
 
         Later plans do not depend on anything before, except for their numbers.
         """
-        self._plans.clear()
-        self._since_reset = 0
-        self._memory = None
-        self._last_state = None
+        self.memory = None
 
     def reseed(self, seed: int) -> None:
         """Forget the plans made so far and draw other candidates from now on, as with that seed in the settings."""
@@ -177,43 +157,14 @@ class RecedingHorizonPlanner:
         self._solver.reseed(seed)
 
     @property
-    def memory(self) -> Memory | None:
-        """The start of the next plan; None after a reset."""
-        return self._memory
-
-    @property
     def size(self) -> int:
         """Number of variables that the solver searches."""
         return len(self._space.bounds)
 
     @property
-    def candidates(self) -> int:
-        """Number of candidates in a step of the solver: k, or fewer where memory ran out."""
-        return self._settings.population
-
-    @property
     def fresh_state(self) -> State:
-        """The solver's state at the start of a fresh search; recorded states have the same fields and shapes."""
+        """The solver's state at the start of a fresh search; all its states have the same fields and shapes."""
         return self._solver.init(np.zeros(self.size), self._spread)
-
-    @property
-    def since_reset(self) -> int:
-        """Number of plans since the last reset."""
-        return self._since_reset
-
-    def history(self) -> History:
-        """Everything that the next plan depends on besides its arguments."""
-        return History(tuple(self._plans), self._memory, self._last_state, self._since_reset, self._number)
-
-    def go_on_from(self, history: History) -> None:
-        """Plan next as a planner with this history would; drops the state of another kind of solver."""
-        self.reset()
-        self._plans.extend(history.plans)
-        memory = history.memory
-        if memory is not None and type(memory.state) is not type(self.fresh_state):
-            memory = memory._replace(state=self._solver.init(memory.best, self._spread))
-        self._memory, self._last_state = memory, history.last_state
-        self._number, self._since_reset = history.number, history.since_reset
 
     def limit_steps(self, steps: int | None) -> None:
         """Take at most `steps` solver steps in each plan from now on; None for as many as the settings allow."""
@@ -232,24 +183,17 @@ class RecedingHorizonPlanner:
             If the state is not finite or of the wrong size, the times are out of order or too far apart, or no motion
             from this state has a finite cost.
         PlanningError
-            If even the best motion would bring the arm into a rigid body or into itself; or if the device ran out of
-            memory, after which further plans have half as many candidates if `least_population` permits that.
+            If even the best motion would bring the arm into a rigid body or into itself.
         """
-        try:
-            return self._plan(request)
-        except EXHAUSTION as error:
-            raise PlanningError(f"{self._use_less_memory(error)}; the plan in force runs out into a hold") from error
-
-    def _plan(self, request: Request) -> Plan:
         begin = time.perf_counter()
         q, v = self._joints("q", request.q), self._joints("v", request.v)
-        state_ns, effect_ns, goal, spheres = request.state_ns, request.effect_ns, request.goal, request.spheres
+        state_ns, effect_ns, spheres = request.state_ns, request.effect_ns, request.spheres
         self._check_times(state_ns, effect_ns)
         self._reset_if_jumped(q, state_ns)
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
-        hold = self._space.hold(q)
-        plans = followed(self._plans, hold, state_ns, self._speed)
+        hold = self._hold(q)
+        plans = self._followed(q, state_ns)
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(plans, effect_ns) or hold)
@@ -261,7 +205,9 @@ class RecedingHorizonPlanner:
         state, start_cost = self._start(problem, request, detour)
         # The search of a posture takes longer than a plan, and the first plan on a detour has a new cost.
         until = begin + searched + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
-        solution = self._solver.solve(problem, state, start_cost, self._since_reset, until)
+        memory = self.memory
+        since_reset = 0 if memory is None else memory.plans
+        solution = self._solver.solve(problem, state, start_cost, since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
@@ -271,44 +217,59 @@ class RecedingHorizonPlanner:
         predicted_q = np.asarray(rollout.q)[..., 0].astype(float)
         check_motion(self._arm, predicted_q, spheres.environment, self._settings.collision_tolerance)
         self._number += 1
-        self._since_reset += 1
         plan = self._plan_of(solution, rollout, terms, request, left_out, begin, before)
-        self._plans.append(plan)
-        approach = self._approach_of(plan, goal, detour)
-        self._memory = Memory(plan, goal, solution.best, solution.state, approach, detour)
-        self._last_state = (state_ns, q)
+        earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
+        approach = self._approach_of(plan, request.goal, detour)
+        trajectories = (*earlier, plan)
+        made_for = request._replace(q=q, v=v)
+        self.memory = Memory(trajectories, made_for, solution.best, solution.state, approach, detour, since_reset + 1)
         return plan
 
-    def _use_less_memory(self, error: Exception) -> str:
-        """Compute with fewer candidates from now on, if the settings permit it; returns what happened."""
-        self._settings, text = with_fewer_candidates(self._settings, error)
-        steps, self._solver = self._solver.max_steps, self._new_solver(self._settings)
-        self._solver.max_steps = steps
-        return text
+    def _make_space(self, gains: ImpedanceSettings) -> ReferenceSpace:
+        """Decision variables of a plan."""
+        return ReferenceSpace(self._arm, self._settings, gains)
+
+    def _make_predictor(self) -> Predictor:
+        """Predicts the state in which a plan takes effect."""
+        return Predictor(self._space.objective.system)
+
+    def _hold(self, q: Array) -> Held:
+        """What is in force without a plan, at joint angles `q` (n,), rad."""
+        return hold_at(self._arm, q)
+
+    def _still(self, problem: Problem) -> Array:
+        """The point (N,) that keeps the arm still."""
+        return np.zeros_like(self._space.bounds)
+
+    def _followed(self, q: Array, state_ns: int) -> Sequence[ReferenceTrajectory]:
+        """The last plans, as far as the controller follows them from joint angles `q` (n,), rad."""
+        if self.memory is None:
+            return ()
+        tip = hold_at(self._arm, q).position
+        return followed(self.memory.trajectories, tip, state_ns, self._speed, self._max_position_error)
 
     def _detour_of(self, q: Array, request: Request) -> Detour | None:
         """Progress towards the goal, and the detour that leads there; None if there is to be none."""
         if not self._settings.takes_detours:
             return None
-        memory, goal = self._memory, request.goal
-        if not request.detours or memory is None or memory.detour is None or not goal.same_as(memory.goal):
+        memory, goal = self.memory, request.goal
+        if not request.detours or memory is None or memory.detour is None or not goal.same_as(memory.request.goal):
             return begin_detour(q)
         settings, force, pace = self._settings, self._permitted_force, request.speed_scale
         in_force = settings.horizon * settings.knot_duration
-        elapsed = min((request.effect_ns - memory.plan.effect_ns) * 1e-9, in_force)
+        elapsed = min((request.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9, in_force)
         if not settings.orientation_weight:
             goal = Target(goal.position)
         return follow(memory.detour, self._arm, q, goal, request.spheres, elapsed, settings, force, pace)
 
     def _approach_of(self, plan: Plan, goal: Target, detour: Detour | None) -> Approach:
         """Progress towards the goal when the plan takes effect."""
-        distance, memory = math.dist(plan.predicted_positions[0], goal.position), self._memory
-        if memory is None or not goal.same_as(memory.goal) or current(detour):
+        distance, memory = math.dist(plan.predicted_positions[0], goal.position), self.memory
+        if memory is None or not goal.same_as(memory.request.goal) or current(detour):
             return Approach.begin(distance)
         settings = self._settings
-        elapsed = (plan.effect_ns - memory.plan.effect_ns) * 1e-9
-        firm_force = settings.contact_patience_share * self._permitted_force
-        is_firm = bool((plan.predicted_contact_forces > firm_force).any())
+        elapsed = (plan.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9
+        is_firm = bool((plan.predicted_contact_forces > self._permitted_force).any())
         least_speed = plan.speed_scale * LEAST_SPEED * self._speed
         return memory.approach.updated(distance, elapsed, settings.contact_patience, least_speed, is_firm)
 
@@ -327,12 +288,12 @@ class RecedingHorizonPlanner:
             )
 
     def _reset_if_jumped(self, q: Array, state_ns: int) -> None:
-        if self._last_state is None:
+        if self.memory is None:
             return
-        last_ns, last_q = self._last_state
-        elapsed = (state_ns - last_ns) * 1e-9
+        last = self.memory.request
+        elapsed = (state_ns - last.state_ns) * 1e-9
         reachable = self._arm.velocity_limits * elapsed + _JUMP_SLACK
-        if elapsed < 0.0 or (np.abs(q - last_q) > reachable).any():
+        if elapsed < 0.0 or (np.abs(q - last.q) > reachable).any():
             self.reset()
 
     def _bodies(self, q: Array, environment: Environment) -> Bodies | None:
@@ -340,10 +301,8 @@ class RecedingHorizonPlanner:
         return nearest_bodies(self._arm, q, environment) if self._settings.clearance_weight else None
 
     def _before(self, held: Held) -> HeldReference | None:
-        """What is in force at the effect, in single precision as in records; None for a space in which it steps."""
-        if not self._space.ramp_s:
-            return None
-        return HeldReference(*(np.asarray(part, np.float32).astype(float) for part in held))
+        """What is in force at the effect, from which the reference moves; None where it steps."""
+        return HeldReference(*held) if self._ramp_s else None
 
     def _problem(
         self,
@@ -375,29 +334,29 @@ class RecedingHorizonPlanner:
         return _on_device(problem)
 
     def _weights_for(self, goal: Target, detour: Detour | None) -> dict[str, Number]:
-        """The weights of the settings, reduced by a free orientation, patience with contact and detours."""
-        weights = term_weights(self._settings)
+        """The weights of the settings, times the factors of a free orientation, patience with contact and detours."""
+        factors = [weight_factors(detour)]
         if goal.rotation is None:
-            weights["orientation"] = 0.0
-        if self._memory is not None and goal.same_as(self._memory.goal) and not current(detour):
-            weights["contact"] *= self._memory.approach.share
-        if detour is not None:
-            weights |= dict.fromkeys(REPLACED if detour.is_on else (DETOUR,), 0.0)
-            weights["contact"] *= CONTACT if detour.is_on else 1.0
+            factors.append({"orientation": 0.0})
+        if self.memory is not None and goal.same_as(self.memory.request.goal) and not current(detour):
+            factors.append(self.memory.approach.weight_factors)
+        weights = term_weights(self._settings)
+        for name, factor in itertools.chain.from_iterable(each.items() for each in factors):
+            weights[name] *= factor
         return {name: single(weight) for name, weight in weights.items()}
 
     def _start(self, problem: Problem, request: Request, detour: Detour | None) -> tuple[State, float]:
         """Start of the solver: the rest of the last plan, or standing still if that costs less."""
-        points = _pair(self._space.still(problem))
-        count, passed, carried = self._space.vectors_per_knot * self._settings.horizon, 0.0, None
-        memory = self._memory
+        points = _pair(self._still(problem))
+        count, passed, carried = self._space.vectors, 0.0, None
+        memory = self.memory
         if memory is not None:
-            elapsed = (request.effect_ns - memory.plan.effect_ns) / memory.plan.knot_duration_ns
+            elapsed = (request.effect_ns - memory.trajectories[-1].effect_ns) / memory.trajectories[-1].knot_duration_ns
             if 0.0 <= elapsed < self._settings.horizon:
-                passed = self._space.vectors_per_knot * elapsed
+                passed = elapsed * count / self._settings.horizon
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                is_same = request.goal.same_as(memory.goal) and current(detour) == current(memory.detour)
+                is_same = request.goal.same_as(memory.request.goal) and current(detour) == current(memory.detour)
                 carried = memory.state if is_same else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
@@ -420,7 +379,7 @@ class RecedingHorizonPlanner:
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
         cost_terms = {name: float(np.asarray(values)[0]) for name, values in terms.items()}
-        plan = Plan(
+        return Plan(
             number=self._number,
             effect_ns=request.effect_ns,
             knot_duration_s=self._settings.knot_duration,
@@ -439,15 +398,14 @@ class RecedingHorizonPlanner:
             left_out=left_out,
             before=before,
             speed_scale=request.speed_scale,
-            ramp_s=self._space.ramp_s,
+            ramp_s=self._ramp_s,
         )
-        return self._space.finish(plan, solution.best)
 
-
-def _roll_out(space: ActionSpace, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
-    actions = space.actions(points, problem)
-    rollout = space.objective.roll_out(problem, actions)
-    return rollout, space.objective.terms(problem, actions, rollout)
+    def _roll_out(self, problem: Problem, points: jax.Array) -> tuple[Rollout, dict[str, jax.Array]]:
+        """The motion and the terms of the cost for points (N, B)."""
+        actions = self._space.actions(points, problem)
+        rollout = self._space.objective.roll_out(problem, actions)
+        return rollout, self._space.objective.terms(problem, actions, rollout)
 
 
 def _pair(first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:

@@ -32,7 +32,7 @@ _FLAGS = {
 """By name."""
 
 
-def configure_jax(cache: Path | None = None, device: str = "auto", cpus: int = 1) -> None:
+def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
     """Start JAX's backend on one thread a core; call it before the first computation.
 
     Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A backend that is already running
@@ -44,20 +44,15 @@ def configure_jax(cache: Path | None = None, device: str = "auto", cpus: int = 1
         Folder for compiled programs; None leaves JAX's own setting.
     device
         One of `DEVICES`; the first call in a process decides.
-    cpus
-        Number of CPU cores that are devices of JAX; the first call in a process decides.
 
     Raises
     ------
     SettingsError
-        If a GPU is requested and JAX has none, or more cores than the process may use or JAX was started with.
+        If a GPU is requested and JAX has none.
     """
-    usable = len(os.sched_getaffinity(0))
-    if cpus > usable:
-        raise SettingsError(f"cpus = {cpus}: expected at most {usable}, which this process may use")
     import jax
 
-    if _may_divide_cpu(cpus):
+    if not _is_running():
         # Not of a backend that is running: it would not have them, but its programs would be kept as if it had.
         flags = os.environ.get("XLA_FLAGS", "")
         missing = (flag for name, flag in _FLAGS.items() if name not in flags)
@@ -69,11 +64,6 @@ def configure_jax(cache: Path | None = None, device: str = "auto", cpus: int = 1
         # The programs are few, and even the quick ones are worth keeping.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     _start_backend_with_one_worker()
-    if len(jax.devices()) < cpus:
-        raise SettingsError(
-            f"cpus = {cpus}: JAX computes on {len(jax.devices())} device of kind '{jax.default_backend()}' in this "
-            "process; expected cpus 1 with a GPU, or a process in which no planner with fewer came before"
-        )
     if device == "gpu" and jax.default_backend() != "gpu":
         raise SettingsError(
             f"device = 'gpu': JAX computes on '{jax.default_backend()}' here; expected a GPU and a JAX built for it "
@@ -86,15 +76,17 @@ def _gpu_support() -> bool:
     return any(find_spec(package) is not None for package in _GPU_PLUGINS)
 
 
-def _may_divide_cpu(cpus: int) -> bool:
-    """Make so many devices of the CPU; False if the backend is running already."""
+def _is_running() -> bool:
+    """Whether the backend is running already: JAX then refuses another number of devices."""
     import jax
 
+    devices = jax.config.jax_num_cpu_devices
     try:
-        jax.config.update("jax_num_cpu_devices", cpus)
+        jax.config.update("jax_num_cpu_devices", devices + 2)
     except RuntimeError:
-        return False
-    return True
+        return True
+    jax.config.update("jax_num_cpu_devices", devices)
+    return False
 
 
 def _start_backend_with_one_worker() -> None:

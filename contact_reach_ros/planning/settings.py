@@ -9,8 +9,7 @@ from contact_reach_ros.planning.runtime import DEVICES
 from contact_reach_ros.planning.solver import SOLVERS
 from contact_reach_ros.settings import Settings, setting
 
-BRAX_PIPELINES = ("generalized", "spring", "positional")
-PIPELINES = ("closed_loop", *BRAX_PIPELINES)
+PIPELINES = ("closed_loop", "generalized")
 BOUNDARY_PENALTIES = ("quadratic", "paper")
 SAMPLINGS = ("bounds", "paper")
 CONTACT_MEASURES = ("largest", "sum")
@@ -26,7 +25,7 @@ class PlanningSettings(Settings):
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
-        "transfer model: this package's, or one of Brax's own for comparison, which are much slower",
+        "transfer model: this package's, or Brax's own for comparison, which is much slower",
         choices=PIPELINES,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
@@ -46,13 +45,6 @@ class PlanningSettings(Settings):
         unit="s",
         minimum=0.0,
         maximum=60.0,
-    )
-    contact_patience_share: float = setting(
-        1.0,
-        "expected contact, as a share of the permitted force, above which that weight recovers; 0.15 keeps the arm "
-        "from pressing into foam harder than plans expect, but also from goals that need more",
-        minimum=0.0,
-        maximum=1.0,
     )
     contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
@@ -142,12 +134,6 @@ class PlanningSettings(Settings):
     population: int = setting(200, "k: candidates per step", minimum=4, maximum=20000)
     elite: int = setting(50, "k_top: candidates averaged into the next mean", minimum=2, maximum=10000)
     line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=20000)
-    least_population: int = setting(
-        0,
-        "candidates down to which plans go on with half as many whenever the device runs out of memory; 0 for never",
-        minimum=0,
-        maximum=20000,
-    )
     sampling: str = setting(
         "bounds",
         "initial standard deviations: a share of γ, or 0.01 for every variable as in line 1 of Algorithm 1",
@@ -179,12 +165,6 @@ class PlanningSettings(Settings):
     )
     device: str = setting(
         "auto", "device that computes plans; 'auto' is a GPU where JAX has one, else the CPU", choices=DEVICES
-    )
-    cpus: int = setting(
-        1,
-        "cores that share the candidates; more than one takes them from the 1 kHz loops",
-        minimum=1,
-        maximum=64,
     )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 

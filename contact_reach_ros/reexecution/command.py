@@ -99,20 +99,18 @@ def _as_json(found: Reexecution, inputs: RecordedInputs, changes: ChangedSetting
 
 def _reexecute_plan(inputs: RecordedInputs, number: int, changes: ChangedSettings) -> tuple[dict[str, Any], bool]:
     # The planner's libraries take seconds to import.
-    from contact_reach_ros.reexecution.plan_outcome import ROUNDING
     from contact_reach_ros.reexecution.plans import RecordedPlans
 
     found = RecordedPlans(inputs).solve(number, changes)
     plan, recorded = found.plan, found.statistics
-    print(f"plan {number}, {found.solved} plan(s) solved in {found.seconds:.1f} s")
+    print(f"plan {number}, solved in {found.seconds:.1f} s")
     if changes:
         print(f"with {changes.file}:")
-    elif found.first_difference is not None:
-        print(f"DIFFERENT: {found.first_difference}")
-    elif found.rounding:
-        print(f"equal within rounding ({ROUNDING:g} for each plan solved; largest difference {found.rounding:.1g})")
+    elif found.exceeded:
+        print(f"DIFFERENT: {found.exceeded}")
     else:
-        print("identical, bit for bit")
+        largest = ", ".join(f"{name} {value:.1g}" for name, value in found.differences.items())
+        print(f"EQUAL within tolerances (largest differences: {largest})")
     print(f"  {'':22}{'recorded':>14}{'now':>14}")
     rows = {"steps": plan.steps, "cost": plan.cost, **{f"cost {key}": value for key, value in plan.cost_terms.items()}}
     for name, value in rows.items():
@@ -120,12 +118,10 @@ def _reexecute_plan(inputs: RecordedInputs, number: int, changes: ChangedSetting
     print(f"  {'largest contact force':22}{'':14}{plan.predicted_contact_forces.max():14.3g} N")
     result = {
         "number": number,
-        "plans_solved": found.solved,
-        "identical": None if changes else found.first_difference is None and not found.rounding,
-        "equal_within_rounding": None if changes else found.first_difference is None,
-        "first_difference": None if found.first_difference is None else found.first_difference._asdict(),
+        "equal": None if changes else not found.exceeded,
+        "differences": dict(found.differences),
         "recorded": dict(recorded),
         "now": rows,
         "positions_m": plan.positions.tolist(),
     }
-    return result, found.first_difference is not None
+    return result, bool(found.exceeded)

@@ -22,7 +22,7 @@ from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
 from contact_reach_ros.messages.settings import read_settings
 from contact_reach_ros.messages.values import checked_stamp
-from contact_reach_ros.reexecution.settings import SECTIONS, recorded_sections
+from contact_reach_ros.reexecution.settings import recorded_sections
 from contact_reach_ros.units import NANOSECONDS
 
 JOINT_STATES = TOPICS[Taken.JOINT_STATES]
@@ -30,8 +30,9 @@ COMMANDS = TOPICS[Taken.COMMANDS]
 ADAPTER_COMMANDS = "adapter/commands"
 SHADOW_COMMANDS = "shadow/commands"
 EXTERNAL_TORQUE = "external_torque"
+OBSTACLES = "obstacles"
 
-_PLAIN = tuple(name for name in TOPICS.values() if name not in (JOINT_STATES, COMMANDS))
+_PLAIN = (*(name for name in TOPICS.values() if name not in (JOINT_STATES, COMMANDS)), OBSTACLES)
 """Topics of few messages, which are decoded when they are asked for."""
 
 
@@ -77,7 +78,7 @@ class Intake:
 
 
 class RecordedInputs:
-    """A bag's inputs of controller, observer and planner, by the time at which they were sent.
+    """A bag's inputs of controller, observer and planner by the time at which they were sent.
 
     Raises `BagError` if the bag has no joint states, or no node recorded what it took in.
 
@@ -114,7 +115,7 @@ class RecordedInputs:
             EXTERNAL_TORQUE: JointStates(("effort",), self.arm.joint_names),
         }
         self._plain: defaultdict[str, dict[int, RawMessage]] = defaultdict(dict)
-        batches: dict[str, list[RawMessage]] = {node: [] for node in SECTIONS}
+        batches: dict[str, list[RawMessage]] = {node: [] for node in ("controller", "observer")}
         handlers: dict[str, Collector | Callable[[RawMessage], None]] = {}
         handlers |= {f"/{name}": column for name, column in columns.items()}
         handlers |= {f"/{name}": partial(_keep, self._plain[name]) for name in _PLAIN}
@@ -149,10 +150,16 @@ class RecordedInputs:
         q, v, torque = states.values[row].reshape(3, -1)
         return JointState(stamp_ns, q, v, torque)
 
-    def message(self, what: Taken, sent_ns: int) -> Any:
-        """The decoded message that was sent at that time; None if the bag lacks it."""
-        raw = self._plain[TOPICS[what]].get(sent_ns)
+    def message(self, name: str, sent_ns: int) -> Any:
+        """The decoded message of a topic that was sent at that time; None if the bag lacks it."""
+        raw = self._plain[name].get(sent_ns)
         return None if raw is None else self.bag.decode(raw)
+
+    def messages_until(self, name: str, sent_ns: int) -> Iterator[Any]:
+        """The decoded messages of a topic up to one that was sent at that time, which the bag may lack."""
+        kept = self._plain[name]
+        if sent_ns in kept:
+            yield from (self.bag.decode(kept[each]) for each in sorted(kept) if each <= sent_ns)
 
     def messages(self, name: str) -> Iterator[Any]:
         """The decoded messages of a topic, which the bag may lack."""

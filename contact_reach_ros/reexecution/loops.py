@@ -16,7 +16,7 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.errors import BagError, InputError
-from contact_reach_ros.messages.intake import Taken
+from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.references import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.observer.observer import Observer
@@ -257,7 +257,7 @@ class _ControllerLoop(_Loop):
             self.watch.resume(self.last_residual)
 
     def _hear(self, row: Row) -> None:
-        message = self.inputs.message(row.what, row.sent_ns)
+        message = self.inputs.message(TOPICS[row.what], row.sent_ns)
         if message is None:
             self.missing += 1
         elif message.name == "observer":
@@ -266,7 +266,7 @@ class _ControllerLoop(_Loop):
             self.controller.in_force = read_in_force(message, self.controller.in_force)
 
     def _follow(self, row: Row) -> None:
-        message = self.inputs.message(row.what, row.sent_ns)
+        message = self.inputs.message(TOPICS[row.what], row.sent_ns)
         references, stamp_ns = self.controller.references, self.controller.stamp_ns
         if message is None:
             self.lose()

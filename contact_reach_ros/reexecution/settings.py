@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
@@ -18,13 +18,18 @@ from contact_reach_ros.timing import PERIOD
 
 BUDGET = "budget"
 """Prefix of the contact budget, which comes from a file of its own."""
-GAINS = "impedance"
-"""Prefix of the controller's gains, which the planner has, too."""
+GAINS, SUPERVISION = "impedance", "supervision"
+"""Prefixes of the controller's settings that the planner has, too."""
 
 SECTIONS: Mapping[str, Sections] = {
     "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},
     "observer": {**OBSERVER_SECTIONS, BUDGET: ContactBudget},
-    "planner": {**PLANNER_SECTIONS, GAINS: ImpedanceSettings, BUDGET: ContactBudget},
+    "planner": {
+        **PLANNER_SECTIONS,
+        GAINS: ImpedanceSettings,
+        SUPERVISION: SupervisionSettings,
+        BUDGET: ContactBudget,
+    },
 }
 """What the nodes that are re-executed record, by parameter prefix."""
 
@@ -53,16 +58,6 @@ FORMERLY: Mapping[str, Mapping[str, Any]] = {
         "commanded.threshold_factor": 1.0,
         "commanded.handover_time": 0.0,
         "commanded.lost": 0,
-    },
-    "planner": {
-        "impedance.reference_ramp": 0.0,
-        "speed_scale": 1.0,
-        "max_obstacle_age": 0.0,
-        "require_obstacles": False,
-        "planning.lead_change_weight": 0.0,
-        "planning.clearance_weight": 0.0,
-        "planning.collision_tolerance": 1.0,
-        "planning.detour_patience": 0.0,
     },
 }
 """What earlier versions did: values by node of settings that their bags lack."""
@@ -133,8 +128,9 @@ class ChangedSettings:
         self._changes = {
             node: _by_prefix(node, values, _OF_PROCESSES, f"{file}: {node}") for node, values in found.items()
         }
-        # The planner plans for the controller's gains.
-        self._changes["planner"][GAINS] = self._changes["controller"][GAINS] | self._changes["planner"][GAINS]
+        # The planner plans for the controller's gains and supervision.
+        for prefix in (GAINS, SUPERVISION):
+            self._changes["planner"][prefix] = self._changes["controller"][prefix] | self._changes["planner"][prefix]
         # The controller watches itself with the observer's.
         self._changes["controller"] |= {prefix: self._changes["observer"][prefix] for prefix in OBSERVER_SECTIONS}
 

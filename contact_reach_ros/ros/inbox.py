@@ -76,6 +76,8 @@ class Inbox:
     ----------
     received_ns
         When the message being handled arrived, on the system clock: before this thread woke up for it.
+    sent_ns
+        When it was sent, ns since the epoch.
     handled_ns
         When its handling began, on the steady clock.
     intake
@@ -95,6 +97,7 @@ class Inbox:
         self._tasks: deque[Callable[[], None]] = deque()
         self._thread = 0
         self.received_ns = 0
+        self.sent_ns = 0
         self.handled_ns = 0
         self.intake: IntakeLog | None = None
 
@@ -245,7 +248,7 @@ class Inbox:
 
     def _handle(self, listened: _Listened, data: bytes, sent_ns: int) -> None:
         """Handle one message; whatever that raises is refused here."""
-        self.handled_ns = time.monotonic_ns()
+        self.sent_ns, self.handled_ns = sent_ns, time.monotonic_ns()
         topic = listened.topic
         try:
             if len(data) > listened.largest:

@@ -78,10 +78,6 @@ class Obstacle:
         (E, 2) indices of the spheres that each edge joins; none by default.
     lattice
         Numbers of spheres along x, y and z if they form a lattice, z counting fastest; else empty.
-    velocity
-        (3,) velocity of the whole body, m/s. Planner and simulation support only obstacles at rest.
-    stamp_ns
-        Time of its observation, ns; None for what a scene file places.
     """
 
     kind: str
@@ -93,8 +89,6 @@ class Obstacle:
     id: int = 0
     edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     lattice: tuple[int, ...] = ()
-    velocity: Array = field(default_factory=lambda: np.zeros(3))
-    stamp_ns: int | None = None
 
     @property
     def is_deformable(self) -> bool:

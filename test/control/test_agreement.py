@@ -13,7 +13,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 
 GAINS = ImpedanceSettings()
 TOOL = Tool(mass=1.0, center=(0.03, 0.0, 0.06), flange_to_tip=(0.0, 0.0, 0.15, 0.0, 0.3, 0.0))
-OWN = {**plan_basis(ARM, GAINS), "state_rate": 1000.0, "supervision.hold_limit": 5.0}
+OWN = {**plan_basis(ARM, GAINS, 0.1), "state_rate": 1000.0, "supervision.hold_limit": 5.0}
 
 
 def test_the_same_settings_agree_whatever_else_differs():
@@ -29,6 +29,7 @@ def test_what_the_planner_does_not_report_is_not_compared():
     [
         ("impedance.task_stiffness", 500.0, "880.0"),
         ("impedance.null_damping", 2.0, "1.0"),
+        ("supervision.max_position_error", 0.2, "0.1"),
         ("state_rate", 200.0, "1000.0"),
         ("robot", "other", ARM.name),
     ],
@@ -39,14 +40,14 @@ def test_a_difference_is_named_with_both_values(name, value, own):
 
 
 def test_arms_of_one_name_are_told_apart_by_their_digest():
-    other = plan_basis(dataclasses.replace(SIX_AXIS, name=ARM.name), GAINS)
+    other = plan_basis(dataclasses.replace(SIX_AXIS, name=ARM.name), GAINS, 0.1)
     assert "robot digest" in disagreement(OWN, other)
 
 
 def test_planner_and_controller_with_different_tools_disagree_and_the_tool_is_named():
     def reported(tool):
         values = {f"tool.{entry.name}": getattr(tool, entry.name) for entry in Tool.declared()}
-        return plan_basis(ARM.with_tool(tool), GAINS) | values
+        return plan_basis(ARM.with_tool(tool), GAINS, 0.1) | values
 
     assert disagreement(reported(TOOL), reported(TOOL)) == ""
     differs = disagreement(reported(TOOL), reported(dataclasses.replace(TOOL, mass=2.0)))
@@ -55,7 +56,7 @@ def test_planner_and_controller_with_different_tools_disagree_and_the_tool_is_na
 
 def test_a_stack_refuses_a_planner_for_other_gains():
     class Core:
-        basis = plan_basis(ARM, ImpedanceSettings(task_damping=50.0))
+        basis = plan_basis(ARM, ImpedanceSettings(task_damping=50.0), 0.1)
 
         def plan(self, *_):
             raise NotImplementedError

@@ -1,7 +1,5 @@
 """What an episode hands to the planner, and what it reports of the walls."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from arm_simulation import ARM
@@ -19,7 +17,7 @@ from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.kinds.ball import BallSettings
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.spheres import rest_positions, sphere_capacity
+from contact_reach_ros.world.spheres import rest_positions
 
 
 class StraightPlanner:
@@ -142,17 +140,3 @@ def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):
         assert result.contact_forces.max() > 2.0
     else:
         assert result.distances[-1] > 0.02
-
-
-@pytest.mark.slow
-def test_patience_can_be_kept_from_pressing_into_foam():
-    """The goal is inside a wall: what a plan expects there is a part of the force, of the nodes that it looks at."""
-    file = read_scene("wall")
-    scene = dataclasses.replace(make_scene(file, ARM, 0), target=np.array([0.5, 0.0, 0.248]))
-    small = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64)
-    settings = dataclasses.replace(small, contact_patience_share=0.15)
-    planner = RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), 10.0, sphere_capacity(file))
-    options = EpisodeOptions(period=0.06, latency=0.06, timeout=12.0, hold_orientation=False)
-    result = run_episode(scene, Method(planner, ControllerSettings()), options)
-    assert not result.stop_reason
-    assert 1.0 < result.contact_forces.max() < 10.0

@@ -16,8 +16,7 @@ from contact_reach_ros.experiments.baselines.joint_torque import (
     HeldTorque,
     TorqueController,
     TorquePlan,
-    TorqueSpace,
-    make_torque_planner,
+    TorquePlanner,
     torque_bounds,
     torque_step,
 )
@@ -53,7 +52,7 @@ DAMPING = stop_damping(ARM, CONTROLLER.supervision)
 
 @pytest.fixture(scope="module")
 def warm_planner() -> RecedingHorizonPlanner:
-    planner = make_torque_planner(ARM, SETTINGS, GAINS, 10.0, 0, DAMPING)
+    planner = TorquePlanner(ARM, SETTINGS, GAINS, 10.0, 0, DAMPING)
     planner.warm_up(lambda line: None)
     return planner
 
@@ -134,9 +133,9 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
     np.testing.assert_allclose(np.asarray(state.q)[:, 0] - HOME, moved, rtol=0.03, atol=1e-3)
 
 
-def test_standing_still_stops_a_moving_arm():
+def test_standing_still_stops_a_moving_arm(warm_planner):
     v = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.2, 0.3])
-    space = TorqueSpace(ARM, SETTINGS, GAINS, DAMPING)
+    space = warm_planner._space
     problem = Problem(
         single(HOME[:, None]),
         single(v[:, None]),
@@ -147,9 +146,9 @@ def test_standing_still_stops_a_moving_arm():
         10.0,
         SETTINGS.joint_limit_margin,
     )
-    still = space.still(problem)
+    still = warm_planner._still(problem)
     points = single(np.stack([still, np.zeros_like(still)], axis=1))
-    rollout = jax.jit(lambda points: space.objective.roll_out(problem, space.actions(points)))(points)
+    rollout = jax.jit(lambda points: space.objective.roll_out(problem, space.actions(points, problem)))(points)
     stopped, coasting = np.moveaxis(np.asarray(rollout.q), 2, 0)
     assert np.abs(stopped[-1] - stopped[1]).max() < 0.2 * np.abs(coasting[-1] - coasting[1]).max()
 

@@ -14,11 +14,11 @@ from six_axis import SIX_AXIS
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
-from contact_reach_ros.planning.brax_pipeline import ClosedLoop
+from contact_reach_ros.planning.brax_pipeline import ClosedLoop, bodies_and_fields, read_spheres
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.prediction import hold_at
 from contact_reach_ros.planning.problem import Problem
-from contact_reach_ros.planning.transfer.brax_spheres import bodies_and_fields, network, read_spheres, sphere_body
+from contact_reach_ros.planning.transfer.brax_generalized import network, sphere_body
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.world.generate import load_scene

@@ -12,7 +12,6 @@ from contact_reach_ros.experiments.clutter_scenes import clutter_name, clutter_s
 from contact_reach_ros.experiments.grid import Cell, EpisodeTask, Setup, run_cell
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.detour import Detour, begin, follow
-from contact_reach_ros.planning.plan_record import detour_in, solution_parts, state_in
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import MAX_SPHERES, Spheres
@@ -111,18 +110,6 @@ def test_plans_on_a_detour_lead_to_its_posture(stuck):
     assert on.cost_terms["detour"] > 0.0 == on.cost_terms["goal"]
     start, end = (np.linalg.norm(on.predicted_q[knot] - posture) for knot in (0, -1))
     assert end < start - 0.05
-
-
-def test_a_planner_goes_on_with_a_detour_from_its_record_bit_for_bit(stuck):
-    planner, plans = stuck
-    history = planner.history()
-    expected = planner.plan(Request(HOME, REST, 1_240_000_000, 1_280_000_000, GOAL, Spheres.none()))
-    parts = solution_parts(dataclasses.replace(plans[-1], number=1), history.memory)
-    memory = history.memory._replace(state=state_in(parts, planner.fresh_state), detour=detour_in(parts))
-    planner.go_on_from(history._replace(memory=memory))
-    again = planner.plan(Request(HOME, REST, 1_240_000_000, 1_280_000_000, GOAL, Spheres.none()))
-    np.testing.assert_array_equal(again.positions, expected.positions)
-    assert again.cost_terms == expected.cost_terms
 
 
 def test_time_without_plans_is_no_lack_of_progress():

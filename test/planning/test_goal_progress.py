@@ -11,7 +11,7 @@ from test_planner import BEYOND, GOAL, SETTINGS, TIP, Core, make, report, reques
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
-from contact_reach_ros.planning.unexpected_contact import REPLAN, RETREAT
+from contact_reach_ros.planning.unexpected_contact import IGNORE, RETREAT
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.task import FREE, Goal
 
@@ -157,7 +157,7 @@ class TestPlanner:
             planner.command(BEYOND)
         assert planner.goal_state.phase is GoalPhase.SETTLED
 
-    @pytest.mark.parametrize(("reaction", "phase"), [(RETREAT, GoalPhase.WITHDRAWN), (REPLAN, GoalPhase.RUNNING)])
+    @pytest.mark.parametrize(("reaction", "phase"), [(RETREAT, GoalPhase.WITHDRAWN), (IGNORE, GoalPhase.RUNNING)])
     def test_a_retreat_gives_it_up(self, reaction, phase):
         planner = make(Core(), reaction)
         planner.command(GOAL)

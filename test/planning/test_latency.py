@@ -1,6 +1,6 @@
 """The time that a plan is begun before its effect follows the slowest of the last plans, within bounds."""
 
-from contact_reach_ros.planning.latency import LatencyEstimate
+from contact_reach_ros.planning.planner import LatencyEstimate
 
 MS = 1_000_000
 

@@ -17,7 +17,6 @@ from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.planning.planner import Planner, ReplanningSettings
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.unexpected_contact import (
-    REPLAN,
     RETREAT,
     ContactReaction,
     UnexpectedContactSettings,
@@ -51,7 +50,7 @@ class Core:
 def make(
     core: Core | None = None, reaction: str = RETREAT, settings: ReplanningSettings = SETTINGS, **others
 ) -> Planner:
-    reacting = ContactReaction(ARM, UnexpectedContactSettings(reaction=reaction), 1000.0, True)
+    reacting = ContactReaction(ARM, UnexpectedContactSettings(reaction=reaction))
     return Planner(ARM, core, reacting, settings, **others)
 
 
@@ -235,17 +234,6 @@ class TestContacts:
         assert planner.due_ns == 21 * TICK_NS
         assert planner.reaction.reason
 
-    def test_what_was_touched_is_planned_around_where_that_is_asked_for(self, core):
-        planner = make(core, REPLAN)
-        planner.command(GOAL)
-        planner.request(state(0))
-        for tick in (5, 16):
-            planner.request(state(tick))
-            planner.touched(touch())
-        request = planner.request(state(17))
-        assert len(request.spheres) == 1
-        np.testing.assert_array_equal(request.goal.position, GOAL.position)
-
     def test_without_a_goal_or_a_state_it_changes_nothing(self):
         planner = make()
         assert not planner.touched(touch())
@@ -388,13 +376,12 @@ class TestRigidBodies:
         assert [what for what, _ in refused] == ["goals"] and "deep in the table" in refused[0][1]
 
     def test_requests_have_them_also_after_an_unexpected_contact(self):
-        for reaction in (RETREAT, REPLAN):
-            planner = make(reaction=reaction)
-            planner.see(Spheres.none((self.TABLE,)))
-            planner.request(state(0))
-            planner.command(OTHER_GOAL)
-            for tick in range(1, 60):
-                planner.hear(report(contact=touch()))
-                planner.request(state(tick))
-            (request, *_) = requests(planner, 60, 120).values()
-            assert planner.reaction.reason and request.spheres.environment == (self.TABLE,)
+        planner = make()
+        planner.see(Spheres.none((self.TABLE,)))
+        planner.request(state(0))
+        planner.command(OTHER_GOAL)
+        for tick in range(1, 60):
+            planner.hear(report(contact=touch()))
+            planner.request(state(tick))
+        (request, *_) = requests(planner, 60, 120).values()
+        assert planner.reaction.reason and request.spheres.environment == (self.TABLE,)

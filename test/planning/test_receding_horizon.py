@@ -1,11 +1,9 @@
 """A planner that plans again and again."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, ideal_plant
-from planning_helpers import PERMITTED_FORCE, make_planner
+from planning_helpers import PERMITTED_FORCE, SMALL, make_planner
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
@@ -14,9 +12,9 @@ from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.plan_record import is_keyframe, solution_parts, state_in
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import hold_at, reference_at
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.simulation.plant import Actuation
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -198,6 +196,17 @@ def test_a_plan_whose_x_d_is_too_far_to_be_followed_is_expected_to_be_dropped(pl
     np.testing.assert_allclose(followed.before.position, plan.in_force(120 * MS).position, rtol=0, atol=1e-6)
 
 
+def test_a_controller_that_follows_from_farther_away_is_expected_to_follow(planner):
+    """As above, with another setting of the controller."""
+    gone = HOME + np.eye(7)[0] * 0.13
+    patient = RecedingHorizonPlanner(ARM, SMALL, ImpedanceSettings(), PERMITTED_FORCE, 1, max_position_error=0.2)
+    for each in (planner, patient):
+        plan_from(each, state=0, effect=0)
+    dropped, followed = (plan_from(each, gone, REST, 80, 120) for each in (planner, patient))
+    np.testing.assert_allclose(dropped.predicted_q[0], gone, rtol=0, atol=1e-6)
+    assert np.abs(followed.predicted_q[0] - gone).max() > 1e-4
+
+
 def test_spheres_beyond_the_capacity_are_counted(planner):
     centers = np.array([[0.5, 0.4, 0.3], [0.9, 0.0, 1.0]])
     ones = np.ones(2)
@@ -233,23 +242,3 @@ def test_warm_up_tells_what_it_does(warm_planner):
     warm_planner.warm_up(lines.append)
     assert lines[0].startswith("planner: preparing the programs")
     assert "ready" in lines[-1] and "one solver step takes" in lines[-1]
-
-
-def test_a_plan_can_be_made_again_from_what_a_bag_keeps(planner):
-    for start in range(0, 30, 10):
-        plan_from(planner, state=start, effect=start + 40)
-    history = planner.history()
-    memory = history.memory
-    first = plan_from(planner, state=30, effect=70)
-    # Numbered so that it is kept with the solver's state.
-    numbered = dataclasses.replace(memory.plan, number=1)
-    parts = solution_parts(numbered, memory)
-    assert is_keyframe(parts) and not is_keyframe(solution_parts(dataclasses.replace(memory.plan, number=2), memory))
-    kept = memory._replace(best=parts["best"], state=state_in(parts, planner.fresh_state))
-    plan_from(planner, goal=Target(FLANGE), state=80, effect=120)
-    planner.go_on_from(history._replace(memory=kept))
-    again = plan_from(planner, state=30, effect=70)
-    assert again.number == first.number
-    for name in ("positions", "rotations", "postures", "predicted_q"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
-    assert again.cost_terms == first.cost_terms

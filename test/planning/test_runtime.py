@@ -61,9 +61,15 @@ def test_flags_that_a_running_backend_does_not_have_are_not_claimed(tmp_path):
     assert whole == "False" and flags == "None"
 
 
-def test_compiled_programs_are_kept(tmp_path):
-    start(tmp_path)
-    assert any(tmp_path.iterdir())
+def test_compiled_programs_are_kept_and_found_by_the_next_process(tmp_path):
+    events = SCRIPT.replace(
+        "configure_jax(",
+        "import jax\nevents = []\n"
+        "jax.monitoring.register_event_listener(lambda event, **_: events.append(event))\nconfigure_jax(",
+        1,
+    ).replace('os.environ.get("XLA_FLAGS")', '"/jax/compilation_cache/cache_misses" in events')
+    assert start(tmp_path, events)[-1] == "True"
+    assert start(tmp_path, events)[-1] == "False"
 
 
 def test_gpu_that_is_not_there_is_refused(tmp_path):

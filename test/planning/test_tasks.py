@@ -22,7 +22,7 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.action_space import ReferenceSpace
+from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -100,7 +100,7 @@ def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(ca
 
 def test_a_task_of_positions_takes_no_heed_of_the_orientation():
     settings = dataclasses.replace(SMALL, deadline=0.0)
-    planner = make_planner(SIX_AXIS, 0, planning=settings, impedance=POSITION)
+    planner = make_planner(SIX_AXIS, 0, planning=settings, controller=ControllerSettings(impedance=POSITION))
     core = planner.core
     assert isinstance(core, RecedingHorizonPlanner)
     home, rest = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)
@@ -111,16 +111,17 @@ def test_a_task_of_positions_takes_no_heed_of_the_orientation():
     assert np.abs(plan.postures - home).max() > 0.0
     state = JointState(0, home, rest, None)
     assert planner.resolve(Goal(position), state).rotation is None
-    with_axis = make_planner(SIX_AXIS, 0, planning=settings, impedance=AXIS)
+    with_axis = make_planner(SIX_AXIS, 0, planning=settings, controller=ControllerSettings(impedance=AXIS))
     assert with_axis.resolve(Goal(position), state).only_axis
     assert not with_axis.resolve(Goal(position, "free"), state).only_axis
-    with_pose = make_planner(SIX_AXIS, 0, planning=settings, impedance=POSE)
+    with_pose = make_planner(SIX_AXIS, 0, planning=settings, controller=ControllerSettings(impedance=POSE))
     assert with_pose.resolve(Goal(position), state).rotation is not None
 
 
 @pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
 def test_a_task_of_position_and_axis_plans_for_the_axis_alone(arm):
-    core = make_planner(arm, 0, planning=dataclasses.replace(SMALL, deadline=0.0), impedance=AXIS).core
+    planning = dataclasses.replace(SMALL, deadline=0.0)
+    core = make_planner(arm, 0, planning=planning, controller=ControllerSettings(impedance=AXIS)).core
     assert isinstance(core, RecedingHorizonPlanner)
     home, rest = np.array(arm.home), np.zeros(arm.n)
     position, rotation = RobotModel(arm).tip_pose(home)

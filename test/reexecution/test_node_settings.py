@@ -110,19 +110,14 @@ class TestChanges:
         with pytest.raises(SettingsError, match="unknown node 'plannner'; did you mean 'planner'"):
             self.write(tmp_path / "changes.yaml", plannner={"period": 0.1}, controller={})
 
-    def test_the_planner_plans_for_the_gains_that_the_controller_has(self, tmp_path: Path) -> None:
-        changes = self.write(tmp_path / "changes.yaml", controller={"impedance": {"task_damping": 90.0}})
+    def test_the_planner_plans_for_the_settings_that_the_controller_has(self, tmp_path: Path) -> None:
+        content = {"impedance": {"task_damping": 90.0}, "supervision": {"max_position_error": 0.2}}
+        changes = self.write(tmp_path / "changes.yaml", controller=content)
         for node in ("controller", "planner"):
-            assert changes.apply(node, recorded_sections(node, {}, "bag"))["impedance"].task_damping == 90.0
+            made = changes.apply(node, recorded_sections(node, {}, "bag"))
+            assert (made["impedance"].task_damping, made["supervision"].max_position_error) == (90.0, 0.2)
 
     def test_a_value_that_is_not_accepted_is_named(self, tmp_path: Path) -> None:
         changes = self.write(tmp_path / "changes.yaml", planner={"max_spheres": -1})
         with pytest.raises(SettingsError, match="max_spheres = -1"):
             changes.apply("planner", recorded_sections("planner", {}, "bag"))
-
-
-def test_bags_from_before_rigid_bodies_have_no_cost_for_them() -> None:
-    planning = recorded_sections("planner", {"planning.horizon": 2}, "bag")["planning"]
-    assert (planning.horizon, planning.clearance_weight, planning.collision_tolerance) == (2, 0.0, 1.0)
-    planning = recorded_sections("planner", {"planning.clearance_weight": 30.0}, "bag")["planning"]
-    assert planning.clearance_weight == 30.0

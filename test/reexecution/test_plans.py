@@ -1,85 +1,71 @@
-"""Bags whose plans cannot be re-executed."""
+"""Plans of a bag are solved again, and differences are noticed."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.messages.intake import Taken
-from contact_reach_ros.reexecution import plans as plans
 from contact_reach_ros.reexecution.command import DIFFERENT, IDENTICAL, run_reexecution
-from contact_reach_ros.reexecution.inputs import RecordedInputs, Row
-from contact_reach_ros.reexecution.plan_outcome import PlanDifference, ReexecutedPlan, compare_plans
-from contact_reach_ros.reexecution.plans import RecordedPlans
+from contact_reach_ros.reexecution.inputs import RecordedInputs
+from contact_reach_ros.reexecution.plans import TOLERANCES, RecordedPlans
+from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.resources import share_directory
 
+SAMPLE = share_directory() / "bags" / "sample"
+PLAN = 30
 
-def test_a_bag_of_an_earlier_version_is_refused_and_says_what_to_do(monkeypatch):
-    """Without `approach` its planner's weight of contact is unknown: plans would differ without a reason to be seen."""
-    solutions = {1: {"plan": np.ones(1), "best": np.zeros(39)}}
-    monkeypatch.setattr(plans, "_read_plans", lambda _: ({1: {"plan": "1"}}, {1: 0}, solutions))
+
+@pytest.fixture(scope="module")
+def plans() -> RecordedPlans:
+    return RecordedPlans(RecordedInputs(BagReader(SAMPLE)))
+
+
+def test_the_sample_has_a_request_for_each_of_its_plans(plans: RecordedPlans) -> None:
+    assert len(plans.numbers) > PLAN and set(plans.numbers) == set(plans.statistics)
+
+
+def test_a_plan_that_the_bag_lacks_is_refused_with_those_that_it_has(plans: RecordedPlans) -> None:
+    with pytest.raises(BagError, match=r"sample' lacks plan 9999; expected one of its \d+ plans from 1 to \d+"):
+        plans.solve(9999)
+
+
+def test_plans_without_their_requests_need_the_version_that_recorded_them(plans: RecordedPlans) -> None:
+    recorded = {"plan/statistics": list(plans._inputs.messages("plan/statistics"))[:1]}
     bag = SimpleNamespace(summary=SimpleNamespace(path="old_bag"))
-    inputs = SimpleNamespace(bag=bag, intakes={"planner": []}, settings={"planner": {}})
-    with pytest.raises(BagError, match=r"old_bag.*earlier version.*use that version"):
+    inputs = SimpleNamespace(bag=bag, messages=lambda name: iter(recorded.get(name, [])))
+    with pytest.raises(BagError, match=r"'old_bag': no plan .*expected plan/request.*earlier version"):
         RecordedPlans(inputs)
 
 
-def test_rivals_withdraw_the_goal_as_they_did():
-    withdrawn = []
-    planner = SimpleNamespace(withdraw=lambda: withdrawn.append(True))
-    recorded = SimpleNamespace(_inputs=None)
-    RecordedPlans._take(recorded, planner, None, Row(Taken.STOP, 0, 0, False, 0))
-    assert withdrawn
+@pytest.mark.slow
+class TestSolved:
+    def test_it_is_equal_within_the_tolerances(self, plans: RecordedPlans) -> None:
+        for number in (plans.numbers[0], PLAN, plans.numbers[-1]):
+            found = plans.solve(number)
+            assert not found.exceeded, (number, found.exceeded)
+            assert set(found.differences) == set(TOLERANCES)
+            assert found.plan.steps == int(found.statistics["steps"])
 
+    @pytest.mark.parametrize("part", ["q", "goal", "best", "solver mean", "trajectory 0"])
+    def test_each_part_of_the_record_matters(self, plans: RecordedPlans, monkeypatch, part: str) -> None:
+        changed = plans._requests[PLAN] | {part: plans._requests[PLAN][part] + np.float32(0.05)}
+        monkeypatch.setitem(plans._requests, PLAN, changed)
+        assert plans.solve(PLAN).exceeded
 
-@pytest.mark.parametrize(("threads", "warnings"), [(None, 1), ("2", 1), ("1", 0)])
-def test_several_threads_in_lapack_bring_a_warning(monkeypatch, caplog, threads, warnings):
-    """They change the last digits of plans among deformable bodies; nodes and command line have one."""
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    if threads is not None:
-        monkeypatch.setenv("OPENBLAS_NUM_THREADS", threads)
-    RecordedPlans(RecordedInputs(BagReader(share_directory() / "bags" / "sample")))
-    assert len(caplog.messages) == warnings
-    assert all("OPENBLAS_NUM_THREADS is not 1" in message for message in caplog.messages)
+    def test_the_command_says_so_with_its_exit_code(self, plans, monkeypatch, capsys, tmp_path: Path) -> None:
+        assert run_reexecution(SAMPLE, plan=PLAN) == IDENTICAL
+        assert "EQUAL within tolerances" in capsys.readouterr().out
+        monkeypatch.setitem(TOLERANCES, "cost", -1.0)
+        assert run_reexecution(SAMPLE, plan=PLAN) == DIFFERENT
+        assert "DIFFERENT: cost by" in capsys.readouterr().out
 
-
-PLAN = {"steps": np.array([4.0]), "cost": np.array([0.1]), "best": np.array([0.5, -20.0])}
-
-
-@pytest.mark.parametrize(
-    ("changed", "field", "largest"),
-    [
-        ({}, None, 0.0),
-        ({"cost": np.array([0.1 + 9e-8])}, None, 9e-8),
-        ({"best": np.array([0.5, -20.0 - 1e-6])}, None, 5e-8),
-        ({"cost": np.array([0.1 + 9e-8]), "best": np.array([0.5 + 3e-7, -20.0])}, "best[0]", 9e-8),
-        ({"steps": np.array([5.0])}, "steps", 0.0),
-        ({"cost": np.array([np.nan])}, "cost", 0.0),
-        ({"best": np.zeros(3)}, "number of best", 0.0),
-        ({"positions": np.zeros(3)}, "number of positions", 0.0),
-    ],
-)
-def test_plans_of_another_processor_are_equal_within_rounding(changed, field, largest):
-    difference, off = compare_plans(3, PLAN, {**PLAN, **changed}, 1e-7)
-    assert (None if difference is None else difference.field) == field
-    assert off == pytest.approx(largest, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("difference", "rounding", "says", "code"),
-    [
-        (None, 0.0, "identical, bit for bit", IDENTICAL),
-        (None, 3e-8, "equal within rounding (1e-07", IDENTICAL),
-        (PlanDifference(3, "cost", 0.1, 0.2), 3e-8, "DIFFERENT: plan 3, cost: recorded 0.1", DIFFERENT),
-    ],
-)
-def test_the_command_says_how_far_a_plan_is_off(monkeypatch, capsys, difference, rounding, says, code):
-    plan = SimpleNamespace(
-        steps=4, cost=0.1, cost_terms={}, predicted_contact_forces=np.zeros(1), positions=np.zeros((3, 3))
-    )
-    found = ReexecutedPlan(3, plan, {}, 1, difference, rounding, 0.1)
-    monkeypatch.setattr(RecordedPlans, "solve", lambda *_: found)
-    assert run_reexecution(share_directory() / "bags" / "sample", plan=3) == code
-    assert says in capsys.readouterr().out
+    def test_with_changed_settings_it_is_another_plan(self, plans: RecordedPlans, tmp_path: Path) -> None:
+        file = tmp_path / "changes.yaml"
+        file.write_text(yaml.safe_dump({"planner": {"ros__parameters": {"planning": {"goal_weight": 3.0}}}}))
+        found = plans.solve(PLAN, ChangedSettings(file))
+        assert not found.differences
+        assert found.plan.cost_terms["goal"] > 2.0 * float(found.statistics["cost goal"])

@@ -45,17 +45,6 @@ class TestArm:
             recorded_arm({"controller": {"robot table": {**table_of(SIX_AXIS), "home": [0.0]}}})
 
 
-def test_bags_from_before_there_were_detours_are_executed_without():
-    assert not recorded_sections("planner", {"period": 0.05}, "old")["planning"].takes_detours
-
-
-def test_bags_from_before_obstacles_went_stale_are_executed_as_they_were():
-    old = recorded_sections("planner", {"period": 0.05}, "old")[""]
-    assert (old.period, old.max_obstacle_age, old.require_obstacles) == (0.05, 0.0, False)
-    new = recorded_sections("planner", {"max_obstacle_age": 0.3, "require_obstacles": True}, "new")[""]
-    assert (new.max_obstacle_age, new.require_obstacles) == (0.3, True)
-
-
 def test_bags_from_before_the_slow_mean_was_limited_are_executed_as_they_were():
     old = recorded_sections("observer", {"safety.mean_states": 300}, "old")
     assert old["safety"].model_error_at_rest == 1000.0

@@ -29,10 +29,10 @@ except ImportError:
 """
 
 
-def run(*arguments: str, codes: tuple[int, ...] = (0,)) -> str:
+def run(*arguments: str) -> str:
     command = [sys.executable, "-c", WITHOUT_ROS, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode in codes, done.stderr
+    assert done.returncode == 0, done.stderr + done.stdout
     assert "Traceback" not in done.stderr
     return done.stdout
 
@@ -47,11 +47,9 @@ def test_reexecution(tmp_path: Path) -> None:
 
 def test_reexecution_of_a_plan(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    # The sample's plans differ in the last digits from one kind of processor to another.
-    run("reexecute", str(SAMPLE), "--plan", "3", "--json", str(file), codes=(0, 1))
+    assert "EQUAL within tolerances" in run("reexecute", str(SAMPLE), "--plan", "3", "--json", str(file))
     plan = json.loads(file.read_text())["plan"]
-    assert plan["now"]["cost"] > 0.0
-    assert abs(plan["now"]["cost"] - float(plan["recorded"]["cost"])) < 1e-3
+    assert plan["equal"] and plan["now"]["cost"] > 0.0
 
 
 def test_report(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ ABOVE, NEAR = (0.0, 0.0, 1.15), (0.45, 0.2, 0.3)
 
 def by_the_node(position: tuple, orientation: str) -> None:
     settings = ReplanningSettings(require_obstacles=False)
-    planner = Planner(ARM, None, ContactReaction(ARM, UnexpectedContactSettings(), 1000.0, True), settings)
+    planner = Planner(ARM, None, ContactReaction(ARM, UnexpectedContactSettings()), settings)
     planner.request(JointState(1_000_000, HOME, np.zeros(ARM.n), None))
     planner.command(Goal(position, orientation))
 

@@ -124,14 +124,15 @@ class CollisionFreePlanner:
         self._goal = self._points = self.path = None
         self._progress = 0
 
-    def history(self) -> tuple[Any, ...]:
+    @property
+    def memory(self) -> tuple[Any, ...]:
         """Path, progress and plans."""
         return tuple(self._plans), self._number, self._goal, self._points, self._progress, self.path
 
-    def go_on_from(self, history: tuple[Any, ...]) -> None:
-        """Plan next as a planner with this history would."""
+    @memory.setter
+    def memory(self, memory: tuple[Any, ...]) -> None:
         self.reset()
-        plans, self._number, self._goal, self._points, self._progress, self.path = history
+        plans, self._number, self._goal, self._points, self._progress, self.path = memory
         self._plans.extend(plans)
 
     def reseed(self, seed: int) -> None:

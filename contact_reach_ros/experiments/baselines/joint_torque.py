@@ -11,6 +11,7 @@ that the law can ask for at rest with actions within γ, so that both planners m
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -28,12 +29,13 @@ from contact_reach_ros.control.law import ImpedanceLaw
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective
-from contact_reach_ros.planning.objectives import knot_bounds, make_objective
-from contact_reach_ros.planning.plan import Held, Plan
-from contact_reach_ros.planning.prediction import reference_at
+from contact_reach_ros.planning.objectives import ReferenceSpace, knot_bounds, make_objective
+from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory
+from contact_reach_ros.planning.prediction import Predictor, reference_at
 from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver.solver import Solution
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.closed_loop import Reference, driven_acceleration
 from contact_reach_ros.planning.transfer.contact import contact_step
@@ -140,11 +142,11 @@ def make_torque_objective(arm: Arm, settings: PlanningSettings, gains: Impedance
     return TorqueObjective(closed.system, closed.horizon, closed.substeps, closed.contact_measure)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TorquePlan(Plan):
     """A plan of torques; `positions`, `rotations` and `postures` are what it expects at the ends of its knots."""
 
-    torques: Array = field(kw_only=True)
+    torques: Array
     """(S, 7) beyond C + g, N m, each in force for an equal part of the plan's time."""
 
     def references(self) -> TorqueReferences:
@@ -166,66 +168,71 @@ class TorquePlan(Plan):
         return HeldTorque(self.torques[index], np.zeros_like(self.torques[index]))
 
 
-class TorqueSpace:
-    """Joint torques, one vector for each step of the transfer model.
+class TorqueSpace(ReferenceSpace):
+    """Decision variables: joint torques, one vector for each step of the transfer model."""
 
-    Parameters
-    ----------
-    settings, gains
-        Of the planner and the controller; the gains shape the bounds only.
-    damping
-        (n,) of the joints where no plan is in force, N m s/rad.
-    """
-
-    def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings, damping: Array) -> None:
-        self.objective: Objective = make_torque_objective(arm, settings, gains)
-        self._arm = arm
+    def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
+        self.objective = make_torque_objective(arm, settings, gains)
         bounds = torque_bounds(arm, settings, gains, np.array(arm.home))
-        self.bounds = np.tile(bounds, settings.horizon * settings.substeps)
-        self.vectors_per_knot = settings.substeps
-        self.ramp_s = 0.0
-        self._settings = settings
-        self._damping = damping
-        self._model = RobotModel(arm)
+        self.vectors = settings.horizon * settings.substeps
+        self.bounds = np.tile(bounds, self.vectors)
 
     def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
         """Torques (H, n * substeps, B), N m, of points (N, B)."""
         return (points * self.bounds[:, None]).reshape(self.objective.horizon, -1, points.shape[1])
 
-    def step(self, system: System, state: State, held: Any) -> State:
-        """Advance under a torque."""
-        return torque_step(system, state, held)
 
-    def hold(self, q: Array) -> Held:
+class TorquePlanner(RecedingHorizonPlanner):
+    """Plans joint torques.
+
+    Parameters
+    ----------
+    damping
+        (n,) of the joints where no plan is in force, N m s/rad.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: PlanningSettings,
+        gains: ImpedanceSettings,
+        permitted_force: float,
+        capacity: int,
+        damping: Array,
+    ) -> None:
+        super().__init__(arm, settings, gains, permitted_force, capacity)
+        self._damping = damping
+        self._ramp_s = 0.0
+        self._model = RobotModel(arm)
+
+    def _make_space(self, gains: ImpedanceSettings) -> TorqueSpace:
+        return TorqueSpace(self._arm, self._settings, gains)
+
+    def _make_predictor(self) -> Predictor:
+        return Predictor(self._space.objective.system, torque_step)
+
+    def _hold(self, q: Array) -> Held:
         """Damped joints."""
         return HeldTorque(np.zeros(self._arm.n), self._damping)
 
-    def still(self, problem: Problem) -> Array:
+    def _still(self, problem: Problem) -> Array:
         """Torques that would stop the arm within the first knot; none at all would let it coast on."""
         q, v = (np.asarray(values, float)[:, 0] for values in (problem.q, problem.v))
         self._model.update(q, v)
         point = np.zeros((self._settings.horizon, self._settings.substeps, self._arm.n))
         point[0] = -self._model.mass_matrix @ v / self._settings.knot_duration
-        return np.clip(point.ravel() / self.bounds, -1.0, 1.0)
+        return np.clip(point.ravel() / self._space.bounds, -1.0, 1.0)
 
-    def finish(self, plan: Plan, point: np.ndarray) -> TorquePlan:
+    def _followed(self, q: Array, state_ns: int) -> Sequence[ReferenceTrajectory]:
+        """All plans: the controller drops none of torques."""
+        return () if self.memory is None else self.memory.trajectories
+
+    def _plan_of(self, solution: Solution, *others: Any) -> TorquePlan:
         """The plan with its torques."""
-        torques = (point * self.bounds).reshape(-1, self._arm.n)
+        plan = super()._plan_of(solution, *others)
+        torques = (solution.best * self._space.bounds).reshape(-1, self._arm.n)
         values = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan)}
         return TorquePlan(**values, torques=torques)
-
-
-def make_torque_planner(
-    arm: Arm,
-    settings: PlanningSettings,
-    gains: ImpedanceSettings,
-    permitted_force: float,
-    capacity: int,
-    damping: Array,
-) -> RecedingHorizonPlanner:
-    """A planner of joint torques; `damping` (n,) acts on the joints where no plan is in force, N m s/rad."""
-    space = TorqueSpace(arm, settings, gains, damping)
-    return RecedingHorizonPlanner(arm, settings, gains, permitted_force, capacity, space)
 
 
 @dataclass(frozen=True, eq=False)

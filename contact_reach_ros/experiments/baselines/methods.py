@@ -12,7 +12,7 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.experiments.baselines.collision_free import CollisionFreePlanner
 from contact_reach_ros.experiments.baselines.contact_rrt import find_contact_path
-from contact_reach_ros.experiments.baselines.joint_torque import SIGMA, TorqueController, make_torque_planner
+from contact_reach_ros.experiments.baselines.joint_torque import SIGMA, TorqueController, TorquePlanner
 from contact_reach_ros.experiments.baselines.method import Method
 from contact_reach_ros.experiments.baselines.reactive import ReactivePlanner
 from contact_reach_ros.experiments.baselines.rrt_star import JointPath, PathSettings, find_path
@@ -115,11 +115,13 @@ def make_method(
     if name == "joint_torque":
         settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
         damping = stop_damping(arm, controller.supervision)
-        planner = make_torque_planner(arm, settings, controller.impedance, permitted_force, capacity, damping)
+        planner = TorquePlanner(arm, settings, controller.impedance, permitted_force, capacity, damping)
         return Method(planner, controller, TorqueController)
     settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
     if settings.null_space == "reference_posture":
         # Law (6) pulls from afar, which the controller would refuse as a posture that is too far away.
         supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
         controller = dataclasses.replace(controller, supervision=supervision)
-    return Method(RecedingHorizonPlanner(arm, settings, controller.impedance, permitted_force, capacity), controller)
+    reach = controller.supervision.max_position_error
+    core = RecedingHorizonPlanner(arm, settings, controller.impedance, permitted_force, capacity, reach)
+    return Method(core, controller)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,6 +17,8 @@ from contact_reach_ros.planning.settings import PlanningSettings
 class ReactivePlanner:
     """Sets x_d as far towards the goal as γ allows, and Δq to zero: obstacles push redundant joints aside."""
 
+    memory = None
+
     def __init__(self, arm: Arm, settings: PlanningSettings) -> None:
         self._arm, self._settings, self._number = arm, settings, 0
 
@@ -29,14 +30,6 @@ class ReactivePlanner:
 
     def reseed(self, seed: int) -> None:
         """There is no chance."""
-
-    def history(self) -> int:
-        """The number of plans made."""
-        return self._number
-
-    def go_on_from(self, history: Any) -> None:
-        """Count on from there."""
-        self._number = history
 
     def plan(self, request: Request) -> Plan:
         """One reference, from where the arm will be at its speed when the plan takes effect."""

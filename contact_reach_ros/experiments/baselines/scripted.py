@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -30,6 +29,8 @@ class ScriptedPlanner:
         If the scene has no free path.
     """
 
+    memory = None
+
     def __init__(self, scene: Scene) -> None:
         self.model = RobotModel(scene.arm)
         path = free_path(self.model, scene.start, scene.target)
@@ -51,14 +52,6 @@ class ScriptedPlanner:
     def reseed(self, seed: int) -> None:
         """There is no chance."""
         self.reset()
-
-    def history(self) -> int:
-        """The number of plans made."""
-        return self.number
-
-    def go_on_from(self, history: Any) -> None:
-        """Count on from there."""
-        self.number = history
 
     def plan(self, request: Request) -> Plan:
         """The next part of the path, from where the arm will be when the plan takes effect."""

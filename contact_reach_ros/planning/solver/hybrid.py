@@ -12,8 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.cores import for_each, in_shares, whole_vectors
-from contact_reach_ros.planning.programs import Program
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
 from contact_reach_ros.planning.solver.solver import CostFunction, ProblemT, Solution
@@ -27,6 +25,9 @@ GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
 
 _REPETITIONS = 5
+
+_VECTOR = 8
+"""Numbers in a vector register of common CPUs."""
 
 
 class Search(NamedTuple):
@@ -93,7 +94,7 @@ class HybridSolver(Generic[ProblemT]):
         self.max_steps = settings.max_steps
         self._rates = Rates.of(n, settings.elite)
         self._gradient_steps = gradient_steps
-        self._step = Program(self._advance, settings.cpus)
+        self._step = jax.jit(self._advance)
 
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on, without recompilation."""
@@ -114,8 +115,7 @@ class HybridSolver(Generic[ProblemT]):
     ) -> Solution:
         """Run Algorithm 1, as `Solver.solve`."""
         settings = self._settings
-        problem = for_each(problem, settings.cpus)
-        search = for_each(_search_from(state, start_cost), settings.cpus)
+        search = _search_from(state, start_cost)
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
@@ -144,8 +144,7 @@ class HybridSolver(Generic[ProblemT]):
 
     def warm_up(self, problem: ProblemT, state: Distribution) -> float:
         """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
-        problem = for_each(problem, self._settings.cpus)
-        search = for_each(_search_from(state, 0.0), self._settings.cpus)
+        search = _search_from(state, 0.0)
         self.shift(search.distribution, np.zeros(len(search.best)), np.zeros(len(search.best)), 1, 0.0)
         times = []
         for repetition in range(1 + _REPETITIONS):
@@ -176,19 +175,19 @@ class HybridSolver(Generic[ProblemT]):
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
         sample = self._draw_sample(search.distribution, draw)
         with_outside = self._settings.boundary_penalty == "paper"
-        outside = self._costs(problem, sample.points) if with_outside else None
+        outside = self._cost(problem, sample.points) if with_outside else None
 
         def select(costs: jax.Array) -> Elite:
             return self._select_elite(search.distribution, sample, costs, outside)
 
         if not self._gradient_steps:
-            elite = select(self._costs(problem, sample.repaired))
+            elite = select(self._cost(problem, sample.repaired))
             points = elite.mean[:, None]
-            costs = self._costs(problem, points)
+            costs = self._cost(problem, points)
         elif self._settings.line_search_points == self._settings.population:
             elite, points, costs = self._search_in_rounds(problem, sample, draw, select)
         else:
-            elite = select(self._costs(problem, sample.repaired))
+            elite = select(self._cost(problem, sample.repaired))
             points, costs = self._search_lines(problem, elite.mean, draw)
         return self._update_search(search, sample, elite, points, costs)
 
@@ -212,7 +211,7 @@ class HybridSolver(Generic[ProblemT]):
                 return elite, self._points_on_line(problem, mean, (*draw, index - 1))
 
             elite, points = jax.lax.cond(index == 0, lambda: (last[0], sample.repaired), line)
-            return elite, points, self._costs(problem, points)
+            return elite, points, self._cost(problem, points)
 
         found: tuple[Elite, jax.Array, jax.Array]
         found = jax.lax.fori_loop(0, 1 + self._gradient_steps, search, (nothing, points, costs))
@@ -224,15 +223,11 @@ class HybridSolver(Generic[ProblemT]):
 
         def search(index: jax.Array, last: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             points = self._points_on_line(problem, cheapest(*last)[0], (*draw, index))
-            return points, self._costs(problem, points)
+            return points, self._cost(problem, points)
 
         start = jnp.broadcast_to(mean[:, None], (len(mean), len(costs)))
         found: tuple[jax.Array, jax.Array] = jax.lax.fori_loop(0, self._gradient_steps, search, (start, costs))
         return found
-
-    def _costs(self, problem: ProblemT, points: jax.Array) -> jax.Array:
-        """Costs (B,) of points (n, B), divided among the cores."""
-        return in_shares(lambda own: self._cost(problem, own), points, self._settings.cpus)
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
@@ -261,7 +256,7 @@ class HybridSolver(Generic[ProblemT]):
 
     def _points_on_line(self, problem: ProblemT, mean: jax.Array, draw: Draw) -> jax.Array:
         """Lines 14 and 15: points (n, L) to try along the descent direction, the mean itself first."""
-        slope = gradient(self._cost, problem, mean, self._settings.cpus)
+        slope = gradient(self._cost, problem, mean)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
         beta = jax.random.uniform(seeded_key(draw, 1), (self._settings.line_search_points,), mean.dtype) ** 2
@@ -298,20 +293,17 @@ def _search_from(distribution: Distribution, cost: jax.Array | float) -> Search:
     return Search(distribution, distribution.mean, jnp.asarray(cost, jnp.float32), jnp.zeros((), jnp.int32))
 
 
-def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array, cores: int = 1) -> jax.Array:
-    """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes, divided among the cores.
+def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Array:
+    """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes.
 
     Reverse mode at one lane is slower for n = 39, and takes twice as long to compile. The lanes are filled up to whole
     vector registers; otherwise forward mode would take a third longer.
     """
     n = point.shape[0]
-
-    def along(directions: jax.Array) -> jax.Array:
-        points = jnp.broadcast_to(point[:, None], directions.shape)
-        slopes: jax.Array = jax.jvp(lambda points: cost(problem, points), (points,), (directions,))[1]
-        return slopes
-
-    return in_shares(along, jnp.eye(n, whole_vectors(n), dtype=point.dtype), cores)[:n]
+    directions = jnp.eye(n, -(-n // _VECTOR) * _VECTOR, dtype=point.dtype)
+    points = jnp.broadcast_to(point[:, None], directions.shape)
+    slopes: jax.Array = jax.jvp(lambda points: cost(problem, points), (points,), (directions,))[1]
+    return slopes[:n]
 
 
 def ranked_costs(costs: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Brax's own pipelines as the transfer function."""
+"""Brax's own pipeline as the transfer function."""
 
 import dataclasses
 
@@ -19,9 +19,8 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.objectives import knot_bounds, make_objective
-from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
-from contact_reach_ros.planning.transfer.brax_pipelines import BraxObjective, law_torque
-from contact_reach_ros.planning.transfer.brax_spheres import network
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective, law_torque, network
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.stack import Stack, make_planner
@@ -36,14 +35,10 @@ def objective(pipeline: str) -> Objective:
 
 def test_setting_chooses_the_pipeline():
     assert not isinstance(objective("closed_loop"), BraxObjective)
-    for name in BRAX_PIPELINES:
-        found = objective(name)
-        assert isinstance(found, BraxObjective)
-        assert found.pipeline == name
+    assert isinstance(objective("generalized"), BraxObjective)
 
 
-@pytest.mark.parametrize("pipeline", ["spring", "positional"])
-def test_each_moves_the_arm_as_the_closed_loop_does(pipeline):
+def test_it_moves_the_arm_as_the_closed_loop_does():
     """In free space and from motion, within a tenth of the way that the tip goes."""
     random = np.random.default_rng(1)
     bounds = knot_bounds(ARM, SMALL)
@@ -55,7 +50,7 @@ def test_each_moves_the_arm_as_the_closed_loop_does(pipeline):
     rollouts = [
         # To compile takes nearly all of the time.
         jax.jit(objective(name).roll_out, compiler_options={"xla_backend_optimization_level": 0})(problem, actions)
-        for name in ("closed_loop", pipeline)
+        for name in ("closed_loop", "generalized")
     ]
     ours, theirs = (np.asarray(rollout.pose.position) for rollout in rollouts)
     way = np.linalg.norm(np.diff(ours, axis=0), axis=1).sum(axis=0)
@@ -67,7 +62,7 @@ def test_each_moves_the_arm_as_the_closed_loop_does(pipeline):
 @pytest.mark.parametrize(
     "setting, message",
     [
-        ({"pipeline": "mjx"}, "pipeline = 'mjx': expected .*closed_loop.*generalized.*spring.*positional"),
+        ({"pipeline": "mjx"}, "pipeline = 'mjx': expected one of closed_loop, generalized"),
         ({"device": "tpu"}, "device = 'tpu': expected .*auto.*cpu.*gpu"),
     ],
 )
