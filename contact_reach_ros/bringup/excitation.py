@@ -14,8 +14,7 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.identification.excitation import check_clearance, goals
 from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
+from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.planning.node_settings import PlannerNodeSettings
@@ -79,7 +78,7 @@ class _Exciter(Operator):
             raise ContactReachError(f"no settings from {missing[0]}: contact-reach doctor")
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
         material = AssumedMaterial.of(PlannerNodeSettings())
-        self._obstacle_reader = SerializedObstacleReader(self.arm.base_frame, material)
+        self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, material)
         self._inbox.add(topics.JOINT_STATES, self._on_state, Qos(_DEPTH), serialized=True)
         self._inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
         self._until(lambda: bool(self.states) and self._obstacles is not None, _HEARD_S)
@@ -118,4 +117,4 @@ class _Exciter(Operator):
         self.states.append(self._reader.read(data))
 
     def _on_obstacles(self, data: bytes) -> None:
-        self._obstacles = self._obstacle_reader.read_serialized(data)
+        self._obstacles = self._obstacle_reader.read(data)

@@ -42,6 +42,13 @@ def after_string(data: bytes | bytearray, at: int) -> int:
     return at + 4 + -(-length // 4) * 4
 
 
+def after_list(data: bytes | bytearray, at: int, size: int, alignment: int = 4) -> int:
+    """The end of the list at `at`, where its count stands, of elements of `size` bytes."""
+    (count,) = COUNT.unpack_from(data, at)
+    start = aligned(at + 4) if count and alignment == 8 else at + 4
+    return start + size * count
+
+
 def text_at(data: bytes | bytearray, at: int) -> str:
     """The string at `at`, where its length stands."""
     (length,) = COUNT.unpack_from(data, at)

@@ -27,8 +27,7 @@ from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.goals import to_goal
 from contact_reach_ros.messages.intake import Taken
-from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
+from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.plan_markers import PlanMarkers
 from contact_reach_ros.messages.plan_messages import to_path, to_references, to_solution, to_statistics
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
@@ -104,7 +103,7 @@ class PlannerNode(ManagedNode):
         self._take_arm(self.arm)
         self._not_ready = ""
         """Why no goal is taken; empty once there is a solver for the tool."""
-        self._obstacle_reader = SerializedObstacleReader(
+        self._obstacle_reader = ObstacleMarkerReader(
             self.arm.base_frame,
             AssumedMaterial.of(settings),
         )
@@ -355,7 +354,7 @@ class PlannerNode(ManagedNode):
 
     def _on_obstacles(self, data: bytes) -> None:
         try:
-            spheres = self._obstacle_reader.read_serialized(data)
+            spheres = self._obstacle_reader.read(data)
         except FrameError:
             self._frames.publish_obstacles(decode(data, MarkerArray, topics.OBSTACLES.name))
         else:

@@ -155,9 +155,11 @@ class RecordedInputs:
         return JointState(stamp_ns, q, v, torque)
 
     def message(self, what: Taken, sent_ns: int) -> Any:
-        """The decoded message that was sent at that time; None if the bag lacks it."""
+        """The decoded message that was sent at that time, of obstacles its bytes; None if the bag lacks it."""
         raw = self._plain[TOPICS[what]].get(sent_ns)
-        return None if raw is None else self.bag.decode(raw)
+        if raw is None:
+            return None
+        return raw.data if what is Taken.OBSTACLES else self.bag.decode(raw)
 
     def messages(self, name: str) -> Iterator[Any]:
         """The decoded messages of a topic, which the bag may lack."""

@@ -146,12 +146,14 @@ class Recording:
         return int(np.searchsorted(times, time + 1e-9, side="right")) - 1
 
     def _message(self, topic: str, row: int) -> Any:
-        """A message of a topic, by its place among those by time of reception; None if it cannot be decoded."""
+        """A message of a topic, by its place among those by time of reception, of obstacles its bytes; None without."""
         times = self._messages[topic]
         time_ns = int(times[row])
         same = (raw for raw in self._raw(topic, time_ns) if raw.log_time_ns == time_ns)
         raw = next(islice(same, row - int(np.searchsorted(times, time_ns)), None), None)
-        return None if raw is None else self._reader.decode(raw)
+        if raw is None:
+            return None
+        return raw.data if topic == _OBSTACLES else self._reader.decode(raw)
 
     def _last_row(self, topic: str, until_ns: int) -> int:
         """Row of the last message received until `until_ns`; -1 if there is none."""
