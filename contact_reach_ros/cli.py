@@ -129,7 +129,7 @@ def _parser() -> argparse.ArgumentParser:
 
     identify = add(
         "identify",
-        _later("bringup.identify:run_identification"),
+        _identify,
         "fit tool, friction and torque offsets to a motion, and write parameter files",
     )
     where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
@@ -257,6 +257,18 @@ def _goto(x: float, y: float, z: float, **options: Any) -> int:
     from contact_reach_ros.bringup.commands import goto
 
     return goto((x, y, z), **options)
+
+
+def _identify(discovery: str = "host", namespace: str = "", **options: Any) -> int:
+    from contact_reach_ros.identification.command import RecordedMotion, run_identification
+
+    def excite() -> RecordedMotion:
+        # With bags, rclpy need not be installed.
+        from contact_reach_ros.bringup.excitation import excite
+
+        return excite(discovery, namespace)
+
+    return run_identification(excite, **options)
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:

@@ -287,6 +287,7 @@ def _marker_at(data: bytes, at: int) -> tuple[_Marker, int]:
     frame_at = at + STAMP.size
     namespace_at = after_string(data, frame_at)
     ids_at = after_string(data, namespace_at)
+    identifier, kind, action = _IDS.unpack_from(data, ids_at)
     place_at = aligned(ids_at + _IDS.size)
     place = np.array(_POSE_AND_SCALE.unpack_from(data, place_at))
     at = place_at + _POSE_AND_SCALE.size + _COLOR_TO_LOCKED
@@ -307,7 +308,9 @@ def _marker_at(data: bytes, at: int) -> tuple[_Marker, int]:
             seconds * NANOSECONDS + nanosec,
             text_at(data, frame_at),
             text_at(data, namespace_at),
-            *_IDS.unpack_from(data, ids_at),
+            identifier,
+            kind,
+            action,
             place[:3],
             place[3:7],
             place[7:],

@@ -2,7 +2,7 @@
 
 import pytest
 
-from contact_reach_ros.bringup.goal_judgement import judge_goal
+from contact_reach_ros.ros.client import judge_goal
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 
 BEFORE = {"plans accepted": "7"}
