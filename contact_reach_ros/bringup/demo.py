@@ -168,10 +168,8 @@ def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptio
     stack.wait_heard(RECORDER, _RECORDED, DISCOVERY_S)
     # Planner and recorder have to hear goals before there is one.
     follower.wait_to_start(stack, listeners=2)
-    _say(
-        f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(follower.target, 3).tolist()} m",
-        done=True,
-    )
+    goal = np.round(follower.target, 3).tolist()
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
     follower.send_target()
     sent_ns = follower.stamp_ns
     reached_ns: int | None = None
