@@ -13,8 +13,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.joint_order import JointOrder
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.values import JointOrder, nanoseconds
 from contact_reach_ros.ros.client import PLANNER, StackClient
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
 from contact_reach_ros.ros.qos import qos_profile

@@ -22,7 +22,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
-from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.nodes.effort_target import EffortTarget
 from contact_reach_ros.nodes.franka_target import FrankaTarget
 from contact_reach_ros.nodes.lbr_target import LbrTarget

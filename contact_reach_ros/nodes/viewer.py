@@ -16,11 +16,10 @@ from visualization_msgs.msg import MarkerArray
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import HEADER, STAMP, STAMP_END
-from contact_reach_ros.messages.joint_order import JointOrder
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.values import checked_stamp
+from contact_reach_ros.messages.values import JointOrder, checked_stamp
 from contact_reach_ros.nodes.viewer_actions import StackActions
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, as_arguments, namespace_arguments

@@ -19,8 +19,7 @@ from contact_reach_ros.bags.recorded_arm import SETTINGS, recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
-from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import checked_stamp
+from contact_reach_ros.messages.values import checked_stamp, read_settings
 from contact_reach_ros.reexecution.settings import SECTIONS, recorded_sections
 from contact_reach_ros.units import NANOSECONDS
 

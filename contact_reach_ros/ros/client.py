@@ -24,8 +24,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.parameter_files import arm_in
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox
