@@ -76,12 +76,12 @@ class _Marker(NamedTuple):
     id: int
     type: int
     action: int
-    position: Array
-    """(3,)."""
-    orientation: Array
-    """(4,) x, y, z, w."""
-    scale: Array
-    """(3,)."""
+    position: tuple[float, ...]
+    """x, y, z."""
+    orientation: tuple[float, ...]
+    """x, y, z, w."""
+    scale: tuple[float, ...]
+    """Along x, y, z."""
     points: Array
     """(N, 3)."""
     text: str
@@ -230,18 +230,21 @@ def _checked(marker: _Marker, kind: str) -> _Marker:
             f"obstacles: marker {marker.name} has type {marker.type} and action {marker.action}; expected "
             f"{' or '.join(types.values())}, to ADD"
         )
-    size = marker.scale
-    if kind in (OBSTACLES, FIXED) and not 0.0 < size[0] < np.inf:
-        raise InputError(f"obstacles: marker {marker.name}: scale.x = {size[0]}; expected a diameter in m")
-    if kind in (OBSTACLES, FIXED) and not ((size == 0.0) | (np.abs(size - size[0]) <= _ROUND * size[0])).all():
+    size = marker.scale[0]
+    if kind in (OBSTACLES, FIXED) and not 0.0 < size < np.inf:
+        raise InputError(f"obstacles: marker {marker.name}: scale.x = {size}; expected a diameter in m")
+    if kind in (OBSTACLES, FIXED) and not all(
+        side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale
+    ):
         raise InputError(
-            f"obstacles: marker {marker.name}: scale = {size.tolist()}; expected one diameter in x, y and z, or in x "
-            "alone: cover an ellipsoid with several spheres, or with one as large as its longest axis"
+            f"obstacles: marker {marker.name}: scale = {list(marker.scale)}; expected one diameter in x, y and z, or "
+            "in x alone: cover an ellipsoid with several spheres, or with one as large as its longest axis"
         )
-    if marker.type != _SPHERE and (marker.position.any() or marker.orientation[:3].any()):
+    if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
         raise InputError(f"obstacles: marker {marker.name} has a pose; expected none, and its points in the frame")
-    points = marker.position[None] if marker.type == _SPHERE else marker.points
-    for index in np.flatnonzero(~np.isfinite(points).all(axis=1)):
+    points = np.array([marker.position]) if marker.type == _SPHERE else marker.points
+    if not np.isfinite(points).all():
+        index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise InputError(
             f"obstacles: marker {marker.name}: point {index} is {points[index].tolist()}; expected finite values"
         )
@@ -259,7 +262,7 @@ def _rigid_body(marker: _Marker) -> RigidBody:
     if marker.namespace != PLANE:
         return block
     up = block.axes[:, 2]
-    return Plane(block.name, marker.position + 0.5 * marker.scale[2] * up, up)
+    return Plane(block.name, np.array(marker.position) + 0.5 * marker.scale[2] * up, up)
 
 
 def _markers_in(data: bytes) -> list[_Marker]:
@@ -289,7 +292,7 @@ def _marker_at(data: bytes, at: int) -> tuple[_Marker, int]:
     ids_at = after_string(data, namespace_at)
     identifier, kind, action = _IDS.unpack_from(data, ids_at)
     place_at = aligned(ids_at + _IDS.size)
-    place = np.array(_POSE_AND_SCALE.unpack_from(data, place_at))
+    place = _POSE_AND_SCALE.unpack_from(data, place_at)
     at = place_at + _POSE_AND_SCALE.size + _COLOR_TO_LOCKED
     count_at = -(-at // 4) * 4
     (count,) = COUNT.unpack_from(data, count_at)
