@@ -122,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
 
     identify = add(
         "identify",
-        _later("bringup.identify:run_identification"),
+        _identify,
         "fit tool, friction and torque offsets to a motion, and write parameter files",
     )
     where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
@@ -253,6 +253,18 @@ def _tool(**_: Any) -> None:
         "stack, put the section 'tool' under '/**: ros__parameters:' in the parameter file, and start it again with "
         "this file; see docs/real_robot.md"
     )
+
+
+def _identify(discovery: str = "host", namespace: str = "", **options: Any) -> int:
+    from contact_reach_ros.identification.command import RecordedMotion, run_identification
+
+    def excite() -> RecordedMotion:
+        # With bags, rclpy need not be installed.
+        from contact_reach_ros.bringup.excitation import excite
+
+        return excite(discovery, namespace)
+
+    return run_identification(excite, **options)
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:

@@ -19,8 +19,7 @@ from contact_reach_ros.bags.goals import goal_in, pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import nanoseconds, numbers
+from contact_reach_ros.messages.values import nanoseconds, numbers, read_settings
 from contact_reach_ros.units import NANOSECONDS
 
 _SPARSE = {

@@ -12,18 +12,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.bringup.children import StackError
-from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.children import Interruption, StackError
 from contact_reach_ros.bringup.processes import processes, stack_arm
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.command_line import answer
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.parameter_files import check_node_names, sections_of_others
+from contact_reach_ros.ros.boundary import Boundary
+from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
@@ -68,7 +70,8 @@ def run_bringup(arguments: list[str]) -> int:
             table = processes(options)
             refuse_beside_another(node, [process.name for process in table], began)
             passed_on = _remappings(arguments)
-            stack = StackProcesses(node, table, options.parameter_file, interruption, passed_on=passed_on)
+            client = Client(node, _protect(node).refuse)
+            stack = StackProcesses(client, table, options.parameter_file, interruption, passed_on=passed_on)
             try:
                 _supervise(configuration, stack)
             except StackError as error:
@@ -80,6 +83,19 @@ def run_bringup(arguments: list[str]) -> int:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _protect(node: Node) -> Boundary:
+    """Refuse bad requests, and log the last of each kind once a second."""
+    boundary, log = Boundary(node.get_logger().error), node.get_logger()
+
+    def log_refusals() -> None:
+        for line in boundary.last_refusals():
+            log.warning(line)
+
+    node.create_timer(1.0, log_refusals, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    boundary.protect(node)
+    return boundary
 
 
 def _remappings(arguments: Sequence[str]) -> list[str]:
@@ -174,8 +190,7 @@ def _supervise(configuration: _Configuration, stack: StackProcesses) -> None:
         stack.bring_up(STARTUP_TIMEOUT_S, progress)
         log.info("all nodes are active; send a goal to goal_pose")
         while True:
-            stack.check()
-            stack.spin(0.1)
+            stack.watch(0.1)
             if configuration.restarting.is_set():
                 configuration.restarting.clear()
                 _restart(configuration, stack, progress)

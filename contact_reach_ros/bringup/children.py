@@ -1,4 +1,4 @@
-"""Processes that this one starts, watches and ends; none of them outlives it."""
+"""Processes that this one starts, watches and ends, and the signals that make it end them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from contact_reach_ros.errors import ContactReachError
 
 _END_TIMEOUT_S = 15.0
 _PR_SET_PDEATHSIG = 1
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StackError(ContactReachError):
@@ -117,3 +118,33 @@ class Children:
 def end_with_parent() -> None:
     """In a child: be ended by the kernel when its parent is killed, so that no orphan moves an arm."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class Interruption:
+    """Records signals from its creation on; only `check` raises `KeyboardInterrupt`.
+
+    Python would raise it anywhere, also where rclpy's C++ makes a Python object and then reports another error.
+
+    Attributes
+    ----------
+    came
+        Whether a signal came.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+        for number in _SIGNALS:
+            signal.signal(number, self._note)
+
+    def check(self) -> None:
+        """Raise `KeyboardInterrupt` if a signal came, at every call."""
+        if self.came:
+            raise KeyboardInterrupt
+
+    def ignore(self) -> None:
+        """Ignore further signals: a second Ctrl-C must not leave processes behind."""
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _note(self, *_: object) -> None:
+        self.came = True

@@ -13,11 +13,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.bringup.operating import Operator, operating
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.parameter_files import as_arguments
 from contact_reach_ros.planning.node_settings import SPEED_SCALE
+from contact_reach_ros.ros.client import PLANNER, StackClient, connect
+from contact_reach_ros.ros.interfaces import STOPPABLE
 from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.stopping import Outcome, release_all, stop_arm
+from contact_reach_ros.world.orientations import POSE
 
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -61,11 +64,17 @@ def goto(
         Of the stack.
     """
     rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
-    with operating(discovery, namespace) as operator:
-        operator.find_stack()
-        operator.check_orientation(rpy is not None)
-        outcome = _go(operator, np.array(position, float), rotation, wait, timeout)
-    return _report(outcome)
+    with connect(discovery, namespace) as client:
+        client.wait_ready()
+        orientation = client.settings[PLANNER].get("goal_orientation")
+        if rpy is not None and orientation != POSE:
+            raise ContactReachError(
+                f"the planner has goal_orientation = {orientation}: give no --rpy, or start it with "
+                "goal_orientation = pose"
+            )
+        if rpy is None and orientation == POSE:
+            raise ContactReachError("the planner has goal_orientation = pose: give the orientation with --rpy")
+        return _go(client, np.array(position, float), rotation, wait, timeout)
 
 
 def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", namespace: str = "") -> int:
@@ -75,49 +84,45 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
     """
     from contact_reach_ros.arm.model import RobotModel
 
-    with operating(discovery, namespace) as operator:
-        operator.find_stack()
-        position, rotation = RobotModel(operator.arm).tip_pose(np.array(operator.arm.home))
-        outcome = _go(operator, position, rotation, wait, timeout)
-    return _report(outcome)
+    with connect(discovery, namespace) as client:
+        client.wait_ready()
+        return _go(client, *RobotModel(client.arm).tip_pose(np.array(client.arm.home)), wait, timeout)
 
 
 def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
     """Let the planner use this share, 0.01 to 1, of the speed that its bounds permit, from the next plan on."""
-    with operating(discovery, namespace) as operator:
-        outcome = operator.change("planner", {SPEED_SCALE: scale})
-        if outcome.done:
-            outcome = Outcome(True, f"{SPEED_SCALE} = {scale:g}")
-    return _report(outcome)
+    with connect(discovery, namespace) as client:
+        client.wait_ready()
+        outcome = client.change(PLANNER, {SPEED_SCALE: scale})
+        return _report(outcome if not outcome.done else Outcome(True, f"{SPEED_SCALE} = {scale:g}"))
 
 
 def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
-    with operating(discovery, namespace) as operator:
-        outcome = stop_arm(operator.call, operator.find_service("stop"))
-    return _report(outcome)
+    with connect(discovery, namespace) as client:
+        client.find(lambda: any(client.offers(f"{name}/stop") for name in STOPPABLE))
+        return _report(stop_arm(client.trigger))
 
 
 def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
-    with operating(discovery, namespace) as operator:
-        operator.find_service("reset")
+    with connect(discovery, namespace) as client:
+        client.find(lambda: any(client.offers(f"{name}/reset") for name in STOPPABLE))
         give_up = time.monotonic() + _REST_S
 
         def look() -> set[str]:
-            operator.hear_everybody()
-            return set(operator.stops)
+            client.hear_everybody()
+            return set(client.stops)
 
-        outcome = release_all(look, operator.call, lambda: time.monotonic() > give_up)
-    return _report(outcome)
+        return _report(release_all(look, client.trigger, lambda: time.monotonic() > give_up))
 
 
-def _go(operator: Operator, position: Array, rotation: Array | None, wait: bool, timeout: float) -> Outcome:
-    outcome = operator.go(position, rotation)
+def _go(client: StackClient, position: Array, rotation: Array | None, wait: bool, timeout: float) -> int:
+    outcome = client.go(position, rotation)
     if outcome.done and wait:
         print(outcome.text, flush=True)
-        outcome = operator.watch(timeout)
-    return outcome
+        outcome = client.watch(timeout)
+    return _report(outcome)
 
 
 def _report(outcome: Outcome) -> int:

@@ -17,10 +17,10 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
-from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.children import Interruption
+from contact_reach_ros.bringup.follower import DISCOVERY_S, Follower
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.bringup.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.observer.budget import load_budget
@@ -127,10 +127,11 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         scene = make_scene(read_scene(options.scene), model.arm, options.seed, goal)
         refuse_beside_another(node, [process.name for process in table], began)
         options.output.mkdir(parents=True, exist_ok=True)
-        stack = StackProcesses(node, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))
+        tick_ns = _state_period_ns(bringup.parameter_file) if options.lockstep else 0
+        follower = Follower(node, model, scene.target, tick_ns)
+        stack = StackProcesses(follower, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))
         try:
-            tick_ns = _state_period_ns(bringup.parameter_file) if options.lockstep else 0
-            end_ns = _drive_to_goal(stack, Watcher(node, stack, model, scene.target, tick_ns), options)
+            end_ns = _drive_to_goal(stack, follower, options)
             if options.view:
                 _stay_up(stack)
         except KeyboardInterrupt:
@@ -158,7 +159,7 @@ def _state_period_ns(parameter_file: Path) -> int:
     return round(NANOSECONDS / rate)
 
 
-def _drive_to_goal(stack: StackProcesses, watcher: Watcher, options: DemoOptions) -> int:
+def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptions) -> int:
     """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
     began = time.monotonic()
     if options.view:
@@ -166,35 +167,32 @@ def _drive_to_goal(stack: StackProcesses, watcher: Watcher, options: DemoOptions
     stack.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     stack.wait_heard(RECORDER, _RECORDED, DISCOVERY_S)
     # Planner and recorder have to hear goals before there is one.
-    watcher.wait_ready(listeners=2)
-    _say(
-        f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(watcher.target, 3).tolist()} m", done=True
-    )
-    watcher.send_goal()
-    sent_ns = watcher.stamp_ns
+    follower.wait_to_start(stack, listeners=2)
+    goal = np.round(follower.target, 3).tolist()
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
+    follower.send_target()
+    sent_ns = follower.stamp_ns
     reached_ns: int | None = None
     said_at = 0.0
     while True:
-        stack.spin(_LOOK_S)
-        stack.check()
+        stack.watch(_LOOK_S)
         now = time.monotonic()
         if sys.stdout.isatty() or now - said_at >= _LINE_S:
-            _say(watcher.line(sent_ns), done=not sys.stdout.isatty())
+            _say(follower.line(sent_ns), done=not sys.stdout.isatty())
             said_at = now
-        if reached_ns is None and watcher.distance <= SUCCESS_DISTANCE:
-            reached_ns = watcher.stamp_ns
-        settled = reached_ns is not None and watcher.stamp_ns - reached_ns > options.settle * NANOSECONDS
-        if watcher.stopped:
+        if reached_ns is None and follower.distance <= SUCCESS_DISTANCE:
+            reached_ns = follower.stamp_ns
+        settled = reached_ns is not None and follower.stamp_ns - reached_ns > options.settle * NANOSECONDS
+        if follower.stops:
             # When a dying process is the reason, it is named rather than the stop.
-            stack.spin(_DYING_S)
-            stack.check()
-        if settled or watcher.stopped or watcher.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
-            _say(watcher.line(sent_ns), done=True)
-            end_ns = watcher.stamp_ns
+            stack.watch(_DYING_S)
+        if settled or follower.stops or follower.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
+            _say(follower.line(sent_ns), done=True)
+            end_ns = follower.stamp_ns
             # The bag's times may lag behind in simulated time: calls that end the stack must come after the end.
             give_up = now + _LAG_S
-            while watcher.stamp_ns < end_ns + _AFTERWARDS_NS and not watcher.stopped and time.monotonic() < give_up:
-                stack.spin(_LOOK_S)
+            while follower.stamp_ns < end_ns + _AFTERWARDS_NS and not follower.stops and time.monotonic() < give_up:
+                follower.spin(_LOOK_S)
             return end_ns
 
 
@@ -202,8 +200,7 @@ def _stay_up(stack: StackProcesses) -> None:
     """Leave the stack to the users of the page until Ctrl-C."""
     _say("the episode is over; the stack stays up for the page until Ctrl-C", done=True)
     while True:
-        stack.check()
-        stack.spin(_LOOK_S)
+        stack.watch(_LOOK_S)
 
 
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:

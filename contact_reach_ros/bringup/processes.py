@@ -201,14 +201,18 @@ def _origin(options: BringupOptions) -> dict[str, ParameterValue]:
 def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
     """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has.
 
-    Where materials differ the markers carry them.
+    The planner has one material for all balls and one for all meshes: the stiffest and most damped, where they differ.
     """
-    values: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
+    values: dict[str, float] = {}
     for obstacle in anywhere(scene):
         prefix, material = "node" if obstacle.is_deformable else "sphere", obstacle.material
-        values[f"{prefix}_stiffness"] = material.planner_scale * material.stiffness
-        values[f"{prefix}_damping"] = material.damping
+        found = {
+            f"{prefix}_stiffness": material.planner_scale * material.stiffness,
+            f"{prefix}_damping": material.damping,
+        }
         if obstacle.is_deformable:
-            values["edge_stiffness"] = material.planner_scale * material.edge_stiffness
+            found["edge_stiffness"] = material.planner_scale * material.edge_stiffness
+        values |= {name: max(value, values.get(name, 0.0)) for name, value in found.items()}
+    capacity: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
     chosen = parameters_in(parameter_file, "planner")
-    return {name: value for name, value in values.items() if name not in chosen}
+    return {name: value for name, value in {**capacity, **values}.items() if name not in chosen}

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
-from rclpy.client import Client
-from rclpy.clock import Clock, ClockType
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.bringup.children import Children, StackError
-from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.children import Children, Interruption, StackError
 from contact_reach_ros.bringup.processes import Process, Wave
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.parameter_files import as_arguments, namespace_arguments
 from contact_reach_ros.resources import PACKAGE
-from contact_reach_ros.ros.boundary import Boundary
-from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.client import CONTROLLER, Client
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.running import running
 from contact_reach_ros.ros.scheduling import prioritise_middleware
@@ -48,8 +43,8 @@ class StackProcesses:
 
     Parameters
     ----------
-    node
-        For services and topics; its executor must not be spun by others.
+    client
+        For services and topics.
     table
         From `processes`.
     parameter_file
@@ -64,14 +59,14 @@ class StackProcesses:
 
     def __init__(
         self,
-        node: Node,
+        client: Client,
         table: Sequence[Process],
         parameter_file: Path,
         interruption: Interruption,
         log: Path | None = None,
         passed_on: Sequence[str] = (),
     ) -> None:
-        self._node = node
+        self.client = client
         self._passed_on = passed_on
         self._interruption = interruption
         self._table = list(table)
@@ -79,15 +74,8 @@ class StackProcesses:
         self._children = Children(log)
         self._is_alone = False
         """Whether no other stack was found before the first loop was started."""
-        self._boundary = Boundary(node.get_logger().error)
-        node.create_timer(1.0, self._log_refusals, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._boundary.protect(node)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
         self._speed = float("nan")
-        self.inbox = Inbox(node, self._boundary.refuse)
-        """Polled while spinning: fast topics cost nothing in between."""
-        self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
+        client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
     def bring_up(self, timeout: float, progress: Callable[[str], None]) -> None:
         """Start all processes and wait until each is up and each lifecycle node active.
@@ -163,7 +151,7 @@ class StackProcesses:
 
     def _look_around(self) -> None:
         """Look for another stack once more: discovery has settled while the first processes got ready."""
-        others = running(self._node, [process.name for process in self._table], self._children.process_ids)
+        others = running(self.client.node, [process.name for process in self._table], self._children.process_ids)
         if others:
             raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
         self._is_alone = True
@@ -172,46 +160,32 @@ class StackProcesses:
         """Wait as `wait_heard` does; returns the topics that are still not heard."""
         missing = list(heard)
         while missing and time.monotonic() < deadline:
-            self.check()
-            self.spin(_POLL_S)
+            self.watch(_POLL_S)
             missing = [topic for topic in missing if listener not in self._listeners(topic)]
         return missing
 
     def _listeners(self, topic: Topic) -> set[str]:
-        name = self._node.resolve_topic_name(topic.name)
-        return {endpoint.node_name for endpoint in self._node.get_subscriptions_info_by_topic(name)}
+        node = self.client.node
+        name = node.resolve_topic_name(topic.name)
+        return {endpoint.node_name for endpoint in node.get_subscriptions_info_by_topic(name)}
 
     def _wait_active(
         self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
     ) -> None:
-        clients = {
-            process.name: self._node.create_client(GetState, f"{process.name}/get_state") for process in processes
-        }
-        missing = {process.name: "no such node yet" for process in processes}
-        try:
-            while missing:
-                self.check()
-                if time.monotonic() > deadline:
-                    named = ", ".join(f"{name} ({state})" for name, state in missing.items())
-                    raise StackError(f"not active after {timeout:.0f} s: {named}{self._children.see_log()}")
-                progress("waiting for " + ", ".join(missing))
-                for name in list(missing):
-                    state = self._state_of(clients[name])
-                    if state == _ACTIVE:
-                        del missing[name]
-                    elif state:
-                        missing[name] = state
-                self.spin(_POLL_S)
-        finally:
-            for client in clients.values():
-                self._node.destroy_client(client)
+        missing = {process.name: "not asked yet" for process in processes}
+        while missing:
+            if time.monotonic() > deadline:
+                named = ", ".join(f"{name} ({state})" for name, state in missing.items())
+                raise StackError(f"not active after {timeout:.0f} s: {named}{self._children.see_log()}")
+            progress("waiting for " + ", ".join(missing))
+            missing |= {name: self._state_of(name) for name in missing}
+            missing = {name: state for name, state in missing.items() if state != _ACTIVE}
+            self.watch(_POLL_S)
 
-    def spin(self, seconds: float) -> None:
-        """Serve the node for a while, then look into the inbox."""
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-        self.inbox.wait(0)
+    def watch(self, seconds: float) -> None:
+        """Serve the node for a while, then `check`."""
+        self.client.spin(seconds)
+        self.check()
 
     def check(self) -> None:
         """Check that all processes are alive; one that is not essential is only reported.
@@ -234,7 +208,7 @@ class StackProcesses:
     def shutdown(self) -> None:
         """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
         self._end_all(())
-        self._executor.shutdown()
+        self.client.close()
         self._children.close()
 
     def _end_all(self, keep: Collection[str]) -> None:
@@ -242,49 +216,34 @@ class StackProcesses:
         for process in reversed(self._table):
             if process.name not in keep:
                 self._children.end(process.name)
-            if process.name == "controller":
-                self.spin(_WATCHDOG_S)
+            if process.name == CONTROLLER:
+                self.client.spin(_WATCHDOG_S)
 
     def _arguments(self, process: Process) -> list[str]:
         file = self.parameter_file
         return [
             *("--ros-args", "--enclave", process.enclave, "--params-file", str(file)),
-            *namespace_arguments(self._node.get_namespace(), file, process.name),
+            *namespace_arguments(self.client.node.get_namespace(), file, process.name),
             *self._passed_on,
             *as_arguments(process.parameters),
         ]
 
-    def _state_of(self, client: Client) -> str:
-        """Lifecycle state of a node; empty while unknown."""
-        if not client.service_is_ready():
-            return ""
-        response = self._call(client, GetState.Request(), 1.0)
-        return response.current_state.label if response is not None else "not answering"
-
-    def _call(self, client: Client, request: Any, timeout: float) -> Any:
-        future = client.call_async(request)
-        self._executor.spin_until_future_complete(future, timeout_sec=timeout)
-        if future.done():
-            return future.result()
-        client.remove_pending_request(future)
-        return None
+    def _state_of(self, name: str) -> str:
+        """Lifecycle state of a node, or why it is unknown."""
+        try:
+            answer = self.client.call(f"{name}/get_state", GetState, GetState.Request(), patience=0.0, timeout=1.0)
+        except ContactReachError as error:
+            return str(error)
+        return str(answer.current_state.label)
 
     def _halt(self) -> None:
         """Ask the controller for its compliant stop and wait until the arm is at rest."""
-        if not self._children.is_alive("controller"):
-            self.spin(_WATCHDOG_S)
+        if not self._children.is_alive(CONTROLLER):
+            self.client.spin(_WATCHDOG_S)
             return
-        client = self._node.create_client(Trigger, "controller/stop")
-        if client.service_is_ready() or client.wait_for_service(timeout_sec=0.5):
-            self._call(client, Trigger.Request(), 0.5)
-        deadline = time.monotonic() + _REST_TIMEOUT_S
-        while time.monotonic() < deadline and self._speed > _REST_SPEED:
-            self.spin(0.02)
-        self._node.destroy_client(client)
-
-    def _log_refusals(self) -> None:
-        for line in self._boundary.last_refusals():
-            self._node.get_logger().warning(line)
+        with suppress(ContactReachError):
+            self.client.call(f"{CONTROLLER}/stop", Trigger, Trigger.Request(), patience=0.5, timeout=0.5)
+        self.client.until(lambda: not self._speed > _REST_SPEED, _REST_TIMEOUT_S)
 
     def _on_state(self, message: JointState) -> None:
         self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")

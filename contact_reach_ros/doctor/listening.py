@@ -22,8 +22,7 @@ from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.stack import Endpoint, Graph
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_observer
-from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.ros.discovery import wait_until_settled
 from contact_reach_ros.ros.graph import full_name, node_of
 from contact_reach_ros.ros.inbox import Inbox

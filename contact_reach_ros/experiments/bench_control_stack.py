@@ -22,11 +22,10 @@ from rclpy.node import Node
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
-from contact_reach_ros.bringup.children import StackError, end_with_parent
-from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.children import Interruption, StackError, end_with_parent
+from contact_reach_ros.bringup.follower import DISCOVERY_S, Follower
 from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.bringup.watcher import DISCOVERY_S, Watcher
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.experiments import echo
@@ -82,10 +81,10 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
     interruption = Interruption()
     initialise([NAME])
     node = Node(NAME)
-    stack = StackProcesses(node, processes(options), options.parameter_file, interruption, directory / "log")
-    watcher = Watcher(node, stack, RobotModel(scene.arm), scene.target)
+    follower = Follower(node, RobotModel(scene.arm), scene.target)
+    stack = StackProcesses(follower, processes(options), options.parameter_file, interruption, directory / "log")
     try:
-        run = _measure(bench, stack, watcher)
+        run = _measure(bench, stack, follower)
     finally:
         interruption.ignore()
         stack.shutdown()
@@ -98,44 +97,43 @@ def bench_control_stack(bench: ControlBench, file: Path | None) -> dict[str, Any
     return report
 
 
-def _measure(bench: ControlBench, stack: StackProcesses, watcher: Watcher) -> Run:
+def _measure(bench: ControlBench, stack: StackProcesses, follower: Follower) -> Run:
     began = time.monotonic()
     stack.bring_up(STARTUP_TIMEOUT_S, lambda line: None)
     stack.wait_heard(RECORDER, (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
-    watcher.wait_ready(listeners=2)
+    follower.wait_to_start(stack, listeners=2)
     say(f"stack active after {time.monotonic() - began:.1f} s; {bench.seconds:g} s with {bench.load} hogs ...")
     identities = stack.process_ids
     realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (DRIVER, CONTROLLER))
-    goals = [watcher.target, watcher.position.copy()]
+    goals = [follower.target, follower.position.copy()]
     with hogs(bench.load), _BareTimer() as timer:
-        trips = _go_to_and_fro(stack, watcher, goals)
+        trips = _go_to_and_fro(stack, follower, goals)
         _until(time.monotonic() + _SETTLE_S, trips)
-        samples = [_sample(stack, watcher, timer)]
+        samples = [_sample(stack, follower, timer)]
         for seconds in (bench.settled, bench.seconds - bench.settled):
             _until(time.monotonic() + seconds, trips)
-            samples.append(_sample(stack, watcher, timer))
+            samples.append(_sample(stack, follower, timer))
         reached = next(trips)
     first, settled, last = samples
     return Run(first, settled, last, reached, realtime)
 
 
-def _go_to_and_fro(stack: StackProcesses, watcher: Watcher, goals: Sequence[np.ndarray]) -> Iterator[int]:
+def _go_to_and_fro(stack: StackProcesses, follower: Follower, goals: Sequence[np.ndarray]) -> Iterator[int]:
     """Watch for a moment at each step; yields how many goals were reached so far."""
     reached = sent = 0
     deadline = 0.0
     while True:
-        arrived = sent > 0 and watcher.distance <= SUCCESS_DISTANCE
+        arrived = sent > 0 and follower.distance <= SUCCESS_DISTANCE
         if arrived or time.monotonic() > deadline:
             reached += arrived
-            watcher.target = goals[sent % len(goals)]
-            watcher.send_goal()
+            follower.target = goals[sent % len(goals)]
+            follower.send_target()
             sent += 1
             deadline = time.monotonic() + _GOAL_S
-            watcher.distance = float("nan")
-        stack.spin(_LOOK_S)
-        stack.check()
-        if watcher.stopped:
-            raise StackError(watcher.safety)
+            follower.distance = float("nan")
+        stack.watch(_LOOK_S)
+        if follower.stops:
+            raise StackError(follower.state)
         yield reached
 
 
@@ -180,9 +178,9 @@ class _BareTimer:
         return self._counts
 
 
-def _sample(stack: StackProcesses, watcher: Watcher, timer: _BareTimer) -> Sample:
+def _sample(stack: StackProcesses, follower: Follower, timer: _BareTimer) -> Sample:
     memory = {name: memory_mb(identity, "VmRSS") for name, identity in stack.process_ids.items()}
-    diagnostics = {name: watcher.diagnostics[name] for name in (DRIVER, CONTROLLER)}
+    diagnostics = {name: follower.diagnostics[name] for name in (DRIVER, CONTROLLER)}
     return Sample(diagnostics, memory, timer.counts())
 
 

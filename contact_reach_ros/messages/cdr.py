@@ -1,9 +1,15 @@
-"""Where the numbers lie in messages as the middleware carries them (plain CDR, little-endian)."""
+"""Messages as the middleware carries them (plain CDR, little-endian), and where the numbers lie in them.
+
+ROS's own serialisation comes with rclpy, which is imported only when a whole message has to be converted: the readers
+and writers of this room can be imported without it.
+"""
 
 from __future__ import annotations
 
 import struct
+from typing import Any
 
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.units import NANOSECONDS
 
 PLAIN_CDR = b"\x00\x01\x00\x00"
@@ -42,6 +48,13 @@ def after_string(data: bytes | bytearray, at: int) -> int:
     return at + 4 + -(-length // 4) * 4
 
 
+def after_list(data: bytes | bytearray, at: int, size: int, alignment: int = 4) -> int:
+    """The end of the list at `at`, where its count stands, of elements of `size` bytes."""
+    (count,) = COUNT.unpack_from(data, at)
+    start = aligned(at + 4) if count and alignment == 8 else at + 4
+    return start + size * count
+
+
 def text_at(data: bytes | bytearray, at: int) -> str:
     """The string at `at`, where its length stands."""
     (length,) = COUNT.unpack_from(data, at)
@@ -78,3 +91,28 @@ def joint_state_counts(data: bytes | bytearray) -> list[int]:
 def joint_state_starts(data: bytes | bytearray) -> list[int]:
     """Where in a serialised JointState the values of its three fields begin, if there are any."""
     return [aligned(at + 4) for at in joint_state_counts(data)[:-1]]
+
+
+def encode(message: Any) -> bytes:
+    """Serialise a message; up to eight bytes of padding may follow it."""
+    from rclpy.serialization import serialize_message
+
+    data: bytes = serialize_message(message)
+    return data
+
+
+def decode(data: bytes, message_type: type, topic: str) -> Any:
+    """Deserialise a message.
+
+    Raises `InputError` if the bytes are no message of that type; the topic is named.
+    """
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+    from rclpy.serialization import deserialize_message
+
+    try:
+        return deserialize_message(data, message_type)
+    except rclpy_implementation.RMWError as error:
+        name = message_type.__name__
+        raise InputError(
+            f"{topic}: {len(data)} bytes that are no {name}; expected a serialised {name} ({error})"
+        ) from error

@@ -1,16 +1,16 @@
-"""Obstacles read from visualization markers, of any object with the fields of the messages.
+"""Reads obstacles from visualization markers, in the bytes that the middleware carries.
+
+To make a Python object of each of the hundreds of points in a message takes milliseconds; here they become arrays.
 
 A ball is a SPHERE. A deformable body is a SPHERE_LIST of the nodes that can move, one of those that are fixed, and a
-LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. Its material is the
-one that the planner assumes, unless the text of the marker of what can move gives it, see `material_text`. A rigid body
-is a CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
+LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. A rigid body is a
+CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+import struct
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ from scipy.spatial import cKDTree
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import FrameError, InputError
-from contact_reach_ros.messages.obstacle_material import BodyMaterial, material_of
-from contact_reach_ros.messages.values import nanoseconds, quaternion, vector
-from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
+from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, STAMP, after_list, after_string, aligned, text_at
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.rigid import Block, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
 
 OBSTACLES = "obstacles"
@@ -30,17 +30,25 @@ REST = "rest"
 PLANE = "plane"
 BLOCK = "block"
 
-CUBE, SPHERE, LINE_LIST, SPHERE_LIST = 1, 2, 5, 7
-"""Types of a visualization_msgs/msg/Marker."""
 _ADD = 0
+_CUBE, _SPHERE, _LINE_LIST, _SPHERE_LIST = 1, 2, 5, 7
+"""Action and types of a visualization_msgs/msg/Marker."""
+
+_BALLS = {_SPHERE: "SPHERE", _SPHERE_LIST: "SPHERE_LIST"}
+_TYPES = {OBSTACLES: _BALLS, REST: _BALLS, FIXED: {_SPHERE_LIST: "SPHERE_LIST"}, EDGES: {_LINE_LIST: "LINE_LIST"}}
 
 _MATCH = 1e-4
 """How far the end of an edge may be from its node, m."""
+_ROUND = 1e-3
+"""How much the three diameters of a sphere may differ, as a share."""
+
+_IDS, _POSE_AND_SCALE = struct.Struct("<3i"), struct.Struct("<10d")
+_COLOR_TO_LOCKED = 16 + 8 + 1
+"""Bytes of color, lifetime and frame_locked."""
 
 
-@dataclass(frozen=True)
-class AssumedMaterial:
-    """Properties of obstacles whose markers do not carry them."""
+class AssumedMaterial(NamedTuple):
+    """Properties of obstacles, which markers do not carry."""
 
     sphere_stiffness: float
     """Spring that holds a sphere to its place, N/m."""
@@ -54,13 +62,38 @@ class AssumedMaterial:
     """N/m."""
 
     @classmethod
-    def of(cls, settings: Any) -> AssumedMaterial:
-        """The material assumed by the planner's settings, by the names of its fields."""
-        return cls(**{field.name: getattr(settings, field.name) for field in fields(cls)})
+    def of(cls, settings: Any) -> Self:
+        """The material that the planner's settings give, by the names of its fields."""
+        return cls(*(getattr(settings, field) for field in cls._fields))
+
+
+class _Marker(NamedTuple):
+    """What a marker says of an obstacle; lengths in m."""
+
+    stamp_ns: int
+    frame: str
+    namespace: str
+    id: int
+    type: int
+    action: int
+    position: tuple[float, ...]
+    """x, y, z."""
+    orientation: tuple[float, ...]
+    """x, y, z, w."""
+    scale: tuple[float, ...]
+    """Along x, y, z."""
+    points: Array
+    """(N, 3)."""
+    text: str
+
+    @property
+    def name(self) -> str:
+        """Its name in refusals."""
+        return f"{self.namespace}/{self.id}"
 
 
 class ObstacleMarkerReader:
-    """Spheres, and the edges between them, from marker arrays.
+    """Reads spheres, the edges between them, and rigid bodies from marker arrays.
 
     Parameters
     ----------
@@ -72,8 +105,8 @@ class ObstacleMarkerReader:
     Attributes
     ----------
     stamp_ns
-        When the obstacles that were read last had been seen: the oldest stamp of their markers, ns; None where none has
-        one, as in an empty message.
+        When the obstacles of the last message were seen: the oldest stamp of their markers, ns; None if none has a
+        stamp, as in an empty message.
     """
 
     def __init__(self, frame: str, material: AssumedMaterial) -> None:
@@ -83,75 +116,79 @@ class ObstacleMarkerReader:
         self._rests: dict[int, Array] = {}
         self._edges: dict[int, NDArray[np.intp]] = {}
 
-    def read(self, message: Any) -> Spheres:
-        """The spheres of a message: in the order of their ids, and of each body the nodes that can move first.
+    def read(self, data: bytes) -> Spheres:
+        """The spheres of a MarkerArray: in the order of their ids, and of each body the nodes that can move first.
 
-        Springs hold spheres and nodes where the namespace 'rest' has them, or else where they were seen first. Raises
-        `InputError` if a marker is in another frame, of another type than its namespace needs, has no size or a value
-        that is not finite, or an edge ends where no node is; the marker is named.
+        Springs hold spheres and nodes where the namespace 'rest' has them, or else where they were seen first.
+
+        Raises
+        ------
+        FrameError
+            If a marker is in another frame.
+        InputError
+            If the bytes are no MarkerArray, a marker is of another type than its namespace needs, has no size or a
+            value that is not finite, a sphere is not round, or an edge ends where no node is; the marker is named.
         """
-        points = map(points_of, soft_markers(message))
-        rigid = environment_of(message, self._frame)
-        spheres = self.spheres(list(zip(shapes_of(message, self._frame), points, strict=True)), rigid)
-        self.stamp_ns = oldest([nanoseconds(marker.header.stamp) for marker in message.markers])
-        return spheres
-
-    def spheres(self, shapes: list[tuple[Shape, Array]], environment: Environment) -> Spheres:
-        """The spheres of markers and their points (N, 3), m, and rigid bodies; raises as `read` does."""
-        bodies: dict[int, dict[str, tuple[Shape, Array]]] = {}
-        for shape, points in shapes:
-            if not np.isfinite(points).all():
-                index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-                raise InputError(
-                    f"obstacles: marker {shape.name}: point {index} is {points[index].tolist()}; expected finite values"
-                )
-            bodies.setdefault(shape.id, {})[shape.kind] = (shape, points)
-        given = {identifier: body[REST][1] for identifier, body in bodies.items() if REST in body}
-        rests = self._rests | given
-        parts: list[_Part] = []
-        count = 0
-        for identifier, body in sorted(bodies.items()):
+        markers = _markers_in(data)
+        bodies: dict[int, dict[str, _Marker]] = {}
+        environment: list[RigidBody] = []
+        seen: set[tuple[str, int]] = set()
+        for marker in markers:
+            if marker.frame != self._frame:
+                raise FrameError(f"obstacles: header.frame_id is '{marker.frame}'; expected '{self._frame}'")
+            # Spheres may be in any other namespace too, as perception calls them.
+            kind = marker.namespace if marker.namespace in _TYPES else OBSTACLES
+            key = (f"CUBE {marker.namespace}" if marker.type == _CUBE else kind, marker.id)
+            if key in seen:
+                raise InputError(f"obstacles: marker {marker.name} comes twice; expected each namespace and id once")
+            seen.add(key)
+            if marker.type == _CUBE:
+                environment.append(_rigid_body(marker))
+            else:
+                bodies.setdefault(marker.id, {})[kind] = _checked(marker, kind)
+        rests = self._rests | {number: body[REST].points for number, body in bodies.items() if REST in body}
+        parts, count = [_EMPTY], 0
+        for number, body in sorted(bodies.items()):
             if body.keys() != {REST}:
-                parts.append(self._part(identifier, body, rests, count))
+                parts.append(self._part(number, body, rests, count))
                 count += len(parts[-1].center)
         self._rests = rests
-        whole = _Part(*(np.concatenate(columns) for columns in zip(_EMPTY, *parts, strict=True)))
-        return Spheres(**whole._asdict(), environment=environment)
+        whole = _Part(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        spheres = Spheres(**whole._asdict(), environment=tuple(environment))
+        self.stamp_ns = min((marker.stamp_ns for marker in markers if marker.stamp_ns), default=None)
+        return spheres
 
-    def _part(
-        self, identifier: int, body: dict[str, tuple[Shape, Array]], rests: dict[int, Array], first: int
-    ) -> _Part:
-        """One body, whose first sphere has the number `first`; where it rests is added to `rests` if not known."""
-        material = self._material
-        (ball, movable), (fixture, fixed) = body.get(OBSTACLES, _NOTHING), body.get(FIXED, _NOTHING)
-        rest = rests.setdefault(identifier, movable)
+    def _part(self, number: int, body: dict[str, _Marker], rests: dict[int, Array], first: int) -> _Part:
+        """One body, whose first sphere has the number `first`; its rest is added to `rests` if it is not known."""
+        movable = body[OBSTACLES].points if OBSTACLES in body else _EMPTY.center
+        fixed = body[FIXED].points if FIXED in body else _EMPTY.center
+        rest = rests.setdefault(number, movable)
         if len(rest) != len(movable):
             raise InputError(
-                f"obstacles: marker {REST}/{identifier} has {len(rest)} points; expected {len(movable)}, one for each "
+                f"obstacles: marker {REST}/{number} has {len(rest)} points; expected {len(movable)}, one for each "
                 "node that can move"
             )
+        material = self._material
+        is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
+        stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
         nodes = np.concatenate([movable, fixed])
-        stiffness, damping, edge_stiffness = ball.material or (
-            (material.sphere_stiffness, material.sphere_damping, material.edge_stiffness)
-            if ball.type == SPHERE
-            else (material.node_stiffness, material.node_damping, material.edge_stiffness)
-        )
-        edges = self._match(identifier, body[EDGES][1], nodes) if EDGES in body else _EMPTY.edges
+        edges = self._match(number, body[EDGES].points, nodes) if EDGES in body else _EMPTY.edges
+        radii = [0.5 * body[kind].scale[0] if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
         return _Part(
             center=nodes,
             rest=np.concatenate([rest, fixed]),
-            radius=np.repeat([ball.radius, fixture.radius], [len(movable), len(fixed)]),
+            radius=np.repeat(radii, [len(movable), len(fixed)]),
             stiffness=np.repeat([stiffness, FIXED_STIFFNESS], [len(movable), len(fixed)]),
-            damping=np.full(len(nodes), damping),
+            damping=np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
             edges=edges + first,
-            edge_stiffness=np.full(len(edges), edge_stiffness),
+            edge_stiffness=np.full(len(edges), material.edge_stiffness),
         )
 
-    def _match(self, identifier: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
+    def _match(self, number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
         """Which nodes the edges (2 E, 3) join, (E, 2); looked up only when it has changed."""
         if len(ends) % 2:
-            raise InputError(f"obstacles: marker {EDGES}/{identifier} has {len(ends)} points; expected an even number")
-        known = self._edges.get(identifier)
+            raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
+        known = self._edges.get(number)
         if known is not None and known.size == len(ends) and known.max(initial=-1) < len(nodes):
             off = np.abs(nodes[known.ravel()] - ends).max(initial=0.0)
             if off <= _MATCH:
@@ -161,12 +198,11 @@ class ObstacleMarkerReader:
         if distances.max(initial=0.0) > _MATCH:
             index = int(distances.argmax())
             raise InputError(
-                f"obstacles: marker {EDGES}/{identifier}: edge {index // 2} ends at "
-                f"{np.round(ends[index], 4).tolist()} m, where no node is; expected a point of "
-                f"{OBSTACLES}/{identifier} or {FIXED}/{identifier}"
+                f"obstacles: marker {EDGES}/{number}: edge {index // 2} ends at {np.round(ends[index], 4).tolist()} m, "
+                f"where no node is; expected a point of {OBSTACLES}/{number} or {FIXED}/{number}"
             )
-        self._edges[identifier] = nearest.reshape(-1, 2)
-        return self._edges[identifier]
+        self._edges[number] = nearest.reshape(-1, 2)
+        return self._edges[number]
 
 
 class _Part(NamedTuple):
@@ -185,105 +221,104 @@ _EMPTY = _Part(
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2), np.intp), np.zeros(0)
 )
 
-_TYPES = {
-    OBSTACLES: {SPHERE: "SPHERE", SPHERE_LIST: "SPHERE_LIST"},
-    REST: {SPHERE: "SPHERE", SPHERE_LIST: "SPHERE_LIST"},
-    FIXED: {SPHERE_LIST: "SPHERE_LIST"},
-    EDGES: {LINE_LIST: "LINE_LIST"},
-}
 
-
-class Shape(NamedTuple):
-    """A marker without its points."""
-
-    name: str
-    kind: str
-    id: int
-    type: int
-    radius: float
-    points: int
-    """Their number."""
-    material: BodyMaterial | None = None
-    """What the marker says of it."""
-
-
-_NOTHING = (Shape("", OBSTACLES, 0, SPHERE_LIST, 0.0, 0), np.zeros((0, 3)))
-
-
-def shapes_of(message: Any, frame: str) -> list[Shape]:
-    """The spheres and edges of a message; raises `InputError` if one does not fit its namespace, or comes twice."""
-    shapes: list[Shape] = []
-    seen: set[tuple[str, int]] = set()
-    for marker in soft_markers(message):
-        # Spheres may be in any other namespace too, as perception calls them.
-        kind = marker.ns if marker.ns in (REST, FIXED, EDGES) else OBSTACLES
-        name = f"{marker.ns}/{marker.id}"
-        _check(marker, frame, kind, name)
-        if (kind, marker.id) in seen:
-            raise InputError(f"obstacles: marker {name} comes twice; expected each namespace and id once")
-        seen.add((kind, marker.id))
-        count = 1 if marker.type == SPHERE else len(marker.points)
-        material = material_of(marker, name) if kind == OBSTACLES else None
-        shapes.append(Shape(name, kind, marker.id, marker.type, 0.5 * marker.scale.x, count, material))
-    return shapes
-
-
-def soft_markers(message: Any) -> list[Any]:
-    """All markers but those of rigid bodies."""
-    return [marker for marker in message.markers if marker.type != CUBE]
-
-
-def environment_of(message: Any, frame: str) -> Environment:
-    """The rigid bodies of a message, named by their markers' text; raises `InputError` if one has no pose or size."""
-    bodies: dict[tuple[str, int], RigidBody] = {}
-    for marker in message.markers:
-        if marker.type != CUBE:
-            continue
-        name = f"{marker.ns}/{marker.id}"
-        _check_frame(marker, frame)
-        if marker.action != _ADD:
-            raise InputError(f"obstacles: marker {name} has action {marker.action}; expected CUBE, to ADD")
-        if (marker.ns, marker.id) in bodies:
-            raise InputError(f"obstacles: marker {name} comes twice; expected each namespace and id once")
-        center, size, turn = vector(marker.pose.position), vector(marker.scale), quaternion(marker.pose.orientation)
-        try:
-            body = Block(marker.text or name, center, size, turn)
-        except InputError as error:
-            raise InputError(f"obstacles: marker {name}: {error}") from error
-        if marker.ns == PLANE:
-            up = body.axes[:, 2]
-            bodies[marker.ns, marker.id] = Plane(body.name, center + 0.5 * size[2] * up, up)
-        else:
-            bodies[marker.ns, marker.id] = body
-    return tuple(bodies.values())
-
-
-def _check_frame(marker: Any, frame: str) -> None:
-    if marker.header.frame_id != frame:
-        raise FrameError(f"obstacles: header.frame_id is '{marker.header.frame_id}'; expected '{frame}'")
-
-
-def _check(marker: Any, frame: str, kind: str, name: str) -> None:
-    _check_frame(marker, frame)
+def _checked(marker: _Marker, kind: str) -> _Marker:
+    """A marker of spheres or edges; raises `InputError` if it does not fit its namespace."""
     types = _TYPES[kind]
     if marker.action != _ADD or marker.type not in types:
         raise InputError(
-            f"obstacles: marker {name} has type {marker.type} and action {marker.action}; expected "
+            f"obstacles: marker {marker.name} has type {marker.type} and action {marker.action}; expected "
             f"{' or '.join(types.values())}, to ADD"
         )
-    if kind in (OBSTACLES, FIXED) and not 0.0 < marker.scale.x < np.inf:
-        raise InputError(f"obstacles: marker {name}: scale.x = {marker.scale.x}; expected a diameter in m")
-    pose = marker.pose
-    if marker.type != SPHERE and (vector(pose.position).any() or vector(pose.orientation).any()):
-        raise InputError(f"obstacles: marker {name} has a pose; expected none, and its points in the frame")
+    size = marker.scale[0]
+    if kind in (OBSTACLES, FIXED) and not 0.0 < size < np.inf:
+        raise InputError(f"obstacles: marker {marker.name}: scale.x = {size}; expected a diameter in m")
+    if kind in (OBSTACLES, FIXED) and not all(
+        side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale
+    ):
+        raise InputError(
+            f"obstacles: marker {marker.name}: scale = {list(marker.scale)}; expected one diameter in x, y and z, or "
+            "in x alone: cover an ellipsoid with several spheres, or with one as large as its longest axis"
+        )
+    if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
+        raise InputError(f"obstacles: marker {marker.name} has a pose; expected none, and its points in the frame")
+    points = np.array([marker.position]) if marker.type == _SPHERE else marker.points
+    if not np.isfinite(points).all():
+        index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise InputError(
+            f"obstacles: marker {marker.name}: point {index} is {points[index].tolist()}; expected finite values"
+        )
+    return marker._replace(points=points)
 
 
-def oldest(stamps_ns: Iterable[int]) -> int | None:
-    """The smallest of the stamps that are set; None if there is none."""
-    return min((stamp_ns for stamp_ns in stamps_ns if stamp_ns != 0), default=None)
+def _rigid_body(marker: _Marker) -> RigidBody:
+    """The rigid body of a CUBE, named by its text; raises `InputError` if it has no pose or size."""
+    if marker.action != _ADD:
+        raise InputError(f"obstacles: marker {marker.name} has action {marker.action}; expected CUBE, to ADD")
+    try:
+        block = Block(marker.text or marker.name, marker.position, marker.scale, marker.orientation)
+    except InputError as error:
+        raise InputError(f"obstacles: marker {marker.name}: {error}") from error
+    if marker.namespace != PLANE:
+        return block
+    up = block.axes[:, 2]
+    return Plane(block.name, np.array(marker.position) + 0.5 * marker.scale[2] * up, up)
 
 
-def points_of(marker: Any) -> Array:
-    """Centre of a sphere or points of a list, (N, 3), m."""
-    points = [marker.pose.position] if marker.type == SPHERE else marker.points
-    return np.array([(point.x, point.y, point.z) for point in points]).reshape(-1, 3)
+def _markers_in(data: bytes) -> list[_Marker]:
+    """The markers of a serialised MarkerArray; raises `InputError` if the bytes are none."""
+    markers, at = [], HEADER + COUNT.size
+    try:
+        if data[:2] != PLAIN_CDR[:2]:
+            raise ValueError("not in plain CDR, little-endian")
+        for _ in range(*COUNT.unpack_from(data, HEADER)):
+            marker, end = _marker_at(data, HEADER + -(-(at - HEADER) // 4) * 4)
+            markers.append(marker)
+            at = end
+        if at > len(data):
+            raise ValueError("cut off")
+    except (struct.error, ValueError) as error:
+        raise InputError(
+            f"obstacles: {len(data)} bytes that are no MarkerArray; expected a serialised MarkerArray ({error})"
+        ) from error
+    return markers
+
+
+def _marker_at(data: bytes, at: int) -> tuple[_Marker, int]:
+    """The marker at a place of a message, and its end."""
+    seconds, nanosec = STAMP.unpack_from(data, at)
+    frame_at = at + STAMP.size
+    namespace_at = after_string(data, frame_at)
+    ids_at = after_string(data, namespace_at)
+    identifier, kind, action = _IDS.unpack_from(data, ids_at)
+    place_at = aligned(ids_at + _IDS.size)
+    place = _POSE_AND_SCALE.unpack_from(data, place_at)
+    at = place_at + _POSE_AND_SCALE.size + _COLOR_TO_LOCKED
+    count_at = -(-at // 4) * 4
+    (count,) = COUNT.unpack_from(data, count_at)
+    end = after_list(data, count_at, 24, alignment=8)
+    points = np.frombuffer(data, "<f8", 3 * count, end - 24 * count).reshape(-1, 3)
+    at = after_list(data, end, 16)  # colors
+    at = after_string(data, at)  # texture_resource
+    at = after_string(data, at + STAMP.size)  # texture.header
+    at = after_string(data, at)  # texture.format
+    at = after_list(data, -(-after_list(data, at, 1) // 4) * 4, 8)  # texture.data, uv_coordinates
+    text_place = at
+    at = after_string(data, after_string(data, after_string(data, at)))  # text, mesh_resource, mesh_file.filename
+    at = after_list(data, at, 1) + 1  # mesh_file.data, mesh_use_embedded_materials
+    return (
+        _Marker(
+            seconds * NANOSECONDS + nanosec,
+            text_at(data, frame_at),
+            text_at(data, namespace_at),
+            identifier,
+            kind,
+            action,
+            place[:3],
+            place[3:7],
+            place[7:],
+            points,
+            text_at(data, text_place),
+        ),
+        at,
+    )

@@ -1,4 +1,4 @@
-"""A plan as the messages that controller, viewers and bags take."""
+"""A plan as the messages that controller, viewers and bags take, and as visualization markers."""
 
 from __future__ import annotations
 
@@ -18,11 +18,24 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
+from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.messages.conversions import to_duration, to_point, to_time, to_transform
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.messages.conversions import (
+    set_time,
+    to_duration,
+    to_marker,
+    to_point,
+    to_quaternion,
+    to_time,
+    to_transform,
+)
 from contact_reach_ros.messages.diagnostics import to_status
+from contact_reach_ros.messages.plan_reader import ARM, CONTACT, ELBOW, FLANGE
 from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.world.overlap import capsule_segments
 
 
 class ReferenceMessages(NamedTuple):
@@ -72,3 +85,94 @@ def to_request(parts: Mapping[str, NDArray[np.float32]]) -> Float32MultiArray:
 
 def _header(time_ns: int, arm: Arm) -> Header:
     return Header(stamp=to_time(time_ns), frame_id=arm.base_frame)
+
+
+_SHOWN_FORCE = 0.05
+"""Least force that is worth a text, N."""
+_TEXT_HEIGHT = 0.04
+_PATH_WIDTH = 0.006
+_BLUE = (0.2, 0.4, 0.9, 0.9)
+_ORANGE = (0.9, 0.55, 0.1, 0.9)
+_GHOST = 0.25
+
+
+class PlanMarkers:
+    """Markers of one plan after the other; those that the next one does not have are deleted."""
+
+    def __init__(self, arm: Arm, permitted_force: float) -> None:
+        """`permitted_force`: contact of this force is red, N."""
+        self._arm = arm
+        self._permitted_force = permitted_force
+        places = {link: place for place, link in enumerate(arm.contact_links)}
+        self._places = [places[arm.link_names[capsule.link - 1]] for capsule in arm.capsules]
+        self._shown: set[tuple[str, int]] = set()
+
+    def show(self, plan: Plan) -> MarkerArray:
+        """Paths of flange and elbow, the arm at the end of the plan, and each link's largest contact force.
+
+        A text stands where the link is expected to be at the end of the knot with that force. The direction of a force
+        is not known from a plan.
+        """
+        arm = self._arm
+        elbow = np.array([link_frames(arm, q)[1][arm.n // 2] for q in plan.predicted_q])
+        markers = [_path(FLANGE, plan.predicted_positions, _BLUE), _path(ELBOW, elbow, _ORANGE)]
+        forces = plan.predicted_contact_forces.max(axis=0)
+        shares = np.clip(forces / self._permitted_force, 0.0, 1.0)
+        starts, ends = capsule_segments(arm, plan.predicted_q[-1])
+        used: set[int] = set()
+        for index, (capsule, place) in enumerate(zip(arm.capsules, self._places, strict=True)):
+            share, identifier = shares[place], capsule.link
+            while identifier in used:
+                identifier += arm.n
+            color = (0.5 + 0.5 * share, 0.5 - 0.4 * share, 0.5 - 0.4 * share, _GHOST)
+            markers.append(_cylinder(identifier, starts[index], ends[index], capsule.radius, color))
+            if forces[place] >= _SHOWN_FORCE and capsule.link not in used:
+                knot = int(plan.predicted_contact_forces[:, place].argmax())
+                middle = np.mean(capsule_segments(arm, plan.predicted_q[knot + 1]), axis=0)[index]
+                markers.append(_text(capsule.link, middle, f"{forces[place]:.1f} N", share))
+            used.add(identifier)
+        shown = {(marker.ns, marker.id) for marker in markers}
+        for namespace, identifier in sorted(self._shown - shown):
+            markers.append(Marker(ns=namespace, id=identifier, action=Marker.DELETE))
+        self._shown = shown
+        for marker in markers:
+            marker.header.frame_id = arm.base_frame
+            set_time(marker.header.stamp, plan.effect_ns)
+        return MarkerArray(markers=markers)
+
+    def clear(self) -> MarkerArray:
+        """Deletes all that is shown."""
+        self._shown = set()
+        marker = Marker(action=Marker.DELETEALL)
+        marker.header.frame_id = self._arm.base_frame
+        return MarkerArray(markers=[marker])
+
+
+def _path(namespace: str, points: Array, color: tuple[float, ...]) -> Marker:
+    marker = to_marker(namespace, 0, Marker.LINE_STRIP, (_PATH_WIDTH, 0.0, 0.0), color)
+    marker.points = [to_point(point) for point in points.tolist()]
+    return marker
+
+
+def _cylinder(identifier: int, start: Array, end: Array, radius: float, color: tuple[float, ...]) -> Marker:
+    axis = end - start
+    length = float(np.linalg.norm(axis))
+    marker = to_marker(ARM, identifier, Marker.CYLINDER, (2.0 * radius, 2.0 * radius, length), color)
+    marker.pose.position = to_point((0.5 * (start + end)).tolist())
+    marker.pose.orientation = to_quaternion(_frame_along(axis / length))
+    return marker
+
+
+def _text(link: int, position: Array, text: str, share: float) -> Marker:
+    marker = to_marker(CONTACT, link, Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT), (1.0, 1.0 - share, 0.0, 1.0))
+    marker.pose.position = to_point(position.tolist())
+    marker.text = text
+    return marker
+
+
+def _frame_along(axis: Array) -> Array:
+    """A rotation (3, 3) whose z is the unit vector `axis`."""
+    aside = np.eye(3)[np.abs(axis).argmin()]
+    x = np.cross(aside, axis)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(axis, x), axis])

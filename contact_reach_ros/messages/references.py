@@ -12,8 +12,7 @@ from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.references import PoseKnots, PostureKnots
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.joint_order import JointOrder
-from contact_reach_ros.messages.values import nanoseconds, vector
+from contact_reach_ros.messages.values import JointOrder, nanoseconds, vector
 
 
 def pose_knots(message: Any) -> PoseKnots:

@@ -1,8 +1,9 @@
-"""Values in messages, of any object with the fields of the message."""
+"""Values, joints and settings in messages, of any object with the fields of the message."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -64,3 +65,52 @@ def numbers(status: Any) -> Iterator[tuple[str, float]]:
             yield item.key, float(item.value)
         except ValueError:
             continue
+
+
+class JointOrder:
+    """Picks the arm's joints out of messages whose order may be any, and may change."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """`names`: the wanted joints in the wanted order."""
+        self._names = list(names)
+        self._seen: list[str] | None = None
+        self._indices: list[int] | None = None
+
+    def indices(self, names: list[str], topic: str) -> list[int] | None:
+        """Where the wanted joints stand among `names`; None if they stand there in order.
+
+        Raises `InputError` if joints are missing; topic, field and the missing names are given.
+        """
+        if names != self._seen:
+            missing = [name for name in self._names if name not in names]
+            if missing:
+                raise InputError(
+                    f"{topic}: field name lacks {', '.join(missing)}; expected all of {', '.join(self._names)}"
+                )
+            self._indices = None if names == self._names else [names.index(name) for name in self._names]
+            self._seen = list(names)
+        return self._indices
+
+    def pick(self, message: Any, field: str, topic: str) -> Array:
+        """One field of a JointState, (n,), in the wanted order.
+
+        Raises `InputError` if joints are missing or the field has not one value for each name.
+        """
+        indices = self.indices(message.name, topic)
+        values = np.array(getattr(message, field), dtype=float)
+        if len(values) != len(message.name):
+            raise InputError(
+                f"{topic}: {field} has {len(values)} values; expected one for each of {len(message.name)} names"
+            )
+        return values if indices is None else values[indices]
+
+
+def read_settings(status: Any) -> dict[str, Any]:
+    """The values of a message on topic `settings`; one that is no JSON stays text."""
+    values: dict[str, Any] = {}
+    for entry in status.values:
+        try:
+            values[entry.key] = json.loads(entry.value)
+        except ValueError:
+            values[entry.key] = entry.value
+    return values

@@ -23,7 +23,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
-from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER, CONTROLLER
 from contact_reach_ros.ros.managed_node import ManagedNode

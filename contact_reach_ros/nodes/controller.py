@@ -24,7 +24,7 @@ from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.references import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import observer_values, read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateReader
-from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings

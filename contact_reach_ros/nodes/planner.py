@@ -20,16 +20,13 @@ from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.cdr import stamp_in
+from contact_reach_ros.messages.cdr import decode, stamp_in
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.goals import to_goal
-from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
-from contact_reach_ros.messages.plan_markers import PlanMarkers
-from contact_reach_ros.messages.plan_messages import to_path, to_references, to_request, to_statistics
+from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.plan_messages import PlanMarkers, to_path, to_references, to_request, to_statistics
 from contact_reach_ros.messages.plan_request import request_parts
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
-from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
@@ -98,7 +95,7 @@ class PlannerNode(ManagedNode):
         reaction = ContactReaction(self.arm, self.settings["unexpected_contact"])
         self._planner = Planner(self.arm, None, reaction, settings, self._latency, self.refuse, self._gains.task)
         self._markers = PlanMarkers(self.arm, self._budget.permitted_force)
-        self._obstacle_reader = SerializedObstacleReader(
+        self._obstacle_reader = ObstacleMarkerReader(
             self.arm.base_frame,
             AssumedMaterial.of(settings),
         )
@@ -311,7 +308,7 @@ class PlannerNode(ManagedNode):
 
     def _on_obstacles(self, data: bytes) -> None:
         try:
-            spheres = self._obstacle_reader.read_serialized(data)
+            spheres = self._obstacle_reader.read(data)
         except FrameError:
             self._frames.publish_obstacles(decode(data, MarkerArray, topics.OBSTACLES.name))
         else:

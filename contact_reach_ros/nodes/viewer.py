@@ -16,11 +16,10 @@ from visualization_msgs.msg import MarkerArray
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import HEADER, STAMP, STAMP_END
-from contact_reach_ros.messages.joint_order import JointOrder
-from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.values import checked_stamp
+from contact_reach_ros.messages.values import JointOrder, checked_stamp
 from contact_reach_ros.nodes.viewer_actions import StackActions
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
@@ -61,7 +60,7 @@ class ViewerNode(ManagedNode):
         self.live = LiveState(self.arm)
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._torque_order = JointOrder(self.arm.joint_names)
-        self._obstacles = SerializedObstacleReader(self.arm.base_frame, ANY_MATERIAL)
+        self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
         inbox = self.inbox
         # The page shows thirty moments a second: of fast topics, only the newest message is ever decoded.
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
@@ -128,7 +127,7 @@ class ViewerNode(ManagedNode):
         self.live.external_torque = self._torque_order.pick(message, "effort", topics.EXTERNAL_TORQUE.name)
 
     def _on_obstacles(self, data: bytes) -> None:
-        self.live.obstacles = self._obstacles.read_serialized(data)
+        self.live.obstacles = self._obstacles.read(data)
 
     def _on_plan(self, message: MarkerArray) -> None:
         self.live.plan = read_plan(message)

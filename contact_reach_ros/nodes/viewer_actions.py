@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import yaml
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParametersAtomically
-from rclpy.client import Client
-from rclpy.parameter import Parameter as RosParameter
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
-from std_srvs.srv import Trigger
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
+from contact_reach_ros.ros.client import Services
 from contact_reach_ros.ros.interfaces import TUNABLE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.stopping import release, stop_arm
@@ -27,8 +25,8 @@ from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.tabs import Parameter, Value
 
 BRINGUP = "bringup"
+_NO_BRINGUP = "only a stack that bringup has started can be restarted"
 
-_ANSWER_S = 3.0
 _HIDDEN = ("use_sim_time", "autostart", "cpus", "start_type_description_service")
 
 
@@ -39,8 +37,7 @@ class StackActions:
         self._node = node
         self._live = live
         self._goals = node.make_publisher(topics.GOAL_POSE)
-        self._clients: dict[str, Client] = {}
-        self._lock = threading.Lock()
+        self._services = Services(node, time.sleep)
 
     def send_goal(self, position: Array) -> str:
         """As `Actions`."""
@@ -52,12 +49,12 @@ class StackActions:
 
     def stop(self) -> str:
         """As `Actions`."""
-        return stop_arm(self._trigger).text
+        return stop_arm(self._services.trigger).text
 
     def reset(self) -> str:
         """As `Actions`."""
         stopped = [name for name, status in self._live.safety.items() if status.level is SafetyLevel.STOP]
-        return release(stopped, self._trigger).text
+        return release(stopped, self._services.trigger).text
 
     def restart(self, scene: str, seed: int) -> str:
         """As `Actions`, by bring-up."""
@@ -69,12 +66,11 @@ class StackActions:
 
     def parameters(self, node: str) -> Sequence[Parameter]:
         """As `Actions`: those with a single value."""
-        listed = self._call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
+        call = self._services.call
+        listed = call(f"{node}/list_parameters", ListParameters, ListParameters.Request())
         names = sorted(name for name in listed.result.names if name not in _HIDDEN and "qos_overrides" not in name)
-        described = self._call(
-            DescribeParameters, f"{node}/describe_parameters", DescribeParameters.Request(names=names)
-        )
-        values = self._call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
+        described = call(f"{node}/describe_parameters", DescribeParameters, DescribeParameters.Request(names=names))
+        values = call(f"{node}/get_parameters", GetParameters, GetParameters.Request(names=names))
         kinds = (
             ParameterType.PARAMETER_BOOL,
             ParameterType.PARAMETER_INTEGER,
@@ -89,55 +85,25 @@ class StackActions:
 
     def apply(self, node: str, values: Mapping[str, Value]) -> str:
         """As `Actions`, by bring-up; earlier changes are kept."""
-        kept: dict[str, str] = {}
-        response = self._try(GetParameters, f"{BRINGUP}/get_parameters", GetParameters.Request(names=["overrides"]))
-        if isinstance(response, str):
-            return response
+        request = GetParameters.Request(names=["overrides"])
+        try:
+            response = self._services.call(f"{BRINGUP}/get_parameters", GetParameters, request)
+        except ContactReachError as error:
+            return f"{error}; {_NO_BRINGUP}"
         # A list that has never been set has no value.
-        for value in response.values:
-            for text in value.string_array_value:
-                kept[text.partition("=")[0]] = text
+        earlier = [text for value in response.values for text in value.string_array_value]
+        kept = {text.partition("=")[0]: text for text in earlier}
         for name, value in values.items():
             text = yaml.safe_dump(value, default_flow_style=True).removesuffix("\n...\n").strip()
             kept[f"{node}:{name}"] = f"{node}:{name}={text}"
         return self._restart({"overrides": list(kept.values())})
 
     def _restart(self, values: Mapping[str, Any]) -> str:
-        request = SetParametersAtomically.Request(
-            parameters=[RosParameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        )
-        response = self._try(SetParametersAtomically, f"{BRINGUP}/set_parameters_atomically", request)
-        if isinstance(response, str):
-            return response
-        if not response.result.successful:
-            return str(response.result.reason)
-        answer = self._try(Trigger, f"{BRINGUP}/restart", Trigger.Request())
-        return answer if isinstance(answer, str) else str(answer.message)
-
-    def _trigger(self, service: str) -> Any:
-        return self._call(Trigger, service, Trigger.Request())
-
-    def _try(self, kind: Any, service: str, request: Any) -> Any:
-        """The answer, or the error as a text."""
         try:
-            return self._call(kind, service, request)
+            changed = self._services.change(BRINGUP, values)
+            return str(self._services.trigger(f"{BRINGUP}/restart").message) if changed.done else changed.text
         except ContactReachError as error:
-            return f"{error}; only a stack that bringup has started can be restarted"
-
-    def _call(self, kind: Any, service: str, request: Any) -> Any:
-        with self._lock:
-            client = self._clients.get(service)
-            if client is None:
-                client = self._clients[service] = self._node.create_client(kind, service)
-        if not client.wait_for_service(timeout_sec=_ANSWER_S):
-            raise ContactReachError(f"{service}: there is no such service")
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(_ANSWER_S):
-            client.remove_pending_request(future)
-            raise ContactReachError(f"{service}: no answer within {_ANSWER_S:.0f} s")
-        return future.result()
+            return f"{error}; {_NO_BRINGUP}"
 
 
 def _parameter(descriptor: ParameterDescriptor, value: ParameterValue) -> Parameter:

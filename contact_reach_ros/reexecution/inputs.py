@@ -20,8 +20,7 @@ from contact_reach_ros.bags.recorded_arm import SETTINGS, recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
-from contact_reach_ros.messages.settings import read_settings
-from contact_reach_ros.messages.values import checked_stamp
+from contact_reach_ros.messages.values import checked_stamp, read_settings
 from contact_reach_ros.reexecution.settings import recorded_sections
 from contact_reach_ros.units import NANOSECONDS
 
@@ -155,11 +154,11 @@ class RecordedInputs:
         raw = self._plain[name].get(sent_ns)
         return None if raw is None else self.bag.decode(raw)
 
-    def messages_until(self, name: str, sent_ns: int) -> Iterator[Any]:
-        """The decoded messages of a topic up to one that was sent at that time, which the bag may lack."""
+    def data_until(self, name: str, sent_ns: int) -> Iterator[bytes]:
+        """The serialized messages of a topic up to one that was sent at that time, which the bag may lack."""
         kept = self._plain[name]
         if sent_ns in kept:
-            yield from (self.bag.decode(kept[each]) for each in sorted(kept) if each <= sent_ns)
+            yield from (kept[each].data for each in sorted(kept) if each <= sent_ns)
 
     def messages(self, name: str) -> Iterator[Any]:
         """The decoded messages of a topic, which the bag may lack."""

@@ -154,9 +154,9 @@ class RecordedPlans:
         reader = ObstacleMarkerReader(self._arm.base_frame, AssumedMaterial.of(self._settings[""]))
         spheres = None
         # Obstacles may rest where they were seen first.
-        for message in self._inputs.messages_until(OBSTACLES, sent_ns):
+        for data in self._inputs.data_until(OBSTACLES, sent_ns):
             with contextlib.suppress(InputError):  # as the node refused it
-                spheres = reader.read(message)
+                spheres = reader.read(data)
         if spheres is None:
             raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
         return spheres

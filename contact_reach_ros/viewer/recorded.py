@@ -15,12 +15,12 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, goal_distance, read_signals
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
-from contact_reach_ros.messages.plan_reader import read_plan
+from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
 from contact_reach_ros.viewer.frame import ANY_MATERIAL, Frame, SafetyLevel, SafetyStatus, safety_status
 from contact_reach_ros.viewer.plots import ROUND_TRIPS, SPAN, thinned
 
@@ -77,7 +77,7 @@ class Recording:
         self.arm = arm_of_bag(self._reader)
         if self.arm.name != arm.name:
             raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
-        self._read_obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL).read
+        self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
         self._signals = signals = read_signals(self._reader, self.arm.joint_names)
         position = signals.position
         # States with unknown joints, and repeated states, are not moments to look at.
@@ -115,8 +115,8 @@ class Recording:
             time=float(self.ticks[tick]),
             q=self._q[tick],
             external_torque=signals.external_torque.values[torque] if torque >= 0 else None,
-            obstacles=self._newest(_OBSTACLES, time, self._read_obstacles),
-            plan=self._newest(_PICTURES, time, read_plan),
+            obstacles=self._newest(_OBSTACLES, time, lambda raw: self._obstacles.read(raw.data)),
+            plan=self._newest(_PICTURES, time, self._read_plan),
             forces=dict(zip(self.arm.contact_links, self._link_forces[force].tolist(), strict=True))
             if force >= 0
             else {},
@@ -148,28 +148,32 @@ class Recording:
             return np.zeros(0, np.int64)
         return np.sort(self._reader.reception_times(topic))
 
-    def _newest(self, topic: str, time: float, read: Callable[[Any], T]) -> T | None:
+    def _newest(self, topic: str, time: float, read: Callable[[RawMessage], T | None]) -> T | None:
         """Read the last message of a topic up to a time, s, and keep it; None without any, or for an invalid one."""
         row = _row(self._message_times[topic], time)
         if row < 0:
             return None
         kept = self._kept.get(topic)
         if kept is None or kept[0] != row:
-            message = self._message(topic, row)
             try:
-                kept = row, None if message is None else read(message)
+                kept = row, read(self._message(topic, row))
             except InputError:
                 kept = row, None
             self._kept[topic] = kept
         value: T | None = kept[1]
         return value
 
-    def _message(self, topic: str, row: int) -> Any:
-        """A message of a topic, by its place in the order of reception; None if it cannot be decoded."""
+    def _read_plan(self, raw: RawMessage) -> PlanPicture | None:
+        """The plan in a message; None if it cannot be decoded."""
+        message = self._reader.decode(raw)
+        return None if message is None else read_plan(message)
+
+    def _message(self, topic: str, row: int) -> RawMessage:
+        """A message of a topic, by its place in the order of reception."""
         received_ns = self._received_ns[topic]
         log_ns = int(received_ns[row])
         same = (raw for raw in self._reader.raw_messages([topic], log_ns) if raw.log_time_ns == log_ns)
-        return self._reader.decode(next(islice(same, row - int(np.searchsorted(received_ns, log_ns)), None)))
+        return next(islice(same, row - int(np.searchsorted(received_ns, log_ns)), None))
 
     def _safety_at(self, time: float) -> dict[str, SafetyStatus]:
         rows = {name: _row(times, time) for name, (times, _) in self._statuses.items()}

@@ -2,8 +2,8 @@
 
 import pytest
 
-from contact_reach_ros.bringup.goal_judgement import judge_goal
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.ros.client import judge_goal
 
 BEFORE = {"plans accepted": "7"}
 RUNNING = GoalState(GoalPhase.RUNNING)

@@ -57,7 +57,7 @@ def planner():
         node = PlannerNode()
         state = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
         node._on_state(state.write(8 * TICK_NS, HOME, REST))
-        node._planner.see(node._obstacle_reader.read(MarkerArray()), None)
+        node._planner.see(node._obstacle_reader.read(serialize_message(MarkerArray())), None)
         node.again = []
         node._frames._goals = node._frames._obstacles = types.SimpleNamespace(publish=node.again.append)
         yield node
@@ -107,7 +107,7 @@ def test_obstacles_of_any_kind_are_where_they_were(tf2_ros, planner):
     ball = to_marker("obstacles", 99, 2, 3 * [0.1], (1, 1, 1, 1))
     ball.header.frame_id, ball.header.stamp, ball.pose.position = ARM.base_frame, to_time(SEEN_NS), to_point([1, 2, 3])
     expected.markers.append(ball)
-    truth = planner._obstacle_reader.read(expected)
+    truth = planner._obstacle_reader.read(serialize_message(expected))
     for marker in expected.markers[:-1]:
         marker.header.frame_id = CAMERA
         marker.points = [to_point(TURN.T @ (vector(point) - ORIGIN)) for point in marker.points]
@@ -116,7 +116,7 @@ def test_obstacles_of_any_kind_are_where_they_were(tf2_ros, planner):
             marker.pose.orientation = to_quaternion(TURN.T)
     planner.inbox.give(topics.OBSTACLES, serialize_message(expected))
     assert not planner.refused
-    moved = planner._obstacle_reader.read(planner.again[0])
+    moved = planner._obstacle_reader.read(serialize_message(planner.again[0]))
     assert np.abs(moved.center - truth.center).max() < 1e-9 and np.array_equal(moved.edges, truth.edges)
     for body, other in zip(moved.environment, truth.environment, strict=True):
         assert body.point == pytest.approx(other.point) and body.normal == pytest.approx(other.normal)

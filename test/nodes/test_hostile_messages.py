@@ -38,8 +38,7 @@ from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time, to_goal_pose
-from contact_reach_ros.messages.plan_markers import PlanMarkers
-from contact_reach_ros.messages.plan_messages import to_references
+from contact_reach_ros.messages.plan_messages import PlanMarkers, to_references
 from contact_reach_ros.nodes import planner as planner_module
 from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from stack_helpers import environment, running, wait_for
 
-from contact_reach_ros.bringup.interruption import Interruption
+from contact_reach_ros.bringup.children import Interruption
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.experiments.bench_bags import LOADED, NAMESPACE, count_lost
 from contact_reach_ros.experiments.load_publisher import streams
-from contact_reach_ros.messages.serialization import decode
+from contact_reach_ros.messages.cdr import decode
 
 VALUES = np.random.default_rng(0).standard_normal(21)
 

@@ -11,8 +11,7 @@ from contact_reach_ros.arm.kinematics import rotation_about
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import set_time, to_quaternion, to_time
-from contact_reach_ros.messages.joint_order import JointOrder
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.values import JointOrder, nanoseconds
 
 
 def state(names):

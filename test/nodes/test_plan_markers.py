@@ -8,7 +8,7 @@ from visualization_msgs.msg import Marker
 
 from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaternion
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.messages.plan_markers import PlanMarkers
+from contact_reach_ros.messages.plan_messages import PlanMarkers
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.world.overlap import capsule_segments

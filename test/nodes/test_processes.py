@@ -39,6 +39,13 @@ def test_the_planner_is_told_its_own_stiffness(tmp_path):
     assert (given["edge_stiffness"], given["node_stiffness"]) == (75.0, 6.0)
 
 
+def test_where_materials_differ_the_planner_has_the_stiffest(tmp_path):
+    file = tmp_path / "own.yaml"
+    balls = [f"  - {{kind: ball, center: [0.7, {y}, 0.5], stiffness: {k}}}\n" for y, k in ((0.3, 400.0), (-0.3, 60.0))]
+    file.write_text(f"obstacles:\n{''.join(balls)}")
+    assert planner_parameters(scene=str(file))["sphere_stiffness"] == 400.0
+
+
 def test_what_the_parameter_file_says_holds(tmp_path):
     file = parameter_file(tmp_path / "own.yaml", planner={"max_spheres": 5, "period": 0.1})
     given = planner_parameters(scene="wall", parameters=str(file))

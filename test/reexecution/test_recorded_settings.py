@@ -11,7 +11,7 @@ from contact_reach_ros.arm.table import table_of
 from contact_reach_ros.arms import arm_settings, load_arm
 from contact_reach_ros.bags.recorded_arm import recorded_arm
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.messages.settings import read_settings
+from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.reexecution.settings import recorded_sections
 
 

@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from contact_reach_ros.errors import InputError, SceneError, SettingsError
-from contact_reach_ros.messages.obstacle_markers import SerializedObstacleReader, obstacle_markers
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
-from contact_reach_ros.messages.serialization import encode
-from contact_reach_ros.planning.obstacles import ObstacleReader
+from contact_reach_ros.errors import SceneError, SettingsError
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.kinds.ball import BallSettings
 from contact_reach_ros.world.kinds.box import BoxSettings
-from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
+from contact_reach_ros.world.spheres import rest_positions, sphere_capacity
 
 LIST = """
 target: {position: [0.5, 0.2, 0.3]}
@@ -95,39 +91,6 @@ def test_boxes_are_turned_about_their_centre(scene):
     lowest = box.rest[box.fixed]
     edge = lowest[1] - lowest[0]
     np.testing.assert_allclose(np.arctan2(-edge[0], edge[1]), 0.5)
-
-
-def test_markers_carry_materials_that_differ_to_the_planner(scene):
-    rests = rest_positions(scene)
-    message = obstacle_markers(scene, rests, 1)
-    reader = SerializedObstacleReader(ARM.base_frame, AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0))
-    expected, got = obstacle_spheres(scene, rests), reader.read_serialized(encode(message))
-    assert sorted(got.stiffness) == sorted(expected.stiffness)
-    assert sorted(got.edge_stiffness) == sorted(expected.edge_stiffness)
-    assert sorted(zip(got.damping, got.radius, strict=True)) == sorted(
-        zip(expected.damping, expected.radius, strict=True)
-    )
-    # The planner's program takes the same condensed network from both.
-    q = scene.start
-    rates = [np.sort(np.asarray(ObstacleReader(ARM, 12).read(q, spheres)[0].rates)) for spheres in (expected, got)]
-    np.testing.assert_allclose(*rates, rtol=1e-5)
-
-
-def test_markers_of_one_material_leave_it_to_the_planner(read):
-    scene = make_scene(
-        read("ball: {center: [0.7, 0, 0.9]}\nwall: {center: [0.75, 0, 0.4]}"), ARM, 0, np.array([0.5, 0.2, 0.3])
-    )
-    message = obstacle_markers(scene, rest_positions(scene), 1)
-    assert {marker.text for marker in message.markers} == {""}
-
-
-def test_a_material_that_makes_no_sense_is_refused(scene):
-    message = obstacle_markers(scene, rest_positions(scene), 1)
-    reader = SerializedObstacleReader(ARM.base_frame, AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0))
-    for text in ("material: soft", "material: stiffness=-1 damping=1 edge_stiffness=1", "material: stiffness=1"):
-        message.markers[0].text = text
-        with pytest.raises(InputError, match="obstacles/7: text = 'material"):
-            reader.read_serialized(encode(message))
 
 
 def test_every_obstacle_is_simulated_with_its_own_material(scene):

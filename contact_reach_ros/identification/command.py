@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +27,17 @@ OUTPUT = Path("identified.yaml")
 _OBSERVER = "observer"
 
 
+RecordedMotion = tuple[Recording, Mapping[str, Mapping[str, Any]]]
+"""Joint states of free motion, and the settings of the nodes by node and full name."""
+
+
 def run_identification(
+    excite: Callable[[], RecordedMotion],
     bags: Sequence[Path] = (),
     without: Sequence[Path] = (),
     links: bool = False,
     output: Path = OUTPUT,
     parameters: Path | None = None,
-    discovery: str = "host",
-    namespace: str = "",
 ) -> int:
     """Identify the arm, print what was found, and write the parameter file; returns the exit code.
 
@@ -42,8 +45,10 @@ def run_identification(
 
     Parameters
     ----------
+    excite
+        Moves the arm of the running stack; called if there are no bags.
     bags
-        Recordings of free motion with the tool; without any, the running stack moves the arm.
+        Recordings of free motion with the tool.
     without
         Recordings of the same arm without its tool.
     links
@@ -52,8 +57,6 @@ def run_identification(
         The parameter file; the contact budget is written beside it.
     parameters
         Parameter file whose other values the new one keeps; the package's own when None.
-    discovery, namespace
-        Of the stack.
     """
     if links and without:
         raise InputError("--links takes the tool as it is: expected no --without beside it")
@@ -62,10 +65,7 @@ def run_identification(
         read = [_read(bag) for bag in bags]
         recordings, settings, source = [each for each, _ in read], read[0][1], ", ".join(map(str, bags))
     else:
-        # rclpy is only needed for an arm that runs.
-        from contact_reach_ros.bringup.excitation import excite
-
-        recording, settings = excite(discovery, namespace)
+        recording, settings = excite()
         recordings, source = [recording], "a motion of the running stack"
     others = [_read(bag)[0] for bag in without]
     own = settings.get(_OBSERVER)
@@ -85,7 +85,7 @@ def run_identification(
     return 0
 
 
-def _read(bag: Path) -> tuple[Recording, Mapping[str, Mapping[str, Any]]]:
+def _read(bag: Path) -> RecordedMotion:
     """The joint states of a bag, and the settings of its nodes."""
     reader = BagReader(bag, of_stack=True)
     signals = read_signals(reader, arm_of_bag(reader).joint_names)

@@ -1,0 +1,331 @@
+"""Clients of the running stack: they call services of its nodes, hear what these report, and send goals."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.client import Client as ServiceClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.conversions import to_goal_pose, to_time
+from contact_reach_ros.messages.goal_state import describe, read_goal_state
+from contact_reach_ros.messages.safety_state import is_stopped
+from contact_reach_ros.messages.values import nanoseconds, read_settings
+from contact_reach_ros.parameter_files import arm_in
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.interfaces import OPERATOR
+from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.stopping import Outcome
+
+PLANNER, CONTROLLER = "planner", "controller"
+
+_LOOK_S = 0.02
+_FOUND_S = 4.0
+"""Longer than participants take to announce themselves again, where the first answer was lost."""
+_SERVICE_S = 1.0
+"""Wait for a service that stops or releases the arm: another node may offer it, too."""
+_ANSWER_S = 3.0
+_SETTLED_S = 1.0
+"""Time without a new safety state after which all nodes have been heard."""
+_JUDGED_S = 8.0
+"""Longest time until diagnostics, which come once a second, show whether a goal is taken."""
+_SILENCE_S = 5.0
+
+_FOLLOWED = "plans accepted"
+_REFUSED = (f"refused {topics.REFERENCE_POSE.contents}", "refused plans")
+
+
+class Services:
+    """Calls services of the stack, from any thread.
+
+    Parameters
+    ----------
+    node
+        That calls.
+    spin
+        Serves the node for so many seconds: `time.sleep` for a node that another thread serves.
+    """
+
+    def __init__(self, node: Node, spin: Callable[[float], None]) -> None:
+        self.node = node
+        self.spin = spin
+        self._clients: dict[str, ServiceClient] = {}
+        self._lock = threading.Lock()
+
+    def offers(self, service: str) -> bool:
+        """Whether a node is known that offers a Trigger service."""
+        return bool(self._client(service, Trigger).service_is_ready())
+
+    def trigger(self, service: str) -> Any:
+        """Call a Trigger service and return its answer; raises as `call`."""
+        return self.call(service, Trigger, Trigger.Request(), _SERVICE_S)
+
+    def call(
+        self, service: str, kind: Any, request: Any, patience: float = _ANSWER_S, timeout: float = _ANSWER_S
+    ) -> Any:
+        """Call a service and return its answer.
+
+        Raises `ContactReachError` if no node offers it within `patience`, s, or it does not answer within `timeout`, s.
+        """
+        client = self._client(service, kind)
+        if not self.until(client.service_is_ready, patience):
+            raise ContactReachError(f"{service}: there is no such service")
+        future = client.call_async(request)
+        if not self.until(future.done, timeout):
+            client.remove_pending_request(future)
+            raise ContactReachError(f"{service}: no answer within {timeout:g} s")
+        return future.result()
+
+    def change(self, node: str, values: Mapping[str, Any]) -> Outcome:
+        """Change parameters of a node, if the node lets them: all or none. Raises as `call`."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        result = self.call(f"{node}/set_parameters_atomically", SetParametersAtomically, request).result
+        return Outcome(result.successful, result.reason)
+
+    def until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait for a condition, for at most some s; returns whether it holds."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self.spin(_LOOK_S)
+        return True
+
+    def _client(self, service: str, kind: Any) -> ServiceClient:
+        with self._lock:
+            if service not in self._clients:
+                self._clients[service] = self.node.create_client(kind, service)
+            return self._clients[service]
+
+
+class Client(Services):
+    """A node with services and an inbox, served by whoever calls its methods.
+
+    Parameters
+    ----------
+    node
+        No other executor may serve it.
+    refuse
+        Takes what handling a message raises, and what was being handled; ignored by default, since nodes that receive
+        malformed messages report them.
+    """
+
+    def __init__(self, node: Node, refuse: Callable[[str, Exception], None] = lambda what, error: None) -> None:
+        super().__init__(node, self._serve)
+        self.inbox = Inbox(node, refuse)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+
+    def close(self) -> None:
+        """Leave the executor."""
+        self._executor.shutdown()
+
+    def _serve(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+        # Polled: fast topics cost nothing in between.
+        self.inbox.poll()
+
+
+class StackClient(Client):
+    """A user of the stack.
+
+    Attributes
+    ----------
+    arm
+        The planner's, once its settings were heard.
+    diagnostics
+        Newest values by name, of each node.
+    summaries
+        Newest message of the diagnostics, of each node.
+    stops
+        What stopped the arm, by node.
+    safety
+        What the controller does.
+    settings
+        Of each node that reported them, by full name.
+    goal_state
+        Of the goal that was sent; None until the planner reports it.
+    """
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node)
+        self.arm = load_arm()
+        self.diagnostics: dict[str, dict[str, str]] = {}
+        self.summaries: dict[str, str] = {}
+        self.stops: dict[str, str] = {}
+        self.safety = "starting"
+        self.settings: dict[str, dict[str, Any]] = {}
+        self.goal_state: GoalState | None = None
+        self._goal_ns = 0
+        self._heard: set[str] = set()
+        topic = topics.GOAL_POSE
+        self._goals = node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+        self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
+        self.inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
+        self.inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
+        self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
+
+    def missing(self, listeners: int = 1) -> list[str]:
+        """Topics on which something is not heard yet that goals need, the planner among `listeners` to goals."""
+        heard = {
+            f"{topics.DIAGNOSTICS.name} of the {PLANNER}": PLANNER in self.diagnostics,
+            f"{topics.SETTINGS.name} of the {PLANNER}": PLANNER in self.settings,
+            f"{topics.GOAL_POSE.name} by the {PLANNER}": self._goals.get_subscription_count() >= listeners,
+            f"{topics.DIAGNOSTICS.name} of the {CONTROLLER}": CONTROLLER in self.diagnostics,
+        }
+        return [what for what, is_heard in heard.items() if not is_heard]
+
+    def find(self, is_there: Callable[[], bool]) -> None:
+        """Wait for any sign of a stack; raises `ContactReachError` if there is none within some seconds."""
+        if not self.until(is_there, _FOUND_S):
+            domain, namespace = os.environ.get("ROS_DOMAIN_ID", "0"), self.node.get_namespace()
+            raise ContactReachError(
+                f"no stack answers in ROS domain {domain}, namespace {namespace}: start one with 'contact-reach up', "
+                "or set ROS_DOMAIN_ID to its domain, and --namespace and --discovery to what it was started with"
+            )
+
+    def wait_ready(self) -> None:
+        """Wait until planner and controller have reported what they do, and the planner hears goals.
+
+        Raises `ContactReachError` if they do not within some seconds, with the topics that are missing.
+        """
+        self.find(lambda: bool(self._heard or self.diagnostics))
+        if not self.until(lambda: not self.missing(), _FOUND_S):
+            raise ContactReachError(f"not heard: {', '.join(self.missing())}; run contact-reach doctor")
+
+    def hear_everybody(self) -> None:
+        """Wait until the safety states of the controller and of all who publish one are known, and no new one comes.
+
+        Raises `ContactReachError` if the controller does not report it.
+        """
+        known: Any = None
+        since = time.monotonic()
+        deadline = since + _FOUND_S
+        while time.monotonic() < deadline:
+            self.spin(_LOOK_S)
+            # The last events of each come first, perhaps in pieces: of a stop before that of its release.
+            heard, publishers = len(self._heard), self.node.count_publishers(topics.SAFETY_STATE.name)
+            if known != (heard, self.stops) or heard < publishers or CONTROLLER not in self._heard:
+                known, since = (heard, dict(self.stops)), time.monotonic()
+            elif time.monotonic() > since + _SETTLED_S:
+                return
+        if CONTROLLER not in self._heard:
+            raise ContactReachError(
+                f"not heard: {topics.SAFETY_STATE.name} of the {CONTROLLER}; run contact-reach doctor"
+            )
+
+    def go(self, position: Array, rotation: Array | None) -> Outcome:
+        """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
+        self.hear_everybody()
+        if self.stops:
+            return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
+        before = self.diagnostics[CONTROLLER]
+        self.send_goal(position, rotation)
+
+        def judge() -> Outcome | None:
+            if self.stops:
+                return Outcome(False, f"stopped: {self.why_stopped}")
+            return judge_goal(self.goal_state, before, self.diagnostics[CONTROLLER])
+
+        self.until(lambda: judge() is not None, _JUDGED_S)
+        return judge() or Outcome(False, "nothing followed the goal; run contact-reach doctor")
+
+    def send_goal(self, position: Array, rotation: Array | None = None, stamp_ns: int | None = None) -> None:
+        """Publish a goal (3,), m, (3, 3), stamped with the present time by default."""
+        stamp = self.node.get_clock().now().to_msg() if stamp_ns is None else to_time(stamp_ns)
+        self._goal_ns, self.goal_state = nanoseconds(stamp), None
+        self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, stamp, rotation))
+
+    def watch(self, timeout: float) -> Outcome:
+        """Wait until the flange has settled at the goal, for at most some time of the robot's clock, s."""
+        while True:
+            state, self.goal_state = self.goal_state, None
+            if state is None and self.until(lambda: self.goal_state is not None or bool(self.stops), _SILENCE_S):
+                state = self.goal_state
+            if self.stops:
+                return Outcome(False, f"stopped: {self.why_stopped}")
+            if state is None:
+                return Outcome(False, f"nothing heard of the goal for {_SILENCE_S:g} s; run contact-reach doctor")
+            if not state.phase.is_open:
+                return Outcome(state.phase is GoalPhase.SETTLED, describe(state))
+            if state.elapsed > timeout:
+                return Outcome(False, f"not settled; {describe(state)}")
+
+    @property
+    def why_stopped(self) -> str:
+        """Which nodes stopped the arm, and why; empty if none did."""
+        return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
+
+    def _on_goal_state(self, message: DiagnosticStatus) -> None:
+        stamp_ns, state = read_goal_state(message)
+        if stamp_ns == self._goal_ns:
+            self.goal_state = state
+
+    def _on_settings(self, message: DiagnosticStatus) -> None:
+        self.settings[message.name] = settings = read_settings(message)
+        if message.name == PLANNER:
+            self.arm = arm_in(settings, PLANNER)
+
+    def _on_safety(self, message: DiagnosticStatus) -> None:
+        self._heard.add(message.name)
+        self.stops.pop(message.name, None)
+        if is_stopped(message):
+            self.stops[message.name] = message.message
+        if message.name == CONTROLLER:
+            self.safety = message.message
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.diagnostics[status.name] = {entry.key: entry.value for entry in status.values}
+            self.summaries[status.name] = status.message
+
+
+@contextmanager
+def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClient]:
+    """A client of the stack that is found within `discovery`, in a namespace."""
+    with bare_node(OPERATOR, discovery, namespace=namespace) as node:
+        client = StackClient(node)
+        try:
+            yield client
+        finally:
+            client.close()
+
+
+def judge_goal(state: GoalState | None, before: Mapping[str, str], now: Mapping[str, str]) -> Outcome | None:
+    """Judge whether a goal is taken, by its state and the controller's diagnostics from before it was sent and after.
+
+    None while that is open.
+    """
+    if state is None:
+        return None
+    if state.phase.is_over:
+        return Outcome(False, f"the planner did not take the goal: {describe(state)}")
+
+    def more(*keys: str) -> bool:
+        return any(int(now.get(key, 0)) > int(before.get(key, 0)) for key in keys)
+
+    if more(_FOLLOWED):
+        return Outcome(True, "the goal is taken: the controller follows the plans for it")
+    if more(*_REFUSED):
+        reasons = [text for key, text in now.items() if key.replace("last refusal of", "refused") in _REFUSED]
+        return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
+    return None

@@ -1,0 +1,98 @@
+"""What a client makes of messages, without any other node; commands with a stack run in test_doctor.py."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from stack_helpers import ros
+
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms.iiwa14 import ARM
+from contact_reach_ros.bringup.follower import Follower
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.diagnostics import to_status, to_stop_state
+from contact_reach_ros.messages.goal_state import to_goal_state
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.ros import client as client_module
+
+
+@pytest.fixture
+def client():
+    with ros():
+        node = Node("demo")
+        follower = Follower(node, RobotModel(ARM), np.zeros(3))
+        yield follower
+        follower.close()
+        node.destroy_node()
+
+
+def hear(client, topic, message):
+    client.inbox.give(topic, serialize_message(message))
+
+
+def diagnostics(name, summary="", **values):
+    return DiagnosticArray(status=[to_status(name, summary, values)])
+
+
+def joint_state(effort):
+    return JointState(name=ARM.joint_names, position=ARM.home, effort=[effort] * ARM.n)
+
+
+def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
+    steps = [
+        (topics.DIAGNOSTICS, diagnostics("planner", topics.WAITING_FOR_STATE), "diagnostics of the planner"),
+        (topics.SETTINGS, to_status("planner", "", {}), "settings of the planner"),
+        (topics.DIAGNOSTICS, diagnostics("controller"), "diagnostics of the controller"),
+        (topics.DIAGNOSTICS, diagnostics("planner"), "reference/pose, as the planner is waiting for the first joint"),
+    ]
+    for topic, message, missing in steps:
+        assert missing in ", ".join(client.missing())
+        hear(client, topic, message)
+        assert missing not in ", ".join(client.missing())
+    state = joint_state(float("nan"))
+    state.header.stamp.sec = 1
+    assert "joint_states" in client.missing()
+    hear(client, topics.JOINT_STATES, state)
+    state.effort = [0.0] * ARM.n
+    assert client.missing()[-1] == "effort_controller/commands by the driver, whose brakes are closed"
+    hear(client, topics.JOINT_STATES, state)
+    assert client.missing() == ["goal_pose by the planner"]
+
+
+def test_without_a_planner_it_is_named(client, monkeypatch):
+    monkeypatch.setattr(client_module, "_FOUND_S", 0.1)
+    with pytest.raises(ContactReachError, match="no stack answers in ROS domain"):
+        client.wait_ready()
+    hear(client, topics.DIAGNOSTICS, diagnostics("controller"))
+    with pytest.raises(ContactReachError, match="not heard: diagnostics of the planner, settings of the planner, goal"):
+        client.wait_ready()
+
+
+def test_stops_are_those_in_force_by_node(client):
+    for node, reason in (("controller", "too fast"), ("driver", "silence"), ("controller", "")):
+        hear(client, topics.SAFETY_STATE, to_stop_state(node, ARM, reason, "holding", {}))
+    assert client.stops == {"driver": "silence"} and client.safety == "holding"
+    assert client.state == "STOP by driver: silence"
+
+
+def test_states_of_other_goals_do_not_count(client):
+    client.send_goal(np.zeros(3), stamp_ns=7)
+    for stamp_ns in (6, 7, 8):
+        state = GoalState(GoalPhase.RUNNING, distance=0.001 * stamp_ns)
+        hear(client, topics.GOAL_STATE, to_goal_state(state, stamp_ns, "planner", ARM))
+    assert client.goal_state.distance == pytest.approx(0.007)
+
+
+def test_services_that_are_not_there_are_named(client):
+    with pytest.raises(ContactReachError, match="controller/stop: there is no such service"):
+        client.trigger("controller/stop")
+    assert not client.offers("controller/stop")
+
+
+def test_messages_that_are_none_end_nothing(client):
+    client.inbox.give(topics.SAFETY_STATE, b"\0\1")
+    hear(client, topics.GOAL_STATE, DiagnosticStatus(name="planner"))
+    assert client.goal_state is None
