@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.experiments import paper
-from contact_reach_ros.experiments.grid import Record
-from contact_reach_ros.experiments.statistics import CONFIDENCE, MIN_TARGETS, Estimate, corrected, estimate, share
+from benchmarks import paper
+from benchmarks.grid import Record
+from benchmarks.statistics import CONFIDENCE, MIN_TARGETS, Estimate, corrected, estimate, share
 
 GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
 

@@ -17,14 +17,14 @@ from contact_reach_ros.drawing.camera import FRONT_SIDE, SIDE
 from contact_reach_ros.drawing.offscreen import Picture
 from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError, SettingsError
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.methods import METHODS
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.experiments.episode_result import EpisodeResult
-from contact_reach_ros.experiments.grid import Setup, concrete_scene, episode_seeds, prepared
-from contact_reach_ros.experiments.machine import machine
-from contact_reach_ros.experiments.metrics import measure
-from contact_reach_ros.experiments.output import Report, say
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.methods import METHODS
+from benchmarks.episode import EpisodeOptions, run_episode
+from benchmarks.episode_result import EpisodeResult
+from benchmarks.grid import Setup, concrete_scene, episode_seeds, prepared
+from benchmarks.machine import machine
+from benchmarks.metrics import measure
+from benchmarks.output import Report, say
 from contact_reach_ros.simulation.plant import TICK, Contacts, Plant
 from contact_reach_ros.world.scene import Scene, SceneFile
 from contact_reach_ros.world.spheres import rest_positions

@@ -15,12 +15,12 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.methods import PATH_METHODS, PLANLESS, make_method
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.experiments.identified import identified, of_arm
-from contact_reach_ros.experiments.metrics import EpisodeMetrics, measure
-from contact_reach_ros.experiments.paper import JOINT_TORQUE
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.methods import PATH_METHODS, PLANLESS, make_method
+from benchmarks.episode import EpisodeOptions, run_episode
+from benchmarks.identified import identified, of_arm
+from benchmarks.metrics import EpisodeMetrics, measure
+from benchmarks.paper import JOINT_TORQUE
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.planner import ReplanningSettings

@@ -14,8 +14,8 @@ from rich.progress import MofNCompleteColumn, Progress
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments import paper
-from contact_reach_ros.experiments.grid import (
+from benchmarks import paper
+from benchmarks.grid import (
     GOALS,
     Cell,
     EpisodeTask,
@@ -27,9 +27,9 @@ from contact_reach_ros.experiments.grid import (
     reason,
     run_cell,
 )
-from contact_reach_ros.experiments.machine import machine
-from contact_reach_ros.experiments.output import Report, read_report, say, write_report
-from contact_reach_ros.experiments.workers import run_all, workers
+from benchmarks.machine import machine
+from benchmarks.output import Report, read_report, say, write_report
+from benchmarks.workers import run_all, workers
 from contact_reach_ros.world.scene import SceneFile
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
-from contact_reach_ros.experiments import paper
-from contact_reach_ros.experiments.claims import Results
-from contact_reach_ros.experiments.output import Report
-from contact_reach_ros.experiments.statistics import Estimate, estimate
+from benchmarks import paper
+from benchmarks.claims import Results
+from benchmarks.output import Report
+from benchmarks.statistics import Estimate, estimate
 
 _OURS, _OTHER = BLUE, "#aaaaaa"
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE)

@@ -21,9 +21,9 @@ from matplotlib.figure import Figure
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, ORANGE, SKY_BLUE, VERMILION
-from contact_reach_ros.experiments.output import Report, table
-from contact_reach_ros.experiments.recorded_runs import RecordedPlan
-from contact_reach_ros.experiments.statistics import estimate
+from benchmarks.output import Report, table
+from benchmarks.recorded_runs import RecordedPlan
+from benchmarks.statistics import estimate
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.programs import Program, preparing
 from contact_reach_ros.planning.settings import PlanningSettings

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.experiments.output import Report, table
-from contact_reach_ros.experiments.recorded_runs import RecordedPlan
-from contact_reach_ros.experiments.solver_race import make_cost_of
-from contact_reach_ros.experiments.statistics import estimate
+from benchmarks.output import Report, table
+from benchmarks.recorded_runs import RecordedPlan
+from benchmarks.solver_race import make_cost_of
+from benchmarks.statistics import estimate
 from contact_reach_ros.planning.action_space import ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.detour import NAME as DETOUR
 from contact_reach_ros.planning.problem import Number, Problem

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 
-from contact_reach_ros.experiments import paper
-from contact_reach_ros.experiments.claims import GOAL_NAMES, Results, interval_text, plus_minus
-from contact_reach_ros.experiments.output import Report, table
-from contact_reach_ros.experiments.statistics import CONFIDENCE, MIN_TARGETS, corrected, estimate
+from benchmarks import paper
+from benchmarks.claims import GOAL_NAMES, Results, interval_text, plus_minus
+from benchmarks.output import Report, table
+from benchmarks.statistics import CONFIDENCE, MIN_TARGETS, corrected, estimate
 
 _COLUMNS = (
     # heading, figure, factor to its unit, digits

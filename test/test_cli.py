@@ -13,8 +13,8 @@ SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
 @pytest.mark.parametrize(
     "command",
-    [["bench", "control", "--ticks", "10"], ["reexecute", str(SAMPLE)], ["bag", "info", str(SAMPLE)]],
-    ids=["text", "long text", "table"],
+    [["reexecute", str(SAMPLE)], ["bag", "info", str(SAMPLE)]],
+    ids=["long text", "table"],
 )
 def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]) -> None:
     reading, writing = os.pipe()
@@ -38,3 +38,9 @@ def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypat
     given = []
     monkeypatch.setattr("contact_reach_ros.nodes.viewer.view", lambda chosen, *_: given.append(chosen) or 0)
     assert contact_reach("view", *arguments) == 0 and given == [expected]
+
+
+@pytest.mark.parametrize("arguments", [["table1", "--targets", "2"], ["page", "--out", "page"], ["planner", "--quick"]])
+def test_benchmarks_of_the_repository_are_named_with_the_command_that_runs_them(capsys, arguments):
+    assert contact_reach("bench", *arguments) == 2
+    assert f"make bench NAME={arguments[0]}" in capsys.readouterr().err

@@ -18,8 +18,8 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.experiments.baselines.clearance import ClearanceChecker, distances, levers
-from contact_reach_ros.experiments.baselines.rrt_star import (
+from benchmarks.baselines.clearance import ClearanceChecker, distances, levers
+from benchmarks.baselines.rrt_star import (
     JointPath,
     PathSettings,
     goal_candidates,

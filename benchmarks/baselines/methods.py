@@ -10,12 +10,12 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.baselines.collision_free import CollisionFreePlanner
-from contact_reach_ros.experiments.baselines.contact_rrt import find_contact_path
-from contact_reach_ros.experiments.baselines.joint_torque import SIGMA, TorqueController, make_torque_planner
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.reactive import ReactivePlanner
-from contact_reach_ros.experiments.baselines.rrt_star import JointPath, PathSettings, find_path
+from benchmarks.baselines.collision_free import CollisionFreePlanner
+from benchmarks.baselines.contact_rrt import find_contact_path
+from benchmarks.baselines.joint_torque import SIGMA, TorqueController, make_torque_planner
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.reactive import ReactivePlanner
+from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from contact_reach_ros.experiments.claims import Results, claims, interval_text, plus_minus
-from contact_reach_ros.experiments.grid import Cell, failed
+from benchmarks.claims import Results, claims, interval_text, plus_minus
+from benchmarks.grid import Cell, failed
 
 
 def record(scene="ball", goal="hold", method="contact_reach", target=0, repeat=0, **figures):

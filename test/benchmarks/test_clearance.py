@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.experiments.baselines.clearance import ClearanceChecker, levers
+from benchmarks.baselines.clearance import ClearanceChecker, levers
 from contact_reach_ros.world.clearance import clearances
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.overlap import capsule_segments

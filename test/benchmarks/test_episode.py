@@ -10,8 +10,8 @@ from plans import make_plan
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from benchmarks.baselines.method import Method
+from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene

@@ -5,8 +5,8 @@ import itertools
 
 import pytest
 
-from contact_reach_ros.experiments import grid
-from contact_reach_ros.experiments.grid import (
+from benchmarks import grid
+from benchmarks.grid import (
     DEADLINE_STEPS,
     Cell,
     EpisodeTask,
@@ -15,7 +15,7 @@ from contact_reach_ros.experiments.grid import (
     episode_seeds,
     run_cell,
 )
-from contact_reach_ros.experiments.workers import local_workers, run_all
+from benchmarks.workers import local_workers, run_all
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene

@@ -12,7 +12,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.baselines.joint_torque import (
+from benchmarks.baselines.joint_torque import (
     HeldTorque,
     TorqueController,
     TorquePlan,
@@ -21,8 +21,8 @@ from contact_reach_ros.experiments.baselines.joint_torque import (
     torque_bounds,
     torque_step,
 )
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
+from benchmarks.baselines.method import Method
+from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import pieces_between, reference_at

@@ -3,7 +3,7 @@
 import pytest
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments.output import read_report, write_report, write_whole
+from benchmarks.output import read_report, write_report, write_whole
 
 
 def test_a_report_is_read_back(tmp_path):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from contact_reach_ros.experiments.statistics import corrected, estimate, least_difference, least_share, share
+from benchmarks.statistics import corrected, estimate, least_difference, least_share, share
 
 
 def test_an_interval_covers_the_true_mean_about_as_often_as_it_says():

@@ -2,8 +2,8 @@
 
 from test_claims import record
 
-from contact_reach_ros.experiments.claims import Results, claims
-from contact_reach_ros.experiments.table1_report import tables
+from benchmarks.claims import Results, claims
+from benchmarks.table1_report import tables
 
 METHODS = ["contact_reach", "reference_posture", "rrt_star"]
 

@@ -14,8 +14,8 @@ import pytest
 from distributed import LocalCluster
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.experiments import workers
-from contact_reach_ros.experiments.workers import local_workers, remote_workers, run_all, run_each
+from benchmarks import workers
+from benchmarks.workers import local_workers, remote_workers, run_all, run_each
 
 
 def square(value: int) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from arm_simulation import ARM
 
-from contact_reach_ros.experiments.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
+from benchmarks.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
 from contact_reach_ros.simulation.fault_schedules import parse_faults
 
 REACHED, STILL = "goal reached", "arm still"

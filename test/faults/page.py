@@ -8,7 +8,7 @@ from arm_simulation import ARM
 from cases import CASES, Case
 from page_tables import replaced
 
-from contact_reach_ros.experiments.fault_checks import end_of, speed_share
+from benchmarks.fault_checks import end_of, speed_share
 from contact_reach_ros.simulation.fault_kinds import kinds_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"
