@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
 from benchmarks import paper
 from benchmarks.grid import Record
 from benchmarks.statistics import CONFIDENCE, MIN_TARGETS, Estimate, corrected, estimate, share
+from contact_reach_ros.arrays import Array
 
 GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
 

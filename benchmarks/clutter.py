@@ -1,24 +1,25 @@
-"""`contact-reach bench clutter`: every method in random scenes with several soft bodies."""
+"""Every method in random scenes with several soft bodies."""
 
 from __future__ import annotations
 
 import math
-import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.errors import SettingsError
 from benchmarks import paper
 from benchmarks.baselines.methods import METHODS
 from benchmarks.claims import interval_text
 from benchmarks.clutter_scenes import FIRST_HELD_OUT, clutter_name, clutter_scene
 from benchmarks.grid import Cell, Record, Setup
 from benchmarks.grid_run import Running, finish, run_grid
-from benchmarks.output import Report, table
+from benchmarks.output import Report, command_line, command_of, given, run_command, table
+from benchmarks.pictures import plot_clutter
 from benchmarks.statistics import Estimate, estimate, share
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.world.spheres import MAX_SPHERES
 
@@ -74,17 +75,6 @@ class Clutter:
         """All episodes, scene by scene, so that an unfinished run has whole scenes."""
         return [Cell(clutter_name(seed), "hold", method, seed) for seed in self.seeds for method in self.methods]
 
-    @property
-    def command(self) -> str:
-        """The command line of the run, without options that do not change its results."""
-        words = ["contact-reach", "bench", "clutter", "--preset", self.preset]
-        words += ["--scenes", str(self.scenes), "--seed", str(self.seed)]
-        if self.methods != Clutter.methods:
-            words += ["--methods", *self.methods]
-        if self.timeout != Clutter.timeout:
-            words += ["--timeout", f"{self.timeout:g}"]
-        return shlex.join(words)
-
     def evaluate(self, report: Report) -> None:
         """Add the summary of those scenes that every method has run in."""
         found: dict[str, list[Record]] = {}
@@ -105,7 +95,7 @@ def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) 
     setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, timeout=bench.timeout)
     arm = load_arm(setup.arm)
     scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in bench.seeds}
-    description = {"command": bench.command, "seeds": [bench.seeds[0], bench.seeds[-1]]}
+    description = {"command": command_of("clutter", bench), "seeds": [bench.seeds[0], bench.seeds[-1]]}
     report = run_grid("clutter", description, setup, scenes, bench.cells, running)
     bench.evaluate(report)
     finish(report, running.file)
@@ -200,3 +190,23 @@ def _percent(found: dict[str, Any]) -> str:
         return "–"
     interval = "" if low is None else f" [{100 * low:.0f}, {100 * high:.0f}]"
     return f"{100 * mean:.0f} %{interval}"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__, spread=True)
+    parser.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
+    parser.add_argument("--scenes", type=int, help="how many (default: 100)")
+    parser.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
+    parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: eight)")
+    parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
+    options = given(parser, arguments)
+    plot, running = options.pop("plot", None), Running.of(options)
+    report = bench_clutter(Clutter(**options), running)
+    if plot is not None:
+        plot_clutter(report, plot)
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.baselines.method import Method
+from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import disagreement, plan_basis
 from contact_reach_ros.errors import InputError
-from benchmarks.baselines.method import Method
-from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings

@@ -8,10 +8,10 @@ from enum import Enum
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
+from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.settings import LimitSettings
-from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.simulation.fault_kinds import Schedule
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.timing import PAUSE

@@ -9,10 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.errors import SettingsError
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
@@ -23,6 +19,10 @@ from benchmarks.machine import machine
 from benchmarks.output import Report, say, table, write_report
 from benchmarks.paper import METHOD
 from benchmarks.workers import run_each
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene

@@ -1,9 +1,10 @@
-"""`contact-reach bench fig5`: the contact force over time, with pictures of the arm, as in Fig. 5 of the paper."""
+"""The paper's Fig. 5: the contact force over time, with pictures of the arm."""
 
 from __future__ import annotations
 
+import dataclasses
 import string
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,38 +12,61 @@ from typing import Any
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
+from PIL import Image
 
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.drawing.camera import Camera, frame
-from contact_reach_ros.drawing.offscreen import Picture, find_backend, render
-from contact_reach_ros.drawing.palette import BLACK, GREY, METHOD_COLOURS, WHITE
-from contact_reach_ros.drawing.parts import (
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.methods import METHODS
+from benchmarks.episode import EpisodeOptions, run_episode
+from benchmarks.episode_result import EpisodeResult
+from benchmarks.grid import Setup, concrete_scene, episode_seeds, prepared
+from benchmarks.metrics import measure
+from benchmarks.offscreen import Picture, find_backend, render
+from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
+from benchmarks.view import (
+    FRONT_SIDE,
+    SIDE,
+    Camera,
+    View,
     arm_shapes,
     environment_shapes,
     floor,
+    frame,
     obstacle_shapes,
     path_shapes,
     target_shapes,
 )
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, WHITE
 from contact_reach_ros.drawing.shapes import Shape
-from contact_reach_ros.drawing.view import View
-from benchmarks import figures
-from benchmarks.figures import DPI, WIDTH, FigureOptions, WatchedEpisode
-from benchmarks.grid import Setup
-from benchmarks.output import Report, say, table, write_report
+from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.simulation.plant import TICK
+from contact_reach_ros.simulation.plant import TICK, Contacts, Plant
 from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.spheres import rest_positions
 
-Runs = Mapping[str, WatchedEpisode]
-
-METHODS_SHOWN = ("contact_reach", "reference_posture")
+METHOD_COLOURS = {
+    "contact_reach": BLUE,
+    "reference_posture": VERMILION,
+    "collision_free": PURPLE,
+    "rrt_star": GREEN,
+    "joint_torque": ORANGE,
+    "cma_es": SKY_BLUE,
+}
+"""By the names in `baselines.methods.METHODS`; the others are black."""
 
 TOUCHED = 0.05
 """Force that counts as contact, N."""
 
+WIDTH = 9.0
+"""Of the whole figure, inches."""
+DPI = 200
+"""Twice as many pixels as a page of a repository shows."""
+_COLOURS = 256
 _COLUMNS = 3
 _AT_THE_END = 0.1
 """A largest force this short before the end, s, has no picture of its own."""
@@ -61,12 +85,94 @@ _LINE = 0.2
 _DIGITS = 4
 
 
-@dataclass(frozen=True)
-class Fig5(FigureOptions):
-    """What is run; `scene` is a name or a YAML file."""
+@dataclass(frozen=True, eq=False)
+class WatchedEpisode:
+    """An episode, from the moment the goal was given.
 
-    methods: tuple[str, ...] = METHODS_SHOWN
+    Attributes
+    ----------
+    scene
+        That it took place in.
+    result
+        Of `run_episode`.
+    obstacles
+        (n, K, 3) where the obstacles are after each tick of the result, m, in the order of `rest_positions`.
+    contacts
+        (n) contacts with the arm after each tick.
+    """
+
+    scene: Scene
+    result: EpisodeResult
+    obstacles: Array
+    contacts: list[Contacts]
+
+    @property
+    def peak_force(self) -> float:
+        """Largest contact force on one body, N."""
+        return float(self.result.contact_forces.max(initial=0.0))
+
+
+def watch_episode(scene: Scene, method: Method, options: EpisodeOptions) -> WatchedEpisode:
+    """Run an episode as `run_episode` does and keep what pictures need."""
+    settle_ticks = round(options.settle / TICK)
+    obstacles: list[Array] = []
+    contacts: list[Contacts] = []
+
+    def watch(tick: int, plant: Plant) -> None:
+        # The result does not hold the time before the goal was given either.
+        if tick >= settle_ticks:
+            obstacles.append(plant.obstacle_positions())
+            contacts.append(plant.contacts())
+
+    result = run_episode(scene, method, options, watch)
+    moved = np.reshape(obstacles, (len(obstacles), *rest_positions(scene).shape))
+    return WatchedEpisode(scene, result, moved, contacts)
+
+
+Runs = Mapping[str, WatchedEpisode]
+
+
+@dataclass(frozen=True)
+class Fig5:
+    """What is run and drawn.
+
+    Attributes
+    ----------
+    methods
+        Some of `METHODS`.
+    scene
+        Name or YAML file.
+    seed
+        Of target and obstacles; with repeat 0 of a table, it seeds solver and noise.
+    latency
+        Of the plans, s: a constant, so that the figure does not depend on the machine.
+    output
+        The picture, a PNG file.
+
+    Raises
+    ------
+    SettingsError
+        If a method is unknown, a value is out of range, or `output` is no PNG file.
+    """
+
+    methods: tuple[str, ...] = ("contact_reach", "reference_posture")
     scene: str = "wall"
+    seed: int = 0
+    latency: float = 0.04
+    output: Path = Path("docs/fig5.png")
+
+    def __post_init__(self) -> None:
+        for method in self.methods:
+            if method not in METHODS:
+                raise SettingsError(f"--methods '{method}' is unknown; expected one of {', '.join(METHODS)}")
+        if len(set(self.methods)) < len(self.methods):
+            raise SettingsError(f"--methods {' '.join(self.methods)}: expected each of them once")
+        if self.seed < 0:
+            raise SettingsError(f"--seed {self.seed}: expected at least 0")
+        if not 0.001 <= self.latency <= 1.0:
+            raise SettingsError(f"--latency {self.latency:g}: expected 0.001 to 1 s")
+        if self.output.suffix.lower() != ".png":
+            raise SettingsError(f"--output {self.output}: expected a file that ends in .png")
 
 
 @dataclass(frozen=True)
@@ -83,31 +189,37 @@ class Moment:
         return (self.tick + 1) * TICK
 
 
-def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None = None) -> Report:
-    """Run every method, draw the figure to `output`, print a table and write JSON with the profiles to `file`.
+def bench_fig5(bench: Fig5, file: Path | None, setup: Setup | None = None) -> Report:
+    """Run every method, draw the figure, print a table and write JSON with the profiles to `file`.
 
     Raises
     ------
-    SettingsError, RenderingError
-        If an option cannot be used, or `output` cannot be written.
+    RenderingError
+        If OpenGL does not work here, or the picture cannot be written.
     SceneError
         If the scene cannot be made.
     """
-    figures.check(bench, output)
+    try:
+        bench.output.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(bench.output, error) from error
     renderer = find_backend()
     setup = setup or Setup(budget=load_budget())
     scene_file = read_scene(bench.scene)
-    runs = {method: figures.run_method(method, scene_file, bench, setup) for method in bench.methods}
-    records = {method: figures.record(run, setup) for method, run in runs.items()}
+    runs = {method: run_method(method, scene_file, bench, setup) for method in bench.methods}
+    records = {method: record(run, setup) for method, run in runs.items()}
     chosen = {method: _moments(method, run) for method, run in runs.items()}
     pictured = [moment for moments in chosen.values() for moment in moments]
     views = _views(runs, pictured)
     pictures = render(views, renderer)
     say(f"pictures by {renderer}")
     permitted = setup.budget.permitted_force
-    figures.save(_figure(runs, pictured, views, pictures, permitted), output)
+    save(_figure(runs, pictured, views, pictures, permitted), bench.output)
     report = {
-        **figures.report_of("fig5", bench, renderer),
+        "bench": "fig5",
+        "options": {**dataclasses.asdict(bench), "output": str(bench.output)},
+        "renderer": renderer,
+        "machine": machine(),
         "permitted_force_N": permitted,
         "tick_s": TICK,
         "episodes": records,
@@ -118,7 +230,7 @@ def bench_fig5(bench: Fig5, output: Path, file: Path | None, setup: Setup | None
         "profiles_N": {method: _profile(run).tolist() for method, run in runs.items()},
     }
     write_report(report, file)
-    rows = [[method, figures.outcome(run), f"{records[method]['contact_impulse']:.2f}"] for method, run in runs.items()]
+    rows = [[method, outcome(run), f"{records[method]['contact_impulse']:.2f}"] for method, run in runs.items()]
     print(table(["method", "time, largest force", "impulse [N s]"], rows))
     return report
 
@@ -154,7 +266,7 @@ def _views(runs: Runs, moments: list[Moment]) -> list[View]:
     stages = [_shapes(runs[moment.method], moment) for moment in moments]
     every = [shape for stage in stages for shape in stage]
     # With one camera for all, only motion makes the pictures differ.
-    camera: Camera = frame(every, *figures.pixels(width, _PICTURE_RATIO * width), figures.direction_to_camera(scene))
+    camera: Camera = frame(every, *pixels(width, _PICTURE_RATIO * width), direction_to_camera(scene))
     return [View(stage, camera, floor()) for stage in stages]
 
 
@@ -167,7 +279,7 @@ def _shapes(run: WatchedEpisode, moment: Moment) -> list[Shape]:
         *obstacle_shapes(run.scene, run.obstacles[tick], _FOAM_OPACITY),
         *environment_shapes(run.scene),
         *target_shapes(run.scene.target),
-        *path_shapes(path, METHOD_COLOURS[moment.method]),
+        *path_shapes(path, _colour(moment.method)),
     ]
 
 
@@ -201,11 +313,11 @@ def _figure(runs: Runs, moments: list[Moment], views: list[View], pictures: list
         column = _COLUMNS + moments_of[moment.method].index(moment) - len(moments_of[moment.method])
         low = height - (row + 1) * (picture_height + title)
         box = (column / _COLUMNS, low / height, 1.0 / _COLUMNS, picture_height / height)
-        axes = figures.show(figure, box, view, picture)
+        axes = show(figure, box, view, picture)
         _draw_forces(axes, view.camera, *_resultants(runs[moment.method], moment.tick))
         force = runs[moment.method].result.contact_forces[moment.tick]
         label = f"({letters[moment]}) {moment.name}: {moment.time:.2f} s, {force:.1f} N"
-        axes.set_title(label, fontsize=9, color=METHOD_COLOURS[moment.method], pad=3.0)
+        axes.set_title(label, fontsize=9, color=_colour(moment.method), pad=3.0)
     left, right = 0.6, 0.15
     curves = figure.add_axes((left / WIDTH, bottom / height, 1.0 - (left + right) / WIDTH, _CURVES / height))
     _draw_curves(curves, runs, letters, permitted)
@@ -224,12 +336,12 @@ def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitte
     for method, run in runs.items():
         forces = run.result.contact_forces
         time = TICK * np.arange(1, len(forces) + 1)
-        label = f"{method}: {figures.outcome(run)}"
-        axes.plot(time, forces, color=METHOD_COLOURS[method], linewidth=1.5, label=label)
+        label = f"{method}: {outcome(run)}"
+        axes.plot(time, forces, color=_colour(method), linewidth=1.5, label=label)
     axes.axhline(permitted, color=GREY, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
     methods = list(runs)
     for moment, letter in letters.items():
-        colour = METHOD_COLOURS[moment.method]
+        colour = _colour(moment.method)
         row = len(methods) - 1 - methods.index(moment.method)
         axes.axvline(moment.time, color=colour, linewidth=1.0, linestyle=":")
         axes.annotate(
@@ -253,3 +365,95 @@ def _draw_curves(axes: Axes, runs: Runs, letters: Mapping[Moment, str], permitte
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def run_method(method: str, file: SceneFile, options: Fig5, setup: Setup) -> WatchedEpisode:
+    """Run a method once, the orientation of the start held."""
+    scene = concrete_scene(file, load_arm(setup.arm), options.seed)
+    solver_seed, noise_seed = episode_seeds(options.seed, repeat=0)
+    ready = prepared(method, file, setup)
+    ready.reseed(solver_seed)
+    watched = watch_episode(scene, ready, setup.options(method, "hold", options.latency, noise_seed))
+    say(f"{scene.name}, {method}: {outcome(watched)}")
+    return watched
+
+
+def outcome(watched: WatchedEpisode) -> str:
+    """Time and largest force in a few words."""
+    result = watched.result
+    if result.failure:
+        return "no path found"
+    force = f"{watched.peak_force:.1f} N"
+    if result.reached:
+        return f"{result.time:.2f} s, {force}"
+    return f"{'stopped' if result.stop_reason else 'not reached'}, {force}"
+
+
+def record(watched: WatchedEpisode, setup: Setup) -> Report:
+    """Figures of an episode, as JSON has them."""
+    gains, permitted_force = setup.controller.impedance, setup.budget.permitted_force
+    metrics = measure(watched.result, watched.scene.target, setup.planning, gains, permitted_force)
+    return dataclasses.asdict(metrics)
+
+
+def _colour(method: str) -> str:
+    return METHOD_COLOURS.get(method, BLACK)
+
+
+def show(figure: Figure, box: tuple[float, float, float, float], view: View, picture: Picture) -> Axes:
+    """Add a picture to a figure, with axes in its camera's pixels; `box` is left, bottom, width and height."""
+    axes = figure.add_axes(box)
+    axes.set_axis_off()
+    axes.imshow(picture, extent=(0, view.camera.width, 0, view.camera.height), aspect="auto")
+    return axes
+
+
+def direction_to_camera(scene: Scene) -> tuple[float, float, float]:
+    """Direction to a camera that sees into the gap between walls, if there are any."""
+    return SIDE if any(obstacle.is_deformable for obstacle in scene.obstacles) else FRONT_SIDE
+
+
+def pixels(width: float, height: float) -> tuple[int, int]:
+    """Of a picture that fills so many inches of a figure."""
+    return round(DPI * width), round(DPI * height)
+
+
+def save(figure: Figure, output: Path) -> None:
+    """Write a figure as a PNG of few colours, a third as large as with all of them.
+
+    Raises
+    ------
+    RenderingError
+        If the file cannot be written.
+    """
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = Image.fromarray(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+    try:
+        few = picture.quantize(_COLOURS, dither=Image.Dither.NONE)
+        few.save(output, optimize=True, dpi=(DPI, DPI))
+    except OSError as error:
+        raise _unwritable(output, error) from error
+    say(f"{output}: {output.stat().st_size / 1000:.0f} kB")
+
+
+def _unwritable(output: Path, error: OSError) -> RenderingError:
+    return RenderingError(f"{output}: cannot be written ({error.strerror}); name a file that can be")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--scene", help="a name or a YAML file (default: wall)")
+    methods = "as for table1 (default: contact_reach reference_posture)"
+    parser.add_argument("--methods", nargs="+", metavar="METHOD", help=methods)
+    parser.add_argument("--seed", type=int, help="of the target and the obstacles (default: 0)")
+    parser.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: 0.04)")
+    parser.add_argument("--output", type=Path, help="the picture (default: docs/fig5.png)")
+    options = given(parser, arguments)
+    file = options.pop("file", None)
+    bench_fig5(Fig5(**options), file)
+
+
+if __name__ == "__main__":
+    run_command(main)

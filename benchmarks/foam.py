@@ -13,11 +13,11 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
+from benchmarks.output import write_report
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
-from benchmarks.output import write_report
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.press import press_in_model, press_in_plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import DEFAULT_ARM, load_arm
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.errors import ContactReachError
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.methods import PATH_METHODS, PLANLESS, make_method
 from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.identified import identified, of_arm
 from benchmarks.metrics import EpisodeMetrics, measure
 from benchmarks.paper import JOINT_TORQUE
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import DEFAULT_ARM, load_arm
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.planner import ReplanningSettings

@@ -1,19 +1,16 @@
-"""Resumable runs of many episodes, kept in one JSON file."""
+"""Runs of many episodes, kept in one JSON file, which go on where they were interrupted."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.errors import SettingsError
 from benchmarks import paper
 from benchmarks.grid import (
     GOALS,
@@ -27,13 +24,11 @@ from benchmarks.grid import (
     reason,
     run_cell,
 )
-from benchmarks.machine import machine
-from benchmarks.output import Report, read_report, say, write_report
+from benchmarks.output import Report, machine, read_report, say, write_report
 from benchmarks.workers import run_all, workers
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.world.scene import SceneFile
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,28 +38,27 @@ class Running:
     Attributes
     ----------
     file
-        JSON file of the run; None for none. Finished episodes are beside it until the run ends, see `partial_of`.
-    resume
-        Whether to go on with the run of that file.
+        JSON file of the run, which goes on with the episodes of an earlier one; None for none. Finished episodes are
+        beside it until the run ends, see `partial_of`.
     workers
         Processes on this machine; one per core if None.
     scheduler
         Address of a Dask scheduler whose workers run the episodes instead.
-    client
-        Workers that are there already, with the programs that they have compiled.
     """
 
     file: Path | None = None
-    resume: bool = False
     workers: int | None = None
     scheduler: str | None = None
-    client: Client | None = None
 
     def __post_init__(self) -> None:
-        if self.resume and self.file is None:
-            raise SettingsError("--resume needs --json FILE, the file of the run to go on with")
         if self.workers is not None and self.workers < 1:
             raise SettingsError(f"--workers {self.workers}: expected at least 1")
+
+    @classmethod
+    def of(cls, options: dict[str, Any]) -> Running:
+        """Take the options of `output.command_line` out of those given."""
+        names = [field.name for field in dataclasses.fields(cls) if field.name in options]
+        return cls(**{name: options.pop(name) for name in names})
 
 
 def run_grid(
@@ -82,7 +76,7 @@ def run_grid(
     Parameters
     ----------
     bench, description
-        Name of the bench, and what else its report says about the run.
+        Name of the benchmark, and further entries of its report.
     latency
         Of all plans, s, instead of the setup's.
     variants
@@ -91,18 +85,13 @@ def run_grid(
     Raises
     ------
     SettingsError
-        If the run to be resumed has other settings, or a file would be lost.
+        If the file holds a run with other settings, or episodes that these options leave out.
     SceneError
         If a scene cannot be made.
     """
     file, variants = running.file, variants or {}
     header = _header(bench, description, setup, scenes, latency, variants)
-    done = _earlier(bench, file, header) if file is not None and running.resume else {}
-    if file is not None and not running.resume and partial_of(file).exists():
-        raise SettingsError(
-            f"{partial_of(file)} holds the episodes of a run that was interrupted: go on with it by --resume, or "
-            "remove the file"
-        )
+    done = _earlier(bench, file, header) if file is not None else {}
     outside = sorted(set(done) - set(grid), key=dataclasses.astuple)
     if outside:
         raise SettingsError(
@@ -113,28 +102,16 @@ def run_grid(
     # A scene that cannot be made is found before hours are spent on the others.
     for name, target in dict.fromkeys((cell.scene, cell.target) for cell in todo):
         concrete_scene(scenes[name], load_arm(setup.arm), target)
+    tasks = []
+    for cell in todo:
+        each = variants.get(cell.variant, setup)
+        tasks.append(EpisodeTask(cell, scenes[cell.scene], latency or each.latency(cell.method), each))
 
     def report() -> Report:
         return {**header, "episodes": [done[cell] for cell in grid if cell in done]}
 
-    if todo:
-        partial = None if file is None else partial_of(file)
-        tasks = []
-        for cell in todo:
-            each = variants.get(cell.variant, setup)
-            tasks.append(EpisodeTask(cell, scenes[cell.scene], latency or each.latency(cell.method), each))
-        own = nullcontext(running.client) if running.client else workers(running.workers, running.scheduler)
-        with own as client:
-            write_report(report(), partial)
-            try:
-                for _ in _run(client, tasks, done):
-                    write_report(report(), partial)
-            except BaseException:
-                if partial is not None:
-                    say(
-                        f"interrupted: {len(done)} of {len(grid)} episodes are in {partial}; --resume goes on with them"
-                    )
-                raise
+    if tasks:
+        _run(tasks, done, report, running)
     return report()
 
 
@@ -201,20 +178,32 @@ def _check_same(earlier: Any, now: Any, where: str) -> None:
         )
 
 
-def _run(client: Client, tasks: list[EpisodeTask], done: dict[Cell, Record]) -> Iterator[None]:
-    """Run the tasks; yields after each of them, with its record among those that are `done`."""
+def _run(tasks: list[EpisodeTask], done: dict[Cell, Record], report: Callable[[], Report], running: Running) -> None:
+    """Run the tasks; after each of them, its record is among those `done`, and the unfinished report is written."""
     total = len(done) + len(tasks)
+    partial = None if running.file is None else partial_of(running.file)
     # On the error output, which leaves the table alone.
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with (
+        workers(running.workers, running.scheduler) as client,
+        Progress(*columns, console=Console(stderr=True)) as progress,
+    ):
         bar = progress.add_task("episodes", total=total, completed=len(done))
-        for task, found in run_all(client, run_cell, tasks):
-            record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
-            done[task.cell] = record
-            line = f"{len(done)}/{total} {_line(record)}"
-            progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
-            progress.advance(bar)
-            yield
+        try:
+            write_report(report(), partial)
+            for task, found in run_all(client, run_cell, tasks):
+                record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
+                done[task.cell] = record
+                write_report(report(), partial)
+                line = f"{len(done)}/{total} {_line(record)}"
+                progress.console.print(line, markup=False, highlight=False, soft_wrap=True)
+                progress.advance(bar)
+        except BaseException:
+            if partial is not None:
+                say(
+                    f"interrupted: {len(done)} of {total} episodes are in {partial}; the same command goes on with them"
+                )
+            raise
 
 
 def _line(record: Record) -> str:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.free_motion import FreeMotion
+from benchmarks.observer_trials import SCALES, least_push, move_freely, push_often
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER
 from contact_reach_ros.arm.tool import NO_TOOL
-from benchmarks.free_motion import FreeMotion
-from benchmarks.observer_trials import SCALES, least_push, move_freely, push_often
 from contact_reach_ros.identification.identify import BOTH, LINKS, TOOL, Identification, identify
 from contact_reach_ros.identification.output import describe
 from contact_reach_ros.identification.recording import Recording, recording_of

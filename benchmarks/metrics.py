@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
+from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
-from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.simulation.plant import TICK

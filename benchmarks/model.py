@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings
 from benchmarks.episode import EpisodeOptions
 from benchmarks.model_cases import simulate_from
 from benchmarks.output import percentiles, say, table, write_report
 from benchmarks.recorded_runs import RecordedPlan, RecordingPlanner, record_runs, spread_states
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.references import Reference
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.action_space import ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings

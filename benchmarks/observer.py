@@ -12,9 +12,6 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.drawing.palette import BLUE, GREY, VERMILION
-from contact_reach_ros.errors import InputError
 from benchmarks.free_motion import LONGEST_CONTROLLED
 from benchmarks.identified import compare
 from benchmarks.machine import machine
@@ -32,6 +29,9 @@ from benchmarks.observer_trials import (
 )
 from benchmarks.output import write_report
 from benchmarks.slow_pushes import PERMITTED_SHARE, as_report, as_table, push_slowly
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.drawing.palette import BLUE, GREY, VERMILION
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.settings import COMMANDED, MEASURED, ObserverSettings
 from contact_reach_ros.simulation.plant import TICK

@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.drawing.camera import frame
+from benchmarks.view import View, frame
 from contact_reach_ros.drawing.shapes import Capsule, Mesh, Shape, Sphere
-from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError
 
 Picture = NDArray[np.uint8]
@@ -63,7 +62,7 @@ def render(views: Sequence[View], backend: str) -> list[Picture]:
 
     Raises `RenderingError` if this OpenGL does not work here; the message names the reason and what to install.
     """
-    source = Path(__file__).parents[2]
+    source = Path(__file__).parents[1]
     paths = [str(source), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(paths)}
     with tempfile.TemporaryDirectory() as folder:

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
 from benchmarks import paper
 from benchmarks.claims import Results
 from benchmarks.output import Report
 from benchmarks.statistics import Estimate, estimate
+from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
 
 _OURS, _OTHER = BLUE, "#aaaaaa"
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE)

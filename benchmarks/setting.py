@@ -1,25 +1,26 @@
-"""`contact-reach bench setting`: whole episodes for each value of a setting of the planner or a gain."""
+"""Whole episodes for each value of a setting of the planner or a gain."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from benchmarks.grid import Cell, Record, Setup
+from benchmarks.grid_run import Running, finish, run_grid
+from benchmarks.output import Report, command_line, command_of, given, run_command, table
+from benchmarks.paper import METHOD
+from benchmarks.pictures import plot_setting
 from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
-from benchmarks.grid import Cell, Record, Setup
-from benchmarks.grid_run import Running, finish, run_grid
-from benchmarks.output import Report, table
-from benchmarks.paper import METHOD
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -83,15 +84,6 @@ class Sweep:
         every = itertools.product(targets, scenes, self.methods, map(str, self.values))
         return [Cell(scene, "hold", method, target, 0, value) for target, scene, method, value in every]
 
-    @property
-    def command(self) -> str:
-        """The command line of the run."""
-        words = ["contact-reach", "bench", "setting", self.name, *map(str, self.values)]
-        for name, values in (("scene", self.scenes), ("methods", self.methods), ("with", self.others)):
-            words += [f"--{name}", *values] if values else []
-        words += ["--targets", str(self.targets), "--seed", str(self.seed), "--arm", self.arm]
-        return shlex.join(words + ([] if self.spheres is None else ["--spheres", str(self.spheres)]))
-
     def _setup(self, values: Mapping[str, Any]) -> Setup:
         """Settings with these values, and without a deadline, so that results do not depend on the machine."""
         planning, replanning = {"deadline": 0.0, **values}, ReplanningSettings()
@@ -102,8 +94,8 @@ class Sweep:
         gains = {name: planning.pop(name) for name in _GAINS & planning.keys()}
         return Setup(
             arm=self.arm,
-            planning=PlanningSettings.from_mapping(planning, "bench setting"),
-            controller=ControllerSettings(impedance=ImpedanceSettings.from_mapping(gains, "bench setting")),
+            planning=PlanningSettings.from_mapping(planning, "benchmarks.setting"),
+            controller=ControllerSettings(impedance=ImpedanceSettings.from_mapping(gains, "benchmarks.setting")),
             budget=load_budget(),
             replanning=replanning,
             capacity=self.spheres,
@@ -124,7 +116,7 @@ def bench_setting(sweep: Sweep, running: Running) -> Report:
     """
     variants = sweep.variants
     scenes = {scene.name: scene for scene in map(read_scene, sweep.scenes)}
-    description = {"command": sweep.command, "setting": sweep.name, "targets": sweep.targets}
+    description = {"command": command_of("setting", sweep), "setting": sweep.name, "targets": sweep.targets}
     setup = next(iter(variants.values()))
     report = run_grid("setting", description, setup, scenes, sweep.cells, running, variants=variants)
     sweep.evaluate(report)
@@ -199,5 +191,29 @@ def _assignments(pairs: Sequence[str]) -> dict[str, Any]:
     split = [pair.partition("=") for pair in pairs]
     wrong = [pair for pair, (name, _, value) in zip(pairs, split, strict=True) if not (name and value)]
     if wrong:
-        raise SettingsError(f"--with {' '.join(wrong)}: expected NAME=VALUE, as in population=32")
+        raise SettingsError(f"--others {' '.join(wrong)}: expected NAME=VALUE, as in population=32")
     return {name: yaml.safe_load(value) for name, _, value in split}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__, spread=True)
+    parser.add_argument("name", help="a parameter of section 'planning' or 'impedance', as contact_weight; or latency")
+    parser.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: ball wall)")
+    parser.add_argument("--methods", nargs="+", metavar="METHOD", help="as for table1 (default: contact_reach)")
+    parser.add_argument("--targets", type=int, help="episodes per scene, method and value (default: 10)")
+    parser.add_argument("--seed", type=int, help="of the first target (default: 0)")
+    parser.add_argument("--others", nargs="+", metavar="NAME=VALUE", help="other settings, the same for each value")
+    parser.add_argument("--spheres", type=int, help="that plans look at (default: as many as the scene has)")
+    parser.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
+    options = given(parser, arguments)
+    plot, running = options.pop("plot", None), Running.of(options)
+    report = bench_setting(Sweep(**options), running)
+    if plot is not None:
+        plot_setting(report, plot)
+
+
+if __name__ == "__main__":
+    run_command(main)

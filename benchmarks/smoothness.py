@@ -9,15 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from benchmarks.machine import machine
+from benchmarks.output import Report, say, table, write_report
+from benchmarks.workers import run_each
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
-from benchmarks.machine import machine
-from benchmarks.output import Report, say, table, write_report
-from benchmarks.workers import run_each
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot

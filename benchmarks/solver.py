@@ -1,39 +1,254 @@
-"""`contact-reach bench solver`: solvers at equal wall time, or after ten steps each (Section V-C)."""
+"""Solvers at equal wall time (Section V-C): how far each gets from states of closed-loop runs, warm and cold.
+
+Each solver takes as many steps as fit into the time. Its curve is the cost after each step, and a step's time the least
+mean of all searches, so that what else runs on the machine shifts no solver against another.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
+from benchmarks.recorded_plans import RecordedPlan, record_plans
+from benchmarks.statistics import estimate
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, ORANGE, SKY_BLUE, VERMILION
 from contact_reach_ros.errors import InputError
-from benchmarks.episode import EpisodeOptions
-from benchmarks.machine import machine
-from benchmarks.output import Report, say, write_report
-from benchmarks.recorded_runs import RecordedPlan, RecordingPlanner, record_runs, spread_states
-from benchmarks.solver_race import plot_race, race_table, run_race
-from benchmarks.solver_steps import compare_steps, steps_table
-from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
+from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.programs import Program, preparing
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver import SOLVERS, make_solver
+from contact_reach_ros.planning.solver.cma_es import Distribution
+from contact_reach_ros.planning.solver.hybrid import Draw, HybridSolver, Search, ranked_costs, seeded_key
+from contact_reach_ros.planning.solver.solver import CostFunction, Solver
+from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.spheres import sphere_capacity
+
+TEMPERATURE = 0.1
+"""Of MPPI, relative to how much the median candidate costs more than the best."""
+
+INSTANTS = (0.01, 0.03, 0.1)
+"""Times of the table, s."""
+
+POINTS = 51
+"""Of each curve."""
+
+
+class _Simple(HybridSolver[Problem]):
+    """A solver whose step evaluates one batch of points and moves the mean."""
+
+    def _advance(self, problem: Problem, search: Search, draw: Draw) -> Search:
+        points = self._points(problem, search, draw)
+        return self._finish(search, points, self._costs(problem, points))
+
+    def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
+        """The points (n, k) of a step; candidates about the mean."""
+        return self._draw_sample(search.distribution, draw).repaired
+
+    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
+        """The mean (n,) after a step, from points and their costs (k,)."""
+        raise NotImplementedError
+
+    def _finish(self, search: Search, points: jax.Array, costs: jax.Array) -> Search:
+        costs, rejected = ranked_costs(costs)
+        index = jnp.argmin(costs)
+        better = costs[index] < search.best_cost
+        return Search(
+            distribution=search.distribution._replace(mean=self._mean(search, points, costs)),
+            best=jnp.where(better, points[:, index], search.best),
+            best_cost=jnp.where(better, costs[index], search.best_cost),
+            rejected=search.rejected + rejected,
+        )
+
+
+class Descent(_Simple):
+    """Gradient and line search of Algorithm 1, without any candidates."""
+
+    def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
+        return self._points_on_line(problem, search.distribution.mean, (*draw, 0))
+
+    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
+        return points[:, jnp.argmin(costs)]
+
+
+class Mppi(_Simple):
+    """The mean of the candidates weighted by exp(−cost / temperature), which keep their initial spread."""
+
+    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
+        least = costs.min()
+        scale = TEMPERATURE * (jnp.median(costs) - least) + 1e-9
+        return points @ jax.nn.softmax(-(costs - least) / scale)
+
+
+class BestOfRandom(_Simple):
+    """Points drawn evenly from the box; the best of all is the result."""
+
+    def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
+        shape = (len(search.best), self._settings.population)
+        return jax.random.uniform(seeded_key(draw, 0), shape, minval=-1.0)
+
+    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
+        return search.distribution.mean
+
+
+_OTHERS: dict[str, Callable[..., Solver[Problem]]] = {"descent": Descent, "mppi": Mppi, "random": BestOfRandom}
+
+LABELS = {
+    "hybrid": ("hybrid, Algorithm 1", BLUE),
+    "cma": ("plain CMA-ES", SKY_BLUE),
+    "gradient": ("ten gradient steps each", BLACK),
+    "descent": ("gradient steps only", GREEN),
+    "mppi": ("MPPI", ORANGE),
+    "random": ("best of random points", VERMILION),
+}
+"""Names and colours of the solvers in tables and plots."""
+
+
+def run_race(
+    cost: CostFunction[Problem], size: int, settings: PlanningSettings, states: Sequence[RecordedPlan], seconds: float
+) -> Report:
+    """Search for `seconds` with every solver from every state, from standing still and from the plan before."""
+    settings = dataclasses.replace(settings, deadline=0.0, stagnation_tolerance=0.0, stagnation_steps=100)
+    still, spread = np.zeros(size), np.full(size, settings.sigma)
+    solvers: dict[str, Solver[Problem]] = {}
+    times: dict[str, list[float]] = {}
+    for name in LABELS:
+        own = dataclasses.replace(settings, solver=name if name in SOLVERS else "hybrid")
+        solver = solvers[name] = _OTHERS.get(name, make_solver)(cost, size, own)
+        with preparing():
+            step = min(solver.warm_up(states[0].problem, solver.init(still, spread)) for _ in range(3))
+        # Reserve, since steps take less time back to back.
+        solver.max_steps = math.ceil(1.3 * seconds / step)
+        times[name] = []
+    cost_of = make_cost_of(cost, size, settings)
+    costs: dict[str, dict[str, list[Array]]] = {start: {name: [] for name in solvers} for start in ("cold", "warm")}
+    for number, state in enumerate(states):
+        still_cost = cost_of(state.problem, still)
+        for name, solver in solvers.items():
+            learned = name in SOLVERS
+            warm: Distribution = state.state if learned else solver.init(np.asarray(state.state.mean), spread)
+            for start, begin, cost_then in (
+                ("cold", solver.init(still, spread), still_cost),
+                ("warm", warm, state.start_cost),
+            ):
+                began = time.perf_counter()
+                found = solver.solve(state.problem, begin, cost_then, number)
+                times[name].append((time.perf_counter() - began) / found.steps)
+                costs[start][name].append(np.array(found.costs))
+    steps = {name: min(each) for name, each in times.items()}
+    return {
+        "states": len(states),
+        "states_with_contact": sum(state.touches for state in states),
+        "seconds": seconds,
+        "step_ms": {name: 1e3 * step for name, step in steps.items()},
+        **_curves(costs, steps, seconds),
+    }
+
+
+def make_cost_of(
+    cost: CostFunction[Problem], size: int, settings: PlanningSettings
+) -> Callable[[Problem, Array], float]:
+    """The cost of single points (n,), by the program that evaluates candidates."""
+    program = Program(cost)
+
+    def cost_of(problem: Problem, point: Array) -> float:
+        points = single(np.broadcast_to(point[:, None], (size, settings.population)))
+        with preparing():
+            return float(program(problem, points)[0])
+
+    return cost_of
+
+
+def _curves(costs: dict[str, dict[str, list[Array]]], steps: dict[str, float], seconds: float) -> Report:
+    """Excess over the least cost that any search found from a state: at the table's instants, and as curves."""
+    count = len(costs["cold"]["hybrid"])
+    searches = [curves for by_name in costs.values() for curves in by_name.values()]
+    least = [min(float(curves[index].min()) for curves in searches) for index in range(count)]
+    report: Report = {}
+    for start, by_name in costs.items():
+        hybrid = excess(by_name["hybrid"], least, steps["hybrid"], INSTANTS)
+        report[start] = {}
+        for name, curves in by_name.items():
+            at_instants = excess(curves, least, steps[name], INSTANTS)
+            curve = excess(curves, least, steps[name], np.linspace(0.0, seconds, POINTS))
+            report[start][name] = {
+                "at": [estimate(values).json for values in at_instants.T],
+                "over_hybrid": [estimate(values).json for values in (at_instants - hybrid).T],
+                "curve": [estimate(values).json for values in curve.T],
+            }
+    return report
+
+
+def excess(curves: Sequence[Array], least: Sequence[float], step: float, instants: Sequence[float] | Array) -> Array:
+    """Excess cost (states, T) of each state's curve at the instants, s."""
+    taken = np.floor(np.asarray(instants) / step + 1e-9).astype(int)
+    return np.array([curve[np.minimum(taken, len(curve) - 1)] - low for curve, low in zip(curves, least, strict=True)])
+
+
+def race_table(report: Report, scenes: Sequence[str]) -> str:
+    """A table in Markdown: mean excess cost at the instants; and at the middle one less that of Algorithm 1."""
+    middle = len(INSTANTS) // 2
+    rows = []
+    for scene in scenes:
+        for start in ("cold", "warm"):
+            for name, (label, _) in LABELS.items():
+                entry = report[scene][start][name]
+                low, high = entry["over_hybrid"][middle]["ci95"]
+                beside = "" if name == "hybrid" else f"{1e3 * low:+.1f} to {1e3 * high:+.1f}"
+                at = [f"{1e3 * found['mean']:.1f}" for found in entry["at"]]
+                rows.append([scene, start, label, f"{report[scene]['step_ms'][name]:.2f}", *at, beside])
+    times = [f"after {1e3 * instant:.0f} ms" for instant in INSTANTS]
+    beside = f"more than Algorithm 1 {times[middle]} (95 %)"
+    return table(["scene", "start", "solver", "step, ms", *times, beside], rows)
+
+
+def plot_race(report: Report, scenes: Sequence[str], file: Path) -> None:
+    """Draw the curves with their intervals, one row for each scene."""
+    figure = Figure(figsize=(10.0, 3.6 * len(scenes)), layout="constrained")
+    FigureCanvasAgg(figure)
+    starts = {"cold": "from standing still", "warm": "from the plan before"}
+    grid = figure.subplots(len(scenes), 2, sharex=True, sharey=True, squeeze=False)
+    for row, scene in zip(grid, scenes, strict=True):
+        milliseconds = 1e3 * np.linspace(0.0, report[scene]["seconds"], POINTS)
+        for axes, (start, title) in zip(row, starts.items(), strict=True):
+            for name, (label, colour) in LABELS.items():
+                curve: list[dict[str, Any]] = report[scene][start][name]["curve"]
+                axes.plot(milliseconds, [1e3 * entry["mean"] for entry in curve], color=colour, label=label)
+                low, high = 1e3 * np.array([entry["ci95"] for entry in curve]).T
+                axes.fill_between(milliseconds, low, high, color=colour, alpha=0.15, linewidth=0.0)
+            axes.set_title(f"{scene}, {title}")
+            axes.set_yscale("log")
+            axes.grid(alpha=0.3)
+        row[0].set_ylabel("cost above the least found, × 10⁻³")
+    for axes in grid[-1]:
+        axes.set_xlabel("time, ms")
+    grid[0, -1].legend(fontsize="small")
+    figure.savefig(file, dpi=110)
 
 
 def bench_solver(
     scenes: Sequence[str] = ("ball", "wall"),
     states: int = 40,
     seconds: float = 0.1,
-    steps: bool = False,
     plot: Path | None = None,
     file: Path | None = None,
     settings: PlanningSettings | None = None,
 ) -> Report:
     """Run every solver from the same states; print a table and write JSON to `file`.
-
-    The states are spread over real closed-loop runs, half of them with contact where there is that much.
 
     Parameters
     ----------
@@ -43,8 +258,6 @@ def bench_solver(
         In each scene, each with random numbers of its own; at least 2.
     seconds
         For each search.
-    steps
-        Compare after ten steps instead, in several configurations of Algorithm 1.
     plot
         File for a picture of the costs over time.
     settings
@@ -55,35 +268,44 @@ def bench_solver(
     InputError
         If there are too few states for a confidence interval, or no time.
     """
-    if states < 2:
-        raise InputError(f"states = {states}: expected at least 2, for a confidence interval")
     if not 0.001 <= seconds <= 60.0:
         raise InputError(f"seconds = {seconds:g}: expected 0.001 to 60")
     settings = dataclasses.replace(settings or PlanningSettings(), deadline=0.0)
+    space = ReferenceSpace(load_arm(), settings, ImpedanceSettings())
     report: Report = {}
-    for scene in scenes:
-        name, found = _states(scene, settings, states)
-        say(f"{name}: {len(found)} states, {sum(state.touches for state in found)} with contact")
-        if steps:
-            report[name] = compare_steps(settings, found)
-        else:
-            space = ReferenceSpace(load_arm(), settings, ImpedanceSettings())
-            report[name] = run_race(scaled_cost(space), len(space.bounds), settings, found, seconds)
-        write_report(report, file)
+    for name, found in states_of(scenes, states, settings):
+        report[name] = run_race(scaled_cost(space), len(space.bounds), settings, found, seconds)
     names = list(report)
-    print(steps_table(report, names) if steps else race_table(report, names))
-    if plot is not None and not steps:
+    print(race_table(report, names))
+    if plot is not None:
         plot_race(report, names, plot)
     report["machine"] = machine()
     write_report(report, file)
     return report
 
 
-def _states(scene: str, settings: PlanningSettings, count: int) -> tuple[str, list[RecordedPlan]]:
-    """The scene's name, and plans that its closed-loop runs made."""
-    scene_file, options = read_scene(scene), EpisodeOptions(budget=load_budget())
-    permitted_force, capacity = options.budget.permitted_force, sphere_capacity(scene_file)
-    planner = RecordingPlanner(load_arm(), settings, ImpedanceSettings(), permitted_force, capacity)
-    planner.warm_up(say)
-    runs = record_runs(planner, scene_file, 4 * count, 0, options, episodes=3)
-    return scene_file.name, spread_states(runs.warm, count)
+def states_of(
+    scenes: Sequence[str], count: int, settings: PlanningSettings
+) -> Iterator[tuple[str, list[RecordedPlan]]]:
+    """Each scene's name, and plans of its closed-loop runs, half of them with contact where there are that many."""
+    if count < 2:
+        raise InputError(f"states = {count}: expected at least 2, for a confidence interval")
+    for scene in scenes:
+        file = read_scene(scene)
+        found = record_plans(load_arm(), file, settings, count, episodes=3)
+        say(f"{file.name}: {len(found)} states, {sum(state.touches for state in found)} with contact")
+        yield file.name, found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: ball wall)")
+    parser.add_argument("--states", type=int, help="to start from in each scene (default: 40)")
+    parser.add_argument("--seconds", type=float, help="for each search (default: 0.1)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the costs over time")
+    bench_solver(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

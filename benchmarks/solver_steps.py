@@ -9,15 +9,16 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arms import load_arm
-from benchmarks.output import Report, table
-from benchmarks.recorded_runs import RecordedPlan
-from benchmarks.solver_race import make_cost_of
+from benchmarks.output import Report, command_line, given, machine, run_command, table, write_report
+from benchmarks.recorded_plans import RecordedPlan
+from benchmarks.solver import make_cost_of, states_of
 from benchmarks.statistics import estimate
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.planning.action_space import ReferenceSpace, initial_spread, scaled_cost
 from contact_reach_ros.planning.detour import NAME as DETOUR
 from contact_reach_ros.planning.problem import Number, Problem
@@ -47,11 +48,31 @@ CONFIGURATIONS = (
 )
 
 
-def compare_steps(settings: PlanningSettings, states: Sequence[RecordedPlan]) -> Report:
-    """Decrease of the cost after ten steps, for every configuration and solver."""
-    report: Report = {"states": len(states), "states_with_contact": sum(state.touches for state in states)}
-    for name in CONFIGURATIONS:
-        report[name] = _decreases(_changed(settings, name), states, ramped=name != CONFIGURATIONS[-1])
+def bench_solver_steps(
+    scenes: Sequence[str] = ("ball", "wall"),
+    states: int = 40,
+    file: Path | None = None,
+    settings: PlanningSettings | None = None,
+) -> Report:
+    """Decrease of the cost after ten steps, for every configuration and solver; print a table and write JSON.
+
+    Parameters are those of `bench_solver`.
+
+    Raises
+    ------
+    InputError
+        If there are too few states for a confidence interval.
+    """
+    settings = dataclasses.replace(settings or PlanningSettings(), deadline=0.0)
+    report: Report = {}
+    for scene, found in states_of(scenes, states, settings):
+        report[scene] = {"states": len(found), "states_with_contact": sum(state.touches for state in found)}
+        for name in CONFIGURATIONS:
+            changed = _changed(settings, name)
+            report[scene][name] = _decreases(changed, found, ramped=name != CONFIGURATIONS[-1])
+    print(steps_table(report, list(report)))
+    report["machine"] = machine()
+    write_report(report, file)
     return report
 
 
@@ -80,7 +101,7 @@ def _decreases(settings: PlanningSettings, states: Sequence[RecordedPlan], rampe
     cost, size = scaled_cost(space), len(space.bounds)
     still, spread = np.zeros(size), initial_spread(settings, space.bounds)
     limited = dataclasses.replace(settings, max_steps=STEPS, stagnation_steps=STEPS)
-    problems = [_problem(state.solve.problem, settings, ramped) for state in states]
+    problems = [_problem(state.problem, settings, ramped) for state in states]
     cost_of = make_cost_of(cost, size, settings)
     decreases: dict[str, list[float]] = {}
     seconds: dict[str, list[float]] = {}
@@ -138,3 +159,15 @@ def steps_table(report: Report, scenes: Sequence[str]) -> str:
     for name, value in PAPER.items():
         rows.append(["wall", "paper", name, f"{value:.2f}", f"{value / PAPER['hybrid']:.2f}", ""])
     return table(["scene", "configuration", "solver", "decrease (95 %)", "share of the hybrid's", "ms"], rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: ball wall)")
+    parser.add_argument("--states", type=int, help="to start from in each scene (default: 40)")
+    bench_solver_steps(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

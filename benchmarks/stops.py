@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.machine import machine
+from benchmarks.output import Report, percentiles, say, table, write_report
+from benchmarks.workers import run_each
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
-from benchmarks.machine import machine
-from benchmarks.output import Report, percentiles, say, table, write_report
-from benchmarks.workers import run_each
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import nearest

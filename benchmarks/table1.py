@@ -1,21 +1,23 @@
-"""`contact-reach bench table1`: the paper's Table I, compared with the paper and with our own requirements."""
+"""The paper's Table I: every method in every scene, compared with the paper and with our own requirements."""
 
 from __future__ import annotations
 
 import itertools
-import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.arms import DEFAULT_ARM
-from contact_reach_ros.errors import SettingsError
 from benchmarks.baselines.methods import METHODS
 from benchmarks.claims import Results, claims
 from benchmarks.grid import GOALS, Cell, Setup
 from benchmarks.grid_run import Running, finish, run_grid
-from benchmarks.output import Report, read_report
+from benchmarks.output import Report, command_line, command_of, given, read_report, run_command
+from benchmarks.pictures import plot_table1
 from benchmarks.table1_report import tables
+from contact_reach_ros.arms import DEFAULT_ARM
+from contact_reach_ros.control.settings import TASK_ROWS
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.scene import SceneFile
@@ -92,19 +94,6 @@ class Table1:
         every = itertools.product(targets, range(self.repeats), self.scene_files, self.goals, self.methods)
         return [Cell(scene, goal, method, target, repeat) for target, repeat, scene, goal, method in every]
 
-    @property
-    def command(self) -> str:
-        """The command line of the run, without options that do not change its results."""
-        words = ["contact-reach", "bench", "table1", "--preset", self.preset]
-        for name in ("scenes", "goals", "methods"):
-            if getattr(self, name) != getattr(Table1, name):
-                words += [f"--{name}", *(Path(value).name for value in getattr(self, name))]
-        for name in ("arm", "task", "targets", "repeats", "seed", "timeout", "latency"):
-            value = getattr(self, name)
-            if value != getattr(Table1, name):
-                words += [f"--{name}", value if isinstance(value, str) else f"{value:g}"]
-        return shlex.join(words)
-
     def evaluate(self, report: Report) -> None:
         """Add the claims to a report with episodes."""
         report["claims"] = claims(Results(report["episodes"]), list(self.scene_files), self.goals)
@@ -124,7 +113,7 @@ def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) ->
     setup = setup or Setup.of(bench.preset, load_budget(), bench.arm, bench.task, **changes)
     scenes = bench.scene_files
     description = {
-        "command": bench.command,
+        "command": command_of("table1", bench),
         "grid": {
             "scenes": list(scenes),
             "goals": list(bench.goals),
@@ -141,14 +130,29 @@ def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) ->
     return report
 
 
-def report_table1(file: Path) -> Report:
-    """Print tables and claims of a finished run, from its JSON alone.
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__, spread=True)
+    parser.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: the paper's)")
+    parser.add_argument("--goals", nargs="+", metavar="GOAL", help="hold the orientation, or free (default: both)")
+    parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: four)")
+    parser.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
+    parser.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: pose)")
+    parser.add_argument("--targets", type=int, help="targets per scene (default: 70)")
+    parser.add_argument("--repeats", type=int, help="episodes per target (default: 1)")
+    parser.add_argument("--seed", type=int, help="of the first target (default: 0)")
+    parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")
+    parser.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: the preset's)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
+    parser.add_argument("--beside", type=Path, nargs="+", metavar="FILE", help="also draw these runs of other presets")
+    options = given(parser, arguments)
+    plot, beside = options.pop("plot", None), options.pop("beside", ())
+    running = Running.of(options)
+    report = bench_table1(Table1(**options), running)
+    if plot is not None:
+        plot_table1([report, *(read_report(file, "table1") for file in beside)], plot)
 
-    Raises
-    ------
-    SettingsError
-        If there is no such file, or it holds no finished run.
-    """
-    report = read_report(file, "table1")
-    print(tables(report))
-    return report
+
+if __name__ == "__main__":
+    run_command(main)

@@ -155,5 +155,5 @@ def _require_dask() -> None:
     except ImportError as error:
         raise SettingsError(
             "the Python package 'distributed' is missing; install it with pip install -c constraints.txt "
-            "'.[experiments]', here and on the workers"
+            "'.[benchmarks]', here and on the workers"
         ) from error

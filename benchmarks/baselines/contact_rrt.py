@@ -15,9 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import PlanningError
 from benchmarks.baselines.clearance import ClearanceChecker, distances, levers
 from benchmarks.baselines.rrt_star import (
     JointPath,
@@ -26,6 +23,9 @@ from benchmarks.baselines.rrt_star import (
     joint_bounds,
     path_length,
 )
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.settings import Settings, setting

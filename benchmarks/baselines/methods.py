@@ -5,17 +5,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.control.constants import stop_damping
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.errors import SettingsError
 from benchmarks.baselines.collision_free import CollisionFreePlanner
 from benchmarks.baselines.contact_rrt import find_contact_path
 from benchmarks.baselines.joint_torque import SIGMA, TorqueController, make_torque_planner
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.reactive import ReactivePlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.baselines.clearance import ClearanceChecker
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import PlanningError
-from benchmarks.baselines.clearance import ClearanceChecker
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -271,7 +271,7 @@ def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
     except ImportError as error:
         raise PlanningError(
             f"collision-free paths need OMPL, which cannot be imported ({error}): in a checkout, pip "
-            "install -c constraints.txt '.[baselines]', or leave the method collision_free out"
+            "install -c constraints.txt '.[benchmarks]', or leave the method collision_free out"
         ) from error
     return base, geometric, util
 

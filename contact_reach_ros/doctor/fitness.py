@@ -238,9 +238,7 @@ def _hogs(count: int) -> Iterator[None]:
             hog.wait()
 
 
-def make_report(
-    options: FitnessOptions, first: Sample, last: Sample, reached: int, realtime: bool
-) -> dict[str, Any]:
+def make_report(options: FitnessOptions, first: Sample, last: Sample, reached: int, realtime: bool) -> dict[str, Any]:
     """The differences between two samples, as JSON has them.
 
     Parameters
