@@ -1,4 +1,4 @@
-"""`contact-reach bench faults`: episodes with random faults, held against bounds on force, torque and speed."""
+"""Episodes with random faults, held against bounds on force, torque and speed."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.fault_checks import BOUNDS, bounds_used, end_of, violations
 from benchmarks.fault_draws import random_schedule
 from benchmarks.grid import Setup, episode_lock, prepared
-from benchmarks.machine import machine
-from benchmarks.output import Report, say, table, write_report
+from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.paper import METHOD
 from benchmarks.workers import run_each
 from contact_reach_ros.arms import load_arm
@@ -172,3 +171,15 @@ def _line(record: Report) -> str:
     wrong = f"; VIOLATED: {'; '.join(record['violations'])}" if record["violations"] else ""
     what = f"{record['seed']} {record['scene']}, {record['planner']}, {record['rate']} Hz: {record['faults']}"
     return f"{what}: {record['end']}{wrong}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns 1 if a bound was exceeded."""
+    parser = command_line(__doc__, spread=True)
+    parser.add_argument("--episodes", type=int, help="how many (default: 200)")
+    parser.add_argument("--seed", type=int, help="of the first episode (default: 0)")
+    return 1 if bench_faults(**given(parser, arguments))["violations"] else 0
+
+
+if __name__ == "__main__":
+    run_command(main)

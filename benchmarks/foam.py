@@ -1,4 +1,4 @@
-"""`contact-reach bench foam`: whether the walls give way as the planner thinks, and what simulating them costs."""
+"""Whether the walls give way as the planner expects, and what simulating them costs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypedDict
 
@@ -13,7 +14,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from benchmarks.output import write_report
+from benchmarks.output import command_line, given, run_command, write_report
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
@@ -226,3 +227,17 @@ def _surface_nodes(scene: Scene) -> list[tuple[int, int, int]]:
     along_x, along_y, along_z = _upper_wall(scene).lattice
     places = ((0, along_x - 1), (along_y // 2, along_y // 4, 0), sorted({0, along_z - 2}))
     return [(x, y, z) for x, y, z in itertools.product(*places)]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--scene", help="scene with walls: a name or a YAML file (default: wall)")
+    parser.add_argument("--seed", type=int, help="seed of the scene (default: 0)")
+    parser.add_argument("--force", type=float, help="that nodes are pressed with, N (default: 10)")
+    parser.add_argument("--fit", action="store_true", help="find the planner's stiffness that agrees best")
+    bench_foam(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,4 +1,4 @@
-"""`contact-reach bench model --against`: the plans of closed-loop runs, rolled out by Brax and by MuJoCo beside ours.
+"""The planner's transfer model against MuJoCo, and against Brax: the plans of closed-loop runs, rolled out by each.
 
 Every model starts from the state for which the plan was made, with the references in force then, and follows the plan's
 actions. MuJoCo's is the simulated robot at 1 ms under the controller's own law, without joint friction. The plans are
@@ -9,45 +9,114 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
+import pinocchio as pin
 
-from benchmarks.episode import EpisodeOptions
-from benchmarks.model_cases import simulate_from
-from benchmarks.output import percentiles, say, table, write_report
-from benchmarks.recorded_runs import RecordedPlan, RecordingPlanner, record_runs, spread_states
+from benchmarks.output import command_line, given, percentiles, run_command, say, table, write_report
+from benchmarks.recorded_plans import RecordedPlan, record_plans
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.action_space import ReferenceSpace
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.settings import BRAX_PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.spheres import sphere_capacity
 
 OURS, MUJOCO = "closed_loop", "MuJoCo"
 
 
-class Outcome(NamedTuple):
-    """Motion that a model predicts for a plan, at the ends of its knots."""
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How an arm moves under a plan.
+
+    Attributes
+    ----------
+    positions, rotations
+        (H, 3), m, and (H, 3, 3) of the tip at the ends of the knots.
+    joints
+        (H, n), rad.
+    forces
+        (H, L) largest force on each contact link within the knot, N.
+    """
 
     positions: Array
-    """(H, 3) tip, m."""
+    rotations: Array
     joints: Array
-    """(H, n), rad."""
-    force: float
-    """Largest force on a link within the horizon, N."""
+    forces: Array
+
+    @property
+    def force(self) -> float:
+        """Largest on a link within the horizon, N."""
+        return float(self.forces.max())
 
 
-def bench_referee(
-    against: Sequence[str],
+def simulate(
+    scene: Scene,
+    v: Array,
+    actions: Array,
+    before: Reference | None = None,
+    spheres: Array | None = None,
+    watch: Callable[[RobotModel, Array, Array], None] | None = None,
+) -> Motion:
+    """The simulated robot from the start of a scene with the speeds `v` (n,), under the actions (H, 6 + n).
+
+    The actions are latched as the controller latches them.
+
+    Parameters
+    ----------
+    before
+        Reference in force at the start; by default that of a hold.
+    spheres
+        (K, 3) positions of the obstacles' spheres at the start, m; by default at rest.
+    watch
+        Called at each tick with the model at the state before it, and joint angles and speeds (n,) after it.
+    """
+    arm = scene.arm
+    plant = Plant(scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
+    plant.set_actuation(Actuation.COMMANDED)
+    if spheres is not None:
+        plant.place_obstacles(spheres)
+    data = plant.data
+    data.qvel[: arm.n] = v
+    gains = ImpedanceSettings()
+    law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
+    before = before or Reference(*model.tip_pose(scene.start), scene.start)
+    motion: list[tuple[Array, Array, Array, Array]] = []
+    for action in actions:
+        q, v = data.qpos[: arm.n], data.qvel[: arm.n]
+        ahead = q + 0.5 * gains.reference_ramp * v
+        position, rotation = model.tip_pose(ahead)
+        knot = Reference(position + action[:3], pin.exp3(action[3:6]) @ rotation, ahead + action[6:])
+        force = np.zeros(len(plant.contact_links))
+        for tick in range(round(PlanningSettings().knot_duration / TICK)):
+            share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
+            reference = blend(before, knot, share)
+            model.update(q, v)
+            error = pose_error(model.position, model.rotation, reference)
+            plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
+            force = np.maximum(force, plant.normal_forces())
+            if watch is not None:
+                watch(model, q, v)
+        before = knot
+        model.update(q, v)
+        motion.append((model.position.copy(), model.rotation.copy(), q.copy(), force))
+    return Motion(*map(np.array, zip(*motion, strict=True)))
+
+
+def bench_model(
+    against: Sequence[str] = (),
     scenes: Sequence[str] = ("free", "ball", "wall"),
     plans: int = 12,
     seed: int = 0,
@@ -59,7 +128,7 @@ def bench_referee(
     Parameters
     ----------
     against
-        Pipelines of Brax.
+        Pipelines of Brax to compare with, too.
     scenes
         Names or files.
     plans
@@ -72,49 +141,41 @@ def bench_referee(
     settings = dataclasses.replace(settings or PlanningSettings(), contact_weight=0.0, deadline=0.0, seed=seed)
     report: dict[str, Any] = {"plans": plans, "seed": seed, "scenes": {}}
     for name in scenes:
-        recorded = _plans(name, plans, seed, settings)
-        outcomes = {MUJOCO: [_simulated(scene, plan) for scene, plan in recorded]}
+        recorded = record_plans(load_arm(), read_scene(name), settings, plans, seed)
+        motions = {MUJOCO: [_simulated(plan) for plan in recorded]}
         for pipeline in (OURS, *against):
             began = time.perf_counter()
-            outcomes[pipeline] = _predicted(pipeline, [plan for _, plan in recorded], settings)
+            motions[pipeline] = _predicted(pipeline, recorded, settings)
             say(f"{name}: {pipeline} took {time.perf_counter() - began:.0f} s, compilation included")
         report["scenes"][name] = {
-            "largest_force_n": percentiles([outcome.force for outcome in outcomes[MUJOCO]]),
-            "rows": [_compared(outcomes, one, MUJOCO) for one in (OURS, *against)]
-            + [_compared(outcomes, OURS, one) for one in against],
+            "largest_force_n": percentiles([motion.force for motion in motions[MUJOCO]]),
+            "rows": [_compared(motions, one, MUJOCO) for one in (OURS, *against)]
+            + [_compared(motions, OURS, one) for one in against],
         }
     print(_table(report))
     write_report(report, file)
     return report
 
 
-def _plans(name: str, count: int, seed: int, settings: PlanningSettings) -> list[tuple[Scene, RecordedPlan]]:
-    """Plans of a closed-loop run, and the scene as it was at their start."""
-    scene_file, options = read_scene(name), EpisodeOptions(budget=load_budget())
-    planner = RecordingPlanner(
-        load_arm(), settings, ImpedanceSettings(), options.budget.permitted_force, sphere_capacity(scene_file)
-    )
-    planner.warm_up(say)
-    runs = record_runs(planner, scene_file, count, seed, options)
-    return [(runs.scenes[0], plan) for plan in spread_states(runs.warm, count)]
-
-
-def _predicted(pipeline: str, plans: Sequence[RecordedPlan], settings: PlanningSettings) -> list[Outcome]:
+def _predicted(pipeline: str, plans: Sequence[RecordedPlan], settings: PlanningSettings) -> list[Motion]:
     space = ReferenceSpace(load_arm(), dataclasses.replace(settings, pipeline=pipeline), ImpedanceSettings())
     roll_out = jax.jit(lambda problem, points: space.objective.roll_out(problem, space.actions(points, problem)))
-    outcomes = []
+    motions = []
     for plan in plans:
-        rollout = jax.device_get(roll_out(plan.solve.problem, plan.solve.solution.best[:, None]))
-        force = float(rollout.link_force.max())
-        outcomes.append(Outcome(rollout.pose.position[1:, :, 0], rollout.q[1:, :, 0], force))
-    return outcomes
+        rollout = jax.device_get(roll_out(plan.problem, plan.best[:, None]))
+        pose = rollout.pose
+        motions.append(
+            Motion(
+                pose.position[1:, ..., 0], pose.rotation[1:, ..., 0], rollout.q[1:, :, 0], rollout.link_force[..., 0]
+            )
+        )
+    return motions
 
 
-def _simulated(scene: Scene, plan: RecordedPlan) -> Outcome:
-    problem = jax.device_get(plan.solve.problem)
+def _simulated(plan: RecordedPlan) -> Motion:
+    scene, problem = plan.scene, jax.device_get(plan.problem)
     space = ReferenceSpace(scene.arm, PlanningSettings(horizon=len(plan.plan.positions)), ImpedanceSettings())
-    point = single(plan.solve.solution.best[:, None])
-    actions = np.asarray(space.actions(point, problem), np.float64)[..., 0]
+    actions = np.asarray(space.actions(single(plan.best[:, None]), problem), np.float64)[..., 0]
     spheres = plan.request.spheres.center
     if problem.obstacles is not None and len(spheres) == problem.obstacles.center.shape[1]:
         # As predicted for the start of the plan; of a wall the planner knows only a part there.
@@ -123,15 +184,12 @@ def _simulated(scene: Scene, plan: RecordedPlan) -> Outcome:
     if problem.before is not None:
         before = Reference(*(np.asarray(part, np.float64)[..., 0] for part in problem.before))
     start = problem.q[:, 0].astype(float)
-    motion = simulate_from(
-        dataclasses.replace(scene, start=start), problem.v[:, 0].astype(float), actions, before, spheres
-    )
-    return Outcome(motion.positions, motion.joints, float(motion.forces.max()))
+    return simulate(dataclasses.replace(scene, start=start), problem.v[:, 0].astype(float), actions, before, spheres)
 
 
-def _compared(outcomes: dict[str, list[Outcome]], one: str, other: str) -> dict[str, Any]:
+def _compared(motions: dict[str, list[Motion]], one: str, other: str) -> dict[str, Any]:
     """Largest differences of each plan between two models."""
-    pairs = list(zip(outcomes[one], outcomes[other], strict=True))
+    pairs = list(zip(motions[one], motions[other], strict=True))
     return {
         "model": one,
         "against": other,
@@ -151,3 +209,17 @@ def _table(report: dict[str, Any]) -> str:
             label = f"{name} ({force['p50']:.1f}, {force['max']:.1f})"
             rows.append([label, row["model"], row["against"], *(f"{value:.2f}" for value in values)])
     return table([*header, "force, N p50", "max"], rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("--against", nargs="+", choices=BRAX_PIPELINES, help="Brax's pipelines, too (default: none)")
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
+    parser.add_argument("--plans", type=int, help="plans per scene (default: 12)")
+    parser.add_argument("--seed", type=int, help="of the first run (default: 0)")
+    bench_model(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

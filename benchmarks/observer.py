@@ -1,4 +1,4 @@
-"""`contact-reach bench observer`: how soon a push is seen, and how seldom free motion is taken for one."""
+"""How soon the observer sees a push, and how seldom it takes free motion for one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from benchmarks.free_motion import LONGEST_CONTROLLED
 from benchmarks.identified import compare
-from benchmarks.machine import machine
 from benchmarks.observer_trials import (
     PUSH_TICKS,
     RISE,
@@ -27,8 +26,7 @@ from benchmarks.observer_trials import (
     push_often,
     step_63_error,
 )
-from benchmarks.output import write_report
-from benchmarks.slow_pushes import PERMITTED_SHARE, as_report, as_table, push_slowly
+from benchmarks.output import command_line, given, machine, run_command, write_report
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.drawing.palette import BLUE, GREY, VERMILION
 from contact_reach_ros.errors import InputError
@@ -59,7 +57,6 @@ def bench_observer(
     file: Path | None = None,
     plot: Path | None = None,
     rate: Sequence[float] = (),
-    slow: bool = False,
     commanded: bool = False,
     friction: float = MismatchSettings().friction_scale,
     identified: bool = False,
@@ -72,8 +69,6 @@ def bench_observer(
         Simulated free motion in which false stops are counted.
     rate
         Rates of joint states to compare, Hz, instead of measuring everything at 1 kHz.
-    slow
-        Measure pushes that grow slowly instead.
     commanded
         Observe from commands, not from measured torques.
     friction
@@ -90,8 +85,6 @@ def bench_observer(
         raise InputError(f"minutes = {minutes:g}: expected a number above 0, at most {MAX_MINUTES:g}")
     mismatch = MismatchSettings(friction_scale=friction)
     settings = ObserverSettings(torque_source=COMMANDED if commanded else MEASURED)
-    if slow:
-        return _push_slowly(file, mismatch, settings)
     if rate:
         return _compare_rates(rate, minutes, file, mismatch, settings)
     arm = load_arm()
@@ -165,20 +158,6 @@ def _compare_rates(
             print(f"{rate:5g}  {name:10s} {p50:15.1f} {p95:5.1f} {largest:5.1f} {missed:7d} {stops:12.1f}")
         found[f"{rate:g}"] = {**cases["mismatch"], "matching": cases["matching"]}
     report = {"machine": machine(), "minutes": minutes, "rates": found}
-    write_report(report, file)
-    return report
-
-
-def _push_slowly(file: Path | None, mismatch: MismatchSettings, settings: ObserverSettings) -> dict[str, Any]:
-    """Pushes that grow slowly, at rest and in motion, on an arm that differs from its model."""
-    arm = load_arm()
-    budget = load_budget().resolve(arm)
-    print(f"to be seen before {PERMITTED_SHARE:g} times {budget.permitted_force:g} N at the joint's longest lever")
-    report: dict[str, Any] = {"machine": machine()}
-    for name, moves in (("rest", False), ("motion", True)):
-        pushes = push_slowly(arm, budget, moves, settings, mismatch)
-        print(f"{name}\n{as_table(pushes)}")
-        report[name] = as_report(pushes)
     write_report(report, file)
     return report
 
@@ -271,3 +250,24 @@ def _draw(roc: dict[str, list[float]], file: Path) -> None:
         figure.savefig(file)
     except (OSError, ValueError) as error:
         raise InputError(f"plot '{file}' cannot be written: {error}") from error
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    minutes = "simulated free motion in which false stops are counted (default: 60)"
+    parser.add_argument("--minutes", type=float, help=minutes)
+    instead = parser.add_mutually_exclusive_group()
+    rates = "compare rates of joint states, as 100 200 500 1000"
+    instead.add_argument("--rate", type=float, nargs="+", metavar="HZ", help=rates)
+    identified = "compare before and after an identification of the arm"
+    instead.add_argument("--identified", action="store_true", help=identified)
+    parser.add_argument("--commanded", action="store_true", help="observe from commands, not from measured torques")
+    friction = "on the joint friction of the simulated arm (default: 3)"
+    parser.add_argument("--friction", type=float, metavar="FACTOR", help=friction)
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw pushes seen against false contacts")
+    bench_observer(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

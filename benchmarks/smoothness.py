@@ -1,4 +1,4 @@
-"""`contact-reach bench smoothness`: what reaches the gears of the commanded torques, and how the tip jerks."""
+"""Vibration of the commanded torques that reaches the gears, and jerk of the tip."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from benchmarks.machine import machine
-from benchmarks.output import Report, say, table, write_report
+from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.workers import run_each
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
@@ -142,3 +141,19 @@ def bench_smoothness(
 
 def _spread(values: Sequence[float], digits: int = 2) -> str:
     return f"{np.nanmedian(values):.{digits}f} ({np.nanmax(values):.{digits}f})"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__, spread=True)
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: free ball wall)")
+    parser.add_argument("--seeds", type=int, help="runs per scene and ramp (default: 10)")
+    parser.add_argument("--seed", type=int, help="of the first run (default: 0)")
+    ramps = "of the references (default: 0, and the shipped one)"
+    parser.add_argument("--ramps", type=float, nargs="+", metavar="SECONDS", help=ramps)
+    parser.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
+    bench_smoothness(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,4 +1,4 @@
-"""`contact-reach bench stops`: how fast and how far an arm sinks in a compliant stop when its model does not fit it."""
+"""How fast and how far an arm sinks in a compliant stop when its model does not fit it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import machine
-from benchmarks.output import Report, percentiles, say, table, write_report
+from benchmarks.output import Report, command_line, given, machine, percentiles, run_command, say, table, write_report
 from benchmarks.workers import run_each
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arms import load_arm
@@ -120,3 +119,15 @@ def bench_stops(
 
 def _text(values: Sequence[float], scale: float) -> str:
     return ", ".join(f"{scale * value:.1f}" for value in percentiles(values).values())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__, spread=True)
+    parser.add_argument("--postures", type=int, help="random postures of each scene (default: 200)")
+    parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="whose mismatch it has (default: ball_mismatch)")
+    bench_stops(**given(parser, arguments))
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -8,8 +8,8 @@ from arm_simulation import ARM, HOME
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.errors import PlanningError
 from benchmarks.baselines.clearance import ClearanceChecker, levers
+from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.world.clearance import clearances
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.overlap import capsule_segments

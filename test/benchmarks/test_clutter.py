@@ -5,11 +5,11 @@ from arm_simulation import ARM
 from test_claims import record
 from test_grid import TINY
 
-from contact_reach_ros.errors import SettingsError
 from benchmarks.clutter import Clutter, bench_clutter, clutter_table, summary
 from benchmarks.clutter_scenes import FIRST_HELD_OUT, MAX_BODIES, clutter_scene
 from benchmarks.grid_run import Running
 from benchmarks.pictures import plot_clutter
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.world.checks import conflict
 from contact_reach_ros.world.generate import make_scene

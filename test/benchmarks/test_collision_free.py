@@ -7,13 +7,13 @@ import pytest
 from arm_simulation import ARM
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
 from benchmarks.baselines.collision_free import CollisionFreePlanner
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.rrt_star import PathSettings, find_path
 from benchmarks.episode import EpisodeOptions, run_episode
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
 
-from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.errors import PlanningError
 from benchmarks.baselines.contact_rrt import PredictedForce, find_contact_path
 from benchmarks.baselines.reactive import ReactivePlanner
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target

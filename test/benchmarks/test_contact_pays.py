@@ -6,9 +6,9 @@ import pytest
 from arm_simulation import ARM
 
 import contact_reach_ros as cr
+from benchmarks.baselines.rrt_star import PathSettings, find_path
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import PlanningError
-from benchmarks.baselines.rrt_star import PathSettings, find_path
 from contact_reach_ros.presets import Preset, preset
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions

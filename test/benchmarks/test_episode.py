@@ -7,11 +7,11 @@ import pytest
 from arm_simulation import ARM
 from plans import make_plan
 
+from benchmarks.baselines.method import Method
+from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from benchmarks.baselines.method import Method
-from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene

@@ -6,18 +6,18 @@ import json
 import numpy as np
 import pytest
 from arm_simulation import ARM
+from benchmarks.figures import watch_episode
 from contact_reach_command import contact_reach
+from contact_reach_ros.drawing.offscreen import find_backend
 from PIL import Image
 from test_episode import StraightPlanner
 from test_grid import TINY
 
-from contact_reach_ros.drawing.offscreen import find_backend
-from contact_reach_ros.errors import RenderingError
 from benchmarks.baselines.method import Method
-from benchmarks.fig5 import TOUCHED, Fig5, bench_fig5
 from benchmarks.episode import run_episode
-from benchmarks.figures import watch_episode
+from benchmarks.fig5 import TOUCHED, Fig5, bench_fig5
 from benchmarks.grid import concrete_scene
+from contact_reach_ros.errors import RenderingError
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene

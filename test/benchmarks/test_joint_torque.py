@@ -7,11 +7,6 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, ideal_plant
 
-from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.constants import stop_damping
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
 from benchmarks.baselines.joint_torque import (
     HeldTorque,
     TorqueController,
@@ -23,6 +18,11 @@ from benchmarks.baselines.joint_torque import (
 )
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import pieces_between, reference_at

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
+from benchmarks.baselines.methods import METHODS, make_method
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
-from benchmarks.baselines.methods import METHODS, make_method
 from contact_reach_ros.planning.settings import PlanningSettings
 
 SMALL = PlanningSettings(deadline=0.0, population=16, elite=4, line_search_points=8, max_steps=2)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from contact_reach_ros.control.settings import ImpedanceSettings
 from benchmarks.episode_result import EpisodeResult
 from benchmarks.metrics import measure, rms_jerk
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 
 START = np.array([0.4, 0.0, 0.5])

@@ -4,13 +4,13 @@ import sys
 
 import numpy as np
 import pytest
-
-from contact_reach_ros.arms import load_arm
 from contact_reach_ros.drawing.camera import frame
 from contact_reach_ros.drawing.offscreen import BACKENDS, find_backend, render
+from contact_reach_ros.drawing.view import View
+
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.drawing.parts import arm_shapes, floor
 from contact_reach_ros.drawing.shapes import corners
-from contact_reach_ros.drawing.view import View
 from contact_reach_ros.errors import RenderingError
 
 ARM = load_arm()

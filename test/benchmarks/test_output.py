@@ -2,8 +2,8 @@
 
 import pytest
 
-from contact_reach_ros.errors import SettingsError
 from benchmarks.output import read_report, write_report, write_whole
+from contact_reach_ros.errors import SettingsError
 
 
 def test_a_report_is_read_back(tmp_path):

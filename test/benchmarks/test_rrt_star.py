@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.errors import PlanningError
 from benchmarks.baselines.clearance import ClearanceChecker
 from benchmarks.baselines.rrt_star import PathSettings, find_path, goal_postures
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.goal import Target

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from benchmarks.solver_race import LABELS, excess
 from contact_reach_command import contact_reach
 
 from benchmarks.solver import bench_solver
-from benchmarks.solver_race import LABELS, excess
 from benchmarks.solver_steps import CONFIGURATIONS
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS

@@ -15,10 +15,10 @@ from contact_reach_command import contact_reach
 from test_grid import TINY, figures
 from test_workers import ended
 
-from contact_reach_ros.errors import SettingsError
-from benchmarks.table1 import Table1, bench_table1
 from benchmarks.grid_run import Running, partial_of
 from benchmarks.output import read_report
+from benchmarks.table1 import Table1, bench_table1
+from contact_reach_ros.errors import SettingsError
 
 pytestmark = pytest.mark.slow
 

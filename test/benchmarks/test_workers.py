@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from distributed import LocalCluster
 
-from contact_reach_ros.errors import SettingsError
 from benchmarks import workers
 from benchmarks.workers import local_workers, remote_workers, run_all, run_each
+from contact_reach_ros.errors import SettingsError
 
 
 def square(value: int) -> int:

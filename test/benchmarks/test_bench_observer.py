@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from contact_reach_command import contact_reach
 
-from contact_reach_ros.arms import load_arm
 from benchmarks import bench_observer, observer_trials, slow_pushes
 from benchmarks.free_motion import START, FreeMotion
+from contact_reach_ros.arms import load_arm
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings

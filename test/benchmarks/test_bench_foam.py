@@ -7,8 +7,8 @@ import pytest
 from arm_simulation import ARM, with_obstacle
 from contact_reach_command import contact_reach
 
-from contact_reach_ros.errors import SceneError
 from benchmarks import bench_foam
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.scene import Scene

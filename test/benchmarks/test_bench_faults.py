@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from contact_reach_ros.control.settings import LimitSettings
-from contact_reach_ros.errors import SettingsError
 from benchmarks import bench_faults
-from benchmarks.faults import (
-    fault_setup,
-    run_with_faults,
-    summary,
-    text_of,
-)
 from benchmarks.episode_result import EpisodeResult
 from benchmarks.fault_checks import (
     BOUNDS,
@@ -26,6 +18,14 @@ from benchmarks.fault_checks import (
     violations,
 )
 from benchmarks.fault_draws import DRAWS, random_schedule
+from benchmarks.faults import (
+    fault_setup,
+    run_with_faults,
+    summary,
+    text_of,
+)
+from contact_reach_ros.control.settings import LimitSettings
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.fault_kinds import fault_kinds
 from contact_reach_ros.simulation.fault_schedules import parse_faults
 from contact_reach_ros.world.files import read_scene
