@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import beta, norm
+from scipy.stats import beta
 
 from contact_reach_ros.arrays import Array
 
@@ -58,16 +58,3 @@ def share(successes: int, count: int, confidence: float = CONFIDENCE) -> Estimat
 def corrected(claims: int) -> float:
     """Confidence of each of so many intervals of which all hold together with `CONFIDENCE` (Bonferroni)."""
     return 1.0 - (1.0 - CONFIDENCE) / max(claims, 1)
-
-
-def least_share(count: int, claims: int = 1) -> float:
-    """Lower end of the interval of `share` after so many successes without a failure, as one of so many claims."""
-    return share(count, count, corrected(claims)).low
-
-
-def least_difference(count: int, claims: int = 1, power: float = 0.9) -> float:
-    """Mean difference, in standard deviations, that so many targets show with a probability of `power`.
-
-    It is that of a two-sided test of paired differences, as one of so many claims.
-    """
-    return float(norm.ppf(0.5 + 0.5 * corrected(claims)) + norm.ppf(power)) / math.sqrt(count)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from benchmarks import bench_faults
+from benchmarks import faults
 from benchmarks.episode_result import EpisodeResult
 from benchmarks.fault_checks import (
     BOUNDS,
@@ -32,7 +32,7 @@ from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.generate import make_scene
 
 NEAREST = (1470, 1700, 123, 156, 313, 320, 334, 378)
-"""Seeds of `bench faults` whose episodes came nearest to a bound; 1700 was beyond, when a joint sank unnoticed,
+"""Seeds of the benchmark whose episodes came nearest to a bound; 1700 was beyond, when a joint sank unnoticed,
 and 1470, when plans led the hand onto the floor."""
 UNTOLD = {"scene": "free", "planner": "small", "rate": 200, "faults": "push"}
 
@@ -131,14 +131,14 @@ def test_summary_counts_ends_and_violations_and_lists_the_seeds_nearest_to_each_
 
 
 def test_bench_runs_its_seeds_on_workers_and_writes_them_in_order(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(bench_faults, "run_each", lambda run, seeds, *workers: map(run, reversed(seeds)))
-    monkeypatch.setattr(bench_faults, "run_with_faults", lambda seed, setup: record(seed) | UNTOLD)
-    bench_faults.bench_faults(3, 5, file=tmp_path / "faults.json")
+    monkeypatch.setattr(faults, "run_each", lambda run, seeds, *workers: map(run, reversed(seeds)))
+    monkeypatch.setattr(faults, "run_with_faults", lambda seed, setup: record(seed) | UNTOLD)
+    faults.bench_faults(3, 5, file=tmp_path / "faults.json")
     written = json.loads((tmp_path / "faults.json").read_text())
     assert [each["seed"] for each in written["records"]] == [5, 6, 7]
     assert "3 episodes: stopped 3" in capsys.readouterr().out
     with pytest.raises(SettingsError, match="--episodes 0"):
-        bench_faults.bench_faults(0)
+        faults.bench_faults(0)
 
 
 @pytest.mark.parametrize("seed", [NEAREST[0], *(pytest.param(seed, marks=pytest.mark.slow) for seed in NEAREST[1:])])

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from contact_reach_command import contact_reach
+from bench_command import bench
 
-from benchmarks import bench_observer, observer_trials, slow_pushes
+from benchmarks import observer, observer_trials
 from benchmarks.free_motion import START, FreeMotion
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.observer.budget import ContactBudget
@@ -16,9 +16,9 @@ from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
 
 def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(bench_observer, "PUSHES", 6)
+    monkeypatch.setattr(observer, "PUSHES", 6)
     file, plot = tmp_path / "observer.json", tmp_path / "roc.png"
-    assert contact_reach("bench", "observer", "--minutes", "0.05", "--json", file, "--plot", plot) == 0
+    assert bench(observer, "--minutes", "0.05", "--json", file, "--plot", plot) == 0
     report = json.loads(file.read_text())
     assert abs(report["step_63_error"]) < 0.05
     assert 0.0 < report["free_rms_nm"]["max"] < 10.0
@@ -34,27 +34,6 @@ def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
     assert "6 pushes of 50 N at mid-arm" in capsys.readouterr().out
 
 
-def test_slow_pushes_are_seen_early_at_rest_and_reported_joint_by_joint(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(slow_pushes, "RAMPS", (5.0,))
-    monkeypatch.setattr(slow_pushes, "longest_levers", lambda _: [0.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
-    file = tmp_path / "slow.json"
-    assert contact_reach("bench", "observer", "--slow", "--json", file) == 0
-    report = json.loads(file.read_text())
-    assert list(report["rest"]) == list(report["motion"]) == ["lbr_A2"]
-    found = report["rest"]["lbr_A2"]
-    assert found["limit_nm"] == pytest.approx(6.0)
-    # Without the limits of the slow mean, it would not be seen before 6 Nm.
-    assert 2.5 < found["seen_at_nm"]["5.0"] < 5.0
-    assert found["slowest_nm_per_s"] == 5.0
-    assert "lbr_A2" in capsys.readouterr().out
-
-
-def test_slowest_push_is_the_last_before_one_is_missed(monkeypatch):
-    monkeypatch.setattr(slow_pushes, "RAMPS", (4.0, 2.0, 1.0))
-    for seen_at, slowest in (((3.0, 3.0, 3.0), 1.0), ((3.0, math.nan, 3.0), 4.0), ((math.nan, 3.0, 3.0), math.nan)):
-        assert slow_pushes.SlowPushes("A1", 5.0, seen_at).slowest == pytest.approx(slowest, nan_ok=True)
-
-
 def test_pushes_are_seen_from_commands_through_gears_with_ten_times_the_friction():
     settings, mismatch = ObserverSettings(torque_source=COMMANDED), MismatchSettings(friction_scale=10.0)
     arm, budget = load_arm(), ContactBudget()
@@ -68,7 +47,7 @@ def test_pushes_are_seen_from_commands_through_gears_with_ten_times_the_friction
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan", "inf"])
 def test_minutes_out_of_range_are_refused(minutes, capsys):
-    assert contact_reach("bench", "observer", "--minutes", minutes) == 2
+    assert bench(observer, "--minutes", minutes) == 2
     assert f"minutes = {minutes}: expected a number above 0" in capsys.readouterr().err
 
 
@@ -105,16 +84,16 @@ def test_onsets_are_debounced_and_merged():
 def test_push_that_is_not_seen_is_missed():
     unseen = observer_trials.Push(math.nan, False, None, np.zeros(100))
     seen = observer_trials.Push(0.004, False, True, np.full(100, 2.0))
-    summary = bench_observer._pushed([unseen, seen, seen])
+    summary = observer._pushed([unseen, seen, seen])
     assert summary["missed_contacts"] == 1
     assert summary["detection_latency_ms"]["p50"] == pytest.approx(4.0)
     assert summary["link_right_share"] == 1.0
 
 
 def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(bench_observer, "PUSHES", 3)
+    monkeypatch.setattr(observer, "PUSHES", 3)
     file = tmp_path / "rates.json"
-    assert contact_reach("bench", "observer", "--minutes", "0.02", "--rate", "100", "500", "--json", file) == 0
+    assert bench(observer, "--minutes", "0.02", "--rate", "100", "500", "--json", file) == 0
     rates = json.loads(file.read_text())["rates"]
     assert list(rates) == ["100", "500"]
     for hertz, found in rates.items():
@@ -126,5 +105,5 @@ def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, cap
 
 
 def test_rates_that_cannot_be_simulated_are_refused(capsys):
-    assert contact_reach("bench", "observer", "--rate", "300") == 2
+    assert bench(observer, "--rate", "300") == 2
     assert "rate = 300 Hz: expected one of 100, 125, 200" in capsys.readouterr().err

@@ -37,7 +37,6 @@ def test_scenes_begin_free_of_contact_and_can_be_simulated():
 
 def test_evaluation_seeds_are_the_default():
     assert Clutter().seed == FIRST_HELD_OUT
-    assert Clutter(scenes=3).command.endswith("--preset shipped --scenes 3 --seed 10000")
 
 
 def entry(method, scene, force=None, time=None, entered=None):
@@ -73,7 +72,7 @@ def test_the_summary_counts_what_settles_and_who_is_best():
 
 
 def test_one_scene_alone_has_no_intervals_of_differences():
-    report = {**summary(EPISODES[:3], NAMES), "command": "contact-reach bench clutter --scenes 1"}
+    report = {**summary(EPISODES[:3], NAMES), "command": "python -m benchmarks.clutter --scenes 1"}
     row = next(line for line in clutter_table(report).splitlines() if line.startswith("| collision_free"))
     assert row.split("|")[-4:-1] == [" -100 % ", " – ", " – "]
 
@@ -92,7 +91,7 @@ def test_settling_is_compared_in_every_scene():
 
 
 def test_the_table_says_how_often_contact_was_needed():
-    text = clutter_table({"command": "contact-reach bench clutter", **summary(EPISODES, NAMES)})
+    text = clutter_table({"command": "python -m benchmarks.clutter", **summary(EPISODES, NAMES)})
     assert "| **contact_reach** | 100 %" in text
     assert "Collision-free planning fails and contact gets the arm there in 33 %" in text
 
@@ -114,7 +113,7 @@ def test_a_tiny_run_has_the_whole_report(tmp_path, capsys):
     assert report["scenes"] == 2
     assert "| reactive |" in capsys.readouterr().out
     # Nothing is run again.
-    again = bench_clutter(bench, Running(file, resume=True, workers=1), TINY)
+    again = bench_clutter(bench, Running(file, workers=1), TINY)
     assert again["episodes"] == report["episodes"]
 
 

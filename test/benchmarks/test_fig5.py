@@ -6,17 +6,17 @@ import json
 import numpy as np
 import pytest
 from arm_simulation import ARM
-from benchmarks.figures import watch_episode
-from contact_reach_command import contact_reach
-from contact_reach_ros.drawing.offscreen import find_backend
+from bench_command import bench
 from PIL import Image
 from test_episode import StraightPlanner
 from test_grid import TINY
 
+from benchmarks import fig5 as fig5_module
 from benchmarks.baselines.method import Method
 from benchmarks.episode import run_episode
-from benchmarks.fig5 import TOUCHED, Fig5, bench_fig5
+from benchmarks.fig5 import TOUCHED, Fig5, bench_fig5, watch_episode
 from benchmarks.grid import concrete_scene
+from benchmarks.offscreen import find_backend
 from contact_reach_ros.errors import RenderingError
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.world.files import read_scene
@@ -44,7 +44,7 @@ def straight(method, file, setup):
 @pytest.fixture(scope="module", autouse=True)
 def planners():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("benchmarks.figures.prepared", straight)
+        patch.setattr("benchmarks.fig5.prepared", straight)
         yield
 
 
@@ -62,8 +62,8 @@ def fig5(planners, renderer, tmp_path_factory):
     """Report and files."""
     folder = tmp_path_factory.mktemp("fig5")
     picture, file = folder / "new" / "fig5.png", folder / "fig5.json"
-    bench = Fig5(methods=METHODS, latency=LATENCY)
-    return bench_fig5(bench, picture, file, SETUP), picture, file
+    bench = Fig5(methods=METHODS, latency=LATENCY, output=picture)
+    return bench_fig5(bench, file, SETUP), picture, file
 
 
 def is_small_and_wide(picture):
@@ -126,11 +126,11 @@ def test_files_of_fig5_hold_what_is_returned(fig5):
     ],
 )
 def test_what_cannot_be_drawn_is_refused(arguments, message, capsys):
-    assert contact_reach("bench", "fig5", *arguments) == 2
+    assert bench(fig5_module, *arguments) == 2
     assert message in capsys.readouterr().err
 
 
 def test_a_picture_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(RenderingError, match=r"fig5\.png: cannot be written"):
-        bench_fig5(Fig5(methods=METHODS[:1], latency=LATENCY), tmp_path / "file" / "fig5.png", None, SETUP)
+        bench_fig5(Fig5(methods=METHODS[:1], latency=LATENCY, output=tmp_path / "file" / "fig5.png"), None, SETUP)

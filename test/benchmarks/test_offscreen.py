@@ -4,12 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-from contact_reach_ros.drawing.camera import frame
-from contact_reach_ros.drawing.offscreen import BACKENDS, find_backend, render
-from contact_reach_ros.drawing.view import View
 
+from benchmarks.offscreen import BACKENDS, find_backend, render
+from benchmarks.view import View, arm_shapes, floor, frame
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.drawing.parts import arm_shapes, floor
 from contact_reach_ros.drawing.shapes import corners
 from contact_reach_ros.errors import RenderingError
 
@@ -43,7 +41,7 @@ def test_the_first_backend_that_works_is_taken(monkeypatch):
             raise RenderingError(f"no {backend}")
         return []
 
-    monkeypatch.setattr("contact_reach_ros.drawing.offscreen.render", only_osmesa)
+    monkeypatch.setattr("benchmarks.offscreen.render", only_osmesa)
     assert find_backend() == "osmesa"
 
 

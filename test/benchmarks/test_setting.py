@@ -3,20 +3,21 @@
 import json
 
 import pytest
-from contact_reach_command import contact_reach
+from bench_command import bench
 
+from benchmarks import setting
 from benchmarks.setting import Sweep, best
 
 
 def run(*arguments: str) -> int:
-    return contact_reach("bench", "setting", *arguments)
+    return bench(setting, *arguments)
 
 
 @pytest.mark.slow
 def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
     """x_d is latched with every plan, so fewer plans move it less far; ratios are those of settling at the goal."""
     file = tmp_path / "report.json"
-    assert run("latency", "0.04", "0.1", "--scene", "free", "--targets", "1", "--json", str(file)) == 0
+    assert run("latency", "0.04", "0.1", "--scenes", "free", "--targets", "1", "--json", str(file)) == 0
     fast, slow = json.loads(file.read_text())["scenes"]["free"]
     assert (fast["value"], slow["value"]) == (0.04, 0.1)
     assert fast["reached"] == slow["reached"] == 1
@@ -64,8 +65,8 @@ def test_the_best_value_presses_least_among_those_that_are_sure_and_quick():
         (["population", "2"], "population"),
         (["max_steps", "many"], "max_steps"),
         (["null_stiffness", "1000"], "null_stiffness"),
-        (["max_steps", "1", "--with", "population"], "expected NAME=VALUE"),
-        (["max_steps", "1", "--with", "populatoin=3"], "populatoin"),
+        (["max_steps", "1", "--others", "population"], "expected NAME=VALUE"),
+        (["max_steps", "1", "--others", "populatoin=3"], "populatoin"),
         (["max_steps", "1", "--arm", "kuka"], "kuka"),
     ],
 )

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from benchmarks.solver_race import LABELS, excess
-from contact_reach_command import contact_reach
+from bench_command import bench
 
-from benchmarks.solver import bench_solver
-from benchmarks.solver_steps import CONFIGURATIONS
+from benchmarks import solver
+from benchmarks.solver import LABELS, bench_solver, excess
+from benchmarks.solver_steps import CONFIGURATIONS, bench_solver_steps
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS
 
@@ -48,7 +48,7 @@ def test_a_step_counts_once_it_has_ended():
 
 @pytest.mark.slow
 def test_ten_steps_of_every_configuration_lower_the_cost(capsys):
-    found = bench_solver(["free"], 4, steps=True, settings=SMALL)["free"]
+    found = bench_solver_steps(["free"], 4, settings=SMALL)["free"]
     assert (found["states"], found["states_with_contact"]) == (4, 0)
     for configuration in CONFIGURATIONS:
         for name in SOLVERS:
@@ -63,5 +63,5 @@ def test_ten_steps_of_every_configuration_lower_the_cost(capsys):
     ("option", "value", "says"), [("--states", "1", "at least 2"), ("--seconds", "0", "0.001 to 60")]
 )
 def test_too_little_is_refused(capsys, option, value, says):
-    assert contact_reach("bench", "solver", option, value) == 2
+    assert bench(solver, option, value) == 2
     assert says in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -11,10 +10,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-from contact_reach_command import contact_reach
+from bench_command import bench
 from test_grid import TINY, figures
 from test_workers import ended
 
+from benchmarks import table1
 from benchmarks.grid_run import Running, partial_of
 from benchmarks.output import read_report
 from benchmarks.table1 import Table1, bench_table1
@@ -34,7 +34,7 @@ BENCH = Table1(
 
 
 def refuse(arguments, message, capsys):
-    assert contact_reach("bench", "table1", *arguments) == 2
+    assert bench(table1, *arguments) == 2
     assert message in capsys.readouterr().err
 
 
@@ -88,7 +88,7 @@ def test_a_run_that_was_terminated_goes_on_where_it_was(finished, tmp_path):
     kept = episodes(file)
     assert 2 <= len(kept) < 6
 
-    resumed = bench_table1(BENCH, Running(file, resume=True, workers=1), TINY)
+    resumed = bench_table1(BENCH, Running(file, workers=1), TINY)
     report = whole(finished[0])
     assert whole(resumed) == report
     assert [entry for entry in resumed["episodes"] if entry in kept] == kept
@@ -100,13 +100,6 @@ def episodes(file):
     return read_report(partial, "table1")["episodes"] if partial.exists() else []
 
 
-def test_what_was_not_finished_is_not_overwritten(finished, tmp_path):
-    file = tmp_path / "table.json"
-    partial_of(file).write_text("{}\n")
-    with pytest.raises(SettingsError, match="go on with it by --resume, or remove the file"):
-        bench_table1(BENCH, Running(file), TINY)
-
-
 def test_other_settings_cannot_go_on(finished):
     _, file = finished
     before = file.read_text()
@@ -116,22 +109,15 @@ def test_other_settings_cannot_go_on(finished):
         ({"targets": 3, "latency": 0.06}, TINY, r"latency was 0\.05 and is 0\.06 now"),
     ):
         with pytest.raises(SettingsError, match=message):
-            bench_table1(dataclasses.replace(BENCH, **change), Running(file, resume=True), setup)
+            bench_table1(dataclasses.replace(BENCH, **change), Running(file), setup)
     assert file.read_text() == before
 
 
-def test_tables_are_printed_from_the_file_alone(finished, capsys):
-    _, file = finished
-    assert contact_reach("bench", "table1", "--report-only", "--json", file) == 0
+def test_a_finished_run_is_reported_again_without_running_anything(finished, monkeypatch, capsys):
+    report, file = finished
+    monkeypatch.setattr("benchmarks.grid_run.workers", None)
+    assert bench_table1(BENCH, Running(file), TINY) == report
     assert "| free | cma_es | 0/6 |" in capsys.readouterr().out
-
-
-def test_the_command_is_what_made_the_page():
-    assert BENCH.command.startswith(
-        "contact-reach bench table1 --preset shipped --scenes free --goals hold --methods cma_es --targets 2"
-    )
-    assert "--scenes" not in Table1().command
-    assert os.sep + "tmp" not in Table1(scenes=("/tmp/own.yaml",)).command
 
 
 @pytest.mark.parametrize(
@@ -145,9 +131,6 @@ def test_the_command_is_what_made_the_page():
         (["--timeout", "nan"], "--timeout nan: expected a positive time"),
         (["--preset", "paper"], "preset 'paper' is unknown; expected one of paper_linear"),
         (["--latency", "5"], "--latency 5: expected 0.001 to 1 s"),
-        (["--resume"], "--resume needs --json FILE"),
-        (["--report-only"], "--report-only needs --json FILE"),
-        (["--report-only", "--json", "nowhere.json"], "nowhere.json: cannot be read"),
     ],
 )
 def test_what_cannot_be_run_is_refused(arguments, message, capsys):

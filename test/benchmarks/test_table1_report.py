@@ -11,7 +11,7 @@ METHODS = ["contact_reach", "reference_posture", "rrt_star"]
 def report(episodes, scenes=("wall",), goals=("hold",)):
     grid = {"scenes": list(scenes), "goals": list(goals), "methods": METHODS, "targets": 4, "repeats": 1, "seed": 4}
     return {
-        "command": "contact-reach bench table1 --targets 4",
+        "command": "python -m benchmarks.table1 --targets 4",
         "grid": grid,
         "settings": {"timeout": 20.0},
         "machine": {"cpu": "a processor", "cores": 2},

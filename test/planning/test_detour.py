@@ -7,9 +7,9 @@ import pytest
 from arm_simulation import ARM, HOME, REST
 from planning_helpers import PERMITTED_FORCE, SMALL, make_planner
 
-from contact_reach_ros.arm.kinematics import link_frames
 from benchmarks.clutter_scenes import clutter_name, clutter_scene
 from benchmarks.grid import Cell, EpisodeTask, Setup, run_cell
+from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.detour import Detour, begin, follow
 from contact_reach_ros.planning.plan_record import detour_in, solution_parts, state_in
