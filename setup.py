@@ -69,7 +69,7 @@ setup(
         "websockets",
     ],
     extras_require={
-        "benchmarks": ["distributed", "ompl"],
+        "benchmarks": ["ompl"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "test": [
             "cma",

@@ -14,7 +14,7 @@ from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.fault_checks import BOUNDS, bounds_used, end_of, violations
 from benchmarks.fault_draws import random_schedule
-from benchmarks.grid import Setup, episode_lock, prepared
+from benchmarks.grid import Setup, prepared
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.paper import METHOD
 from benchmarks.workers import run_each
@@ -69,14 +69,13 @@ def run_with_faults(seed: int, setup: Setup) -> Report:
         budget=setup.budget,
         noise_seed=seed,
     )
-    with episode_lock:
-        if planner == "scripted":
-            method = Method(ScriptedPlanner(scene), setup.controller)
-        else:
-            # With room for a ball also where there is none: one program for all scenes.
-            method = prepared(METHOD, read_scene("ball"), setup)
-        method.reseed(seed)
-        result = run_episode(scene, method, options)
+    if planner == "scripted":
+        method = Method(ScriptedPlanner(scene), setup.controller)
+    else:
+        # With room for a ball also where there is none: one program for all scenes.
+        method = prepared(METHOD, read_scene("ball"), setup)
+    method.reseed(seed)
+    result = run_episode(scene, method, options)
     kinds = [fault.name for fault in schedule]
     used = bounds_used(result, setup.controller.limits, arm, schedule)
     return {
@@ -98,27 +97,26 @@ def bench_faults(
     episodes: int = 200,
     seed: int = 0,
     workers: int | None = None,
-    scheduler: str | None = None,
     file: Path | None = None,
 ) -> Report:
     """Run episodes with the seeds from `seed` on, print how they ended and write JSON to `file`.
 
     Parameters
     ----------
-    workers, scheduler
-        Processes on this machine, by default one per core; or the address of a Dask scheduler with workers.
+    workers
+        Processes, by default one per core.
 
     Raises
     ------
     SettingsError
-        If there are no such workers, or an option is out of range.
+        If an option is out of range.
     """
     for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0)):
         if number < least:
             raise SettingsError(f"--{name} {number}: expected at least {least}")
     run = functools.partial(run_with_faults, setup=fault_setup())
     records = []
-    for record in run_each(run, range(seed, seed + episodes), workers, scheduler):
+    for record in run_each(run, range(seed, seed + episodes), workers):
         records.append(record)
         say(_line(record))
     report = summary(sorted(records, key=lambda record: record["seed"]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import threading
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -52,9 +51,6 @@ DEADLINE_STEPS = 5
 
 _SOLVER_SEEDS = 2**24
 """Few enough that a search of several runs can derive seeds of 32 bits from each."""
-
-episode_lock = threading.Lock()
-"""Held during an episode: methods are reused, and a Dask worker may have several threads."""
 
 
 @dataclass(frozen=True)
@@ -165,20 +161,19 @@ def episode_seeds(target: int, repeat: int) -> tuple[int, int]:
 def run_cell(task: EpisodeTask) -> Record:
     """Run an episode; one that cannot run is recorded as failed, with the reason."""
     try:
-        with episode_lock:
-            arm = load_arm(task.setup.arm)
-            scene = concrete_scene(task.scene, arm, task.cell.target)
-            method = prepared(task.cell.method, task.scene, task.setup)
-            solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
-            method.reseed(solver_seed)
-            options = task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
-            momentum = identified(arm, of_arm(scene.mismatch))
-            options = dataclasses.replace(options, observer=ObserverSettings(momentum=momentum))
-            wall, cpu = time.perf_counter(), time.process_time()
-            result = run_episode(scene, method, options)
-            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        arm = load_arm(task.setup.arm)
+        scene = concrete_scene(task.scene, arm, task.cell.target)
+        method = prepared(task.cell.method, task.scene, task.setup)
+        solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
+        method.reseed(solver_seed)
+        options = task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
+        momentum = identified(arm, of_arm(scene.mismatch))
+        options = dataclasses.replace(options, observer=ObserverSettings(momentum=momentum))
+        wall, cpu = time.perf_counter(), time.process_time()
+        result = run_episode(scene, method, options)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     except ContactReachError as error:
-        return failed(task.cell, reason(error))
+        return failed(task.cell, f"{type(error).__name__}: {error}")
     gains, permitted_force = task.setup.controller.impedance, task.setup.budget.permitted_force
     metrics = measure(result, scene.target, task.setup.planning, gains, permitted_force)
     times = [plan.solve_s for plan in result.plans]
@@ -189,11 +184,6 @@ def run_cell(task: EpisodeTask) -> Record:
         "plan_s": float(np.median(times)) if times else None,
     }
     return {**dataclasses.asdict(task.cell), **dataclasses.asdict(metrics), "timing": timing}
-
-
-def reason(error: BaseException) -> str:
-    """An error as records state it."""
-    return f"{type(error).__name__}: {error}"
 
 
 def failed(cell: Cell, message: str) -> Record:

@@ -20,12 +20,10 @@ from benchmarks.grid import (
     Setup,
     cell_of,
     concrete_scene,
-    failed,
-    reason,
     run_cell,
 )
 from benchmarks.output import Report, machine, read_report, say, write_report
-from benchmarks.workers import run_all, workers
+from benchmarks.workers import run_each
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.world.scene import SceneFile
@@ -41,14 +39,11 @@ class Running:
         JSON file of the run, which goes on with the episodes of an earlier one; None for none. Finished episodes are
         beside it until the run ends, see `partial_of`.
     workers
-        Processes on this machine; one per core if None.
-    scheduler
-        Address of a Dask scheduler whose workers run the episodes instead.
+        Processes; one per core if None.
     """
 
     file: Path | None = None
     workers: int | None = None
-    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
@@ -184,16 +179,12 @@ def _run(tasks: list[EpisodeTask], done: dict[Cell, Record], report: Callable[[]
     partial = None if running.file is None else partial_of(running.file)
     # On the error output, which leaves the table alone.
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-    with (
-        workers(running.workers, running.scheduler) as client,
-        Progress(*columns, console=Console(stderr=True)) as progress,
-    ):
+    with Progress(*columns, console=Console(stderr=True)) as progress:
         bar = progress.add_task("episodes", total=total, completed=len(done))
         try:
             write_report(report(), partial)
-            for task, found in run_all(client, run_cell, tasks):
-                record = failed(task.cell, reason(found)) if isinstance(found, BaseException) else found
-                done[task.cell] = record
+            for record in run_each(run_cell, tasks, running.workers):
+                done[cell_of(record)] = record
                 write_report(report(), partial)
                 line = f"{len(done)}/{total} {_line(record)}"
                 progress.console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arrays import Array
@@ -14,9 +13,6 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
 from contact_reach_ros.simulation.plant import TICK
 
-JERK_WINDOW = 0.1
-"""Length of the filter that jerk is measured with, s."""
-_JERK_ORDER = 4
 _END_TICKS = 10
 
 
@@ -50,8 +46,6 @@ class EpisodeMetrics:
         Of the tip, m.
     path_ratio
         `path_length` over the distance between the ends of the path; None if the goal was not reached.
-    jerk
-        Root mean square of the tip's jerk, m/s³, see `rms_jerk`; None for an episode shorter than the filter.
     end_error
         Distance from the target at the end, m; None if the episode ended at once.
     end_speed
@@ -73,7 +67,6 @@ class EpisodeMetrics:
     max_external_torque: float
     path_length: float
     path_ratio: float | None
-    jerk: float | None
     end_error: float | None
     end_speed: float | None
     stop_reason: str
@@ -115,7 +108,6 @@ def measure(
         max_external_torque=float(np.abs(result.external_torques).max(initial=0.0)),
         path_length=length,
         path_ratio=length / straight if result.reached and straight > 0.0 else None,
-        jerk=rms_jerk(result.positions),
         end_error=float(result.distances[-1]) if len(result.distances) else None,
         end_speed=_end_speed(result.positions),
         stop_reason=result.stop_reason,
@@ -123,26 +115,6 @@ def measure(
         plans=len(result.plans),
         solver_steps=sum(plan.steps for plan in result.plans),
     )
-
-
-def rms_jerk(positions: Array) -> float | None:
-    """Root mean square over time of the jerk's magnitude, m/s³; None if there are too few positions.
-
-    The third derivative comes from a Savitzky-Golay filter: a polynomial of fourth order fitted over `JERK_WINDOW`. The
-    third difference of positions at 1 kHz would show the simulation's contact steps and little of the motion.
-
-    Parameters
-    ----------
-    positions
-        (T, 3) of the tip after each tick, m.
-    """
-    window = round(JERK_WINDOW / TICK) + 1
-    if len(positions) < window:
-        return None
-    jerk = savgol_filter(positions, window, _JERK_ORDER, deriv=3, delta=TICK, axis=0)
-    # At the ends the filter only extrapolates.
-    inner = jerk[window // 2 : len(jerk) - window // 2]
-    return float(np.sqrt(np.mean(np.sum(inner**2, axis=1))))
 
 
 def _end_speed(positions: Array) -> float | None:

@@ -27,7 +27,7 @@ BAD_INPUT = 2
 
 
 def command_line(description: str | None, spread: bool = False) -> argparse.ArgumentParser:
-    """A parser with the options of all benchmarks: --json and, for work that is `spread` over processes, two more."""
+    """A parser with the options of all benchmarks: --json and, for work that is `spread` over processes, --workers."""
     parser = argparse.ArgumentParser(
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -35,8 +35,7 @@ def command_line(description: str | None, spread: bool = False) -> argparse.Argu
     )
     parser.add_argument("--json", dest="file", type=Path, metavar="FILE", help="write the result as JSON")
     if spread:
-        parser.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one a core)")
-        parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, whose workers run it instead")
+        parser.add_argument("--workers", type=int, metavar="W", help="processes (default: one per core)")
     return parser
 
 

@@ -90,18 +90,16 @@ def bench_smoothness(
     ramps: Sequence[float] = (0.0, ImpedanceSettings().reference_ramp),
     arm: str = DEFAULT_ARM,
     workers: int | None = None,
-    scheduler: str | None = None,
     file: Path | None = None,
 ) -> Report:
     """Reach the goals of `seeds` seeds from `seed` on, with each ramp of the references, s, and print a table.
 
-    `arm`: its name, or the path of its file. `workers`: processes on this machine, by default one per core; or
-    `scheduler`: the address of a Dask scheduler.
+    `arm`: its name, or the path of its file. `workers`: processes, by default one per core.
 
     Raises
     ------
     SettingsError
-        If there is no seed, or an option is out of range, or there are no such workers.
+        If there is no seed, or an option is out of range.
     """
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: expected at least 1")
@@ -111,7 +109,7 @@ def bench_smoothness(
         Case(scene, number, ramp, arm) for scene in scenes for ramp in ramps for number in range(seed, seed + seeds)
     ]
     records: list[Report] = []
-    for record in run_each(run_smoothness, cases, workers, scheduler):
+    for record in run_each(run_smoothness, cases, workers):
         records.append(record)
         say(f"{len(records)} of {len(cases)} runs")
     report: Report = {"bench": "smoothness", "machine": machine(), "records": records}

@@ -78,23 +78,22 @@ def bench_stops(
     postures: int = 200,
     scenes: Sequence[str] = SCENES,
     workers: int | None = None,
-    scheduler: str | None = None,
     file: Path | None = None,
 ) -> Report:
     """Stop the arm in random postures of each scene, print a table and write JSON to `file`.
 
-    `workers`: processes on this machine, by default one per core; or `scheduler`: the address of a Dask scheduler.
+    `workers`: processes, by default one per core.
 
     Raises
     ------
     SettingsError
-        If there is not at least one posture, or there are no such workers.
+        If there is not at least one posture and worker.
     """
     if postures < 1:
         raise SettingsError(f"--postures {postures}: expected at least 1")
     cases = [(name, seed) for name in scenes for seed in range(postures)]
     records = []
-    for record in run_each(stop_at_rest, cases, workers, scheduler):
+    for record in run_each(stop_at_rest, cases, workers):
         records.append(record)
         if len(records) % 20 == 0:
             say(f"{len(records)} of {len(cases)} stops")

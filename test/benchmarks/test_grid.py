@@ -15,7 +15,7 @@ from benchmarks.grid import (
     episode_seeds,
     run_cell,
 )
-from benchmarks.workers import local_workers, run_all
+from benchmarks.workers import run_each
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.files import read_scene
@@ -46,8 +46,7 @@ def here():
 
 @pytest.mark.slow
 def test_other_processes_and_another_order_give_the_same_to_the_last_bit(here):
-    with local_workers(2) as client:
-        found = {task.cell: record for task, record in run_all(client, run_cell, tasks()[::-1])}
+    found = {cell_of(record): record for record in run_each(run_cell, tasks()[::-1], 2)}
     assert [figures(found[task.cell]) for task in tasks()] == [figures(record) for record in here]
     assert {record["failure"] for record in here} == {""}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.episode_result import EpisodeResult
-from benchmarks.metrics import measure, rms_jerk
+from benchmarks.metrics import measure
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 
@@ -39,7 +39,6 @@ def test_a_straight_motion_is_as_long_as_its_displacement():
     metrics = measure(episode(straight()), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
     assert metrics.path_length == pytest.approx(0.2)
     assert metrics.path_ratio == pytest.approx(1.0)
-    assert metrics.jerk == pytest.approx(0.0, abs=1e-3)
     assert metrics.reached
     assert metrics.time == pytest.approx(2.0)
     # The slowest axis decides: 0.16 m at 0.088 m/s.
@@ -53,16 +52,6 @@ def test_half_a_circle_is_longer_than_its_diameter():
     circle = START + 0.1 * np.stack([1.0 - np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     metrics = measure(episode(circle), circle[-1], PlanningSettings(), ImpedanceSettings(), 10.0)
     assert metrics.path_ratio == pytest.approx(np.pi / 2, rel=1e-4)
-    # Of a uniform circular motion: r ω³.
-    assert metrics.jerk == pytest.approx(0.1 * (np.pi / 2) ** 3, rel=1e-3)
-
-
-def test_jerk_of_a_cubic_is_its_third_derivative_also_with_sensor_noise():
-    cubic = np.stack([2.0 * TIMES**3 / 6.0, 0.0 * TIMES, 1.0 * TIMES**3 / 6.0], axis=1)
-    assert rms_jerk(cubic) == pytest.approx(np.sqrt(5.0), rel=1e-6)
-    noisy = cubic + np.random.default_rng(0).normal(0.0, 1e-7, cubic.shape)
-    assert rms_jerk(noisy) == pytest.approx(np.sqrt(5.0), rel=0.1)
-    assert rms_jerk(cubic[:50]) is None
 
 
 def test_forces_torques_and_impulse():
@@ -97,7 +86,7 @@ def test_what_was_stopped_or_out_of_time_has_no_time():
 def test_without_a_first_plan_there_is_nothing_to_measure():
     empty = episode(np.zeros((0, 3)), duration=float("nan"), failure="no path")
     metrics = measure(empty, TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
-    assert (metrics.failure, metrics.end_error, metrics.jerk, metrics.end_speed) == ("no path", None, None, None)
+    assert (metrics.failure, metrics.end_error, metrics.end_speed) == ("no path", None, None)
     assert metrics.path_length == 0.0
     assert metrics.max_contact_force == metrics.max_external_torque == 0.0
 

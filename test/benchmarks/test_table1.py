@@ -115,7 +115,7 @@ def test_other_settings_cannot_go_on(finished):
 
 def test_a_finished_run_is_reported_again_without_running_anything(finished, monkeypatch, capsys):
     report, file = finished
-    monkeypatch.setattr("benchmarks.grid_run.workers", None)
+    monkeypatch.setattr("benchmarks.grid_run.run_each", None)
     assert bench_table1(BENCH, Running(file), TINY) == report
     assert "| free | cma_es | 0/6 |" in capsys.readouterr().out
 
