@@ -9,11 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from benchmarks.free_motion import LONGEST_CONTROLLED
-from benchmarks.identified import compare
 from benchmarks.observer_trials import (
     PUSH_TICKS,
     RISE,
@@ -28,10 +25,9 @@ from benchmarks.observer_trials import (
 )
 from benchmarks.output import command_line, given, machine, run_command, write_report
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.drawing.palette import BLUE, GREY, VERMILION
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.observer.settings import COMMANDED, MEASURED, ObserverSettings
+from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
@@ -55,13 +51,9 @@ _PROMPT_MS = LATENCY_TARGETS_MS["p95"]
 def bench_observer(
     minutes: float = 60.0,
     file: Path | None = None,
-    plot: Path | None = None,
     rate: Sequence[float] = (),
-    commanded: bool = False,
-    friction: float = MismatchSettings().friction_scale,
-    identified: bool = False,
 ) -> dict[str, Any]:
-    """Measure, print a table, write JSON to `file` and the ROC curve to `plot`.
+    """Measure, print a table and write JSON to `file`.
 
     Parameters
     ----------
@@ -69,12 +61,6 @@ def bench_observer(
         Simulated free motion in which false stops are counted.
     rate
         Rates of joint states to compare, Hz, instead of measuring everything at 1 kHz.
-    commanded
-        Observe from commands, not from measured torques.
-    friction
-        Factor on the joint friction of the arm that differs from its model.
-    identified
-        Identify that arm instead, and compare what is seen before and after.
 
     Raises
     ------
@@ -83,17 +69,11 @@ def bench_observer(
     """
     if not 0.0 < minutes <= MAX_MINUTES:
         raise InputError(f"minutes = {minutes:g}: expected a number above 0, at most {MAX_MINUTES:g}")
-    mismatch = MismatchSettings(friction_scale=friction)
-    settings = ObserverSettings(torque_source=COMMANDED if commanded else MEASURED)
+    mismatch, settings = MismatchSettings(), ObserverSettings()
     if rate:
         return _compare_rates(rate, minutes, file, mismatch, settings)
     arm = load_arm()
     budget = load_budget().resolve(arm)
-    if identified:
-        report: dict[str, Any] = {"machine": machine(), "minutes": minutes}
-        report |= compare(arm, mismatch, budget, settings, minutes, PUSHES)
-        write_report(report, file)
-        return report
     began = time.process_time()
     steps = [step_63_error(arm, joint) for joint in range(arm.n)]
     pushes = push_often(arm, PUSH, PUSHES, budget, TICK, mismatch, settings)
@@ -104,8 +84,6 @@ def bench_observer(
     report = {
         "machine": machine(),
         "gain": settings.momentum.gain,
-        "torque_source": settings.torque_source,
-        "friction": friction,
         "level": LEVEL,
         "step_63_error": max(steps, key=abs),
         "step_63_error_by_joint": steps,
@@ -128,8 +106,6 @@ def bench_observer(
     }
     print(_table(report))
     write_report(report, file)
-    if plot is not None:
-        _draw(report["roc"], plot)
     return report
 
 
@@ -219,53 +195,13 @@ def _table(report: dict[str, Any]) -> str:
     )
 
 
-def _draw(roc: dict[str, list[float]], file: Path) -> None:
-    figure = Figure(figsize=(9.0, 4.0), dpi=130)
-    over_scale, curve = figure.subplots(1, 2)
-    over_scale.semilogx(roc["scale"], roc["seen_share"], color=BLUE)
-    over_scale.set_xlabel("factor on the thresholds of a contact")
-    over_scale.set_ylabel(f"pushes of {PUSH:g} N seen within {_PROMPT_MS:g} ms", color=BLUE)
-    ticks = [0.2, 0.5, 1.0, 2.0, 5.0]
-    over_scale.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    over_scale.set_xticks([], minor=True)
-    over_scale.axvline(1.0, color=GREY, linestyle=":")
-    false = over_scale.twinx()
-    false.semilogx(roc["scale"], roc["false_contacts_per_hour"], color=VERMILION)
-    false.set_ylabel("false contacts per hour", color=VERMILION)
-    false.set_yscale("symlog", linthresh=1.0)
-    curve.plot(roc["false_contacts_per_hour"], roc["seen_share"], color=BLUE, marker=".")
-    at = int(np.argmin(np.abs(np.log(roc["scale"]))))
-    curve.plot(
-        roc["false_contacts_per_hour"][at], roc["seen_share"][at], "o", color=VERMILION, label="contact budget as it is"
-    )
-    curve.set_xscale("symlog", linthresh=1.0)
-    curve.set_xlabel("false contacts per hour of free motion")
-    curve.set_ylabel(f"pushes of {PUSH:g} N seen within {_PROMPT_MS:g} ms")
-    curve.legend(loc="lower right", frameon=False)
-    for panel in (over_scale, curve):
-        panel.grid(True, color="#dddddd", linewidth=0.6)
-    figure.tight_layout()
-    FigureCanvasAgg(figure)
-    try:
-        figure.savefig(file)
-    except (OSError, ValueError) as error:
-        raise InputError(f"plot '{file}' cannot be written: {error}") from error
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     parser = command_line(__doc__)
     minutes = "simulated free motion in which false stops are counted (default: 60)"
     parser.add_argument("--minutes", type=float, help=minutes)
-    instead = parser.add_mutually_exclusive_group()
     rates = "compare rates of joint states, as 100 200 500 1000"
-    instead.add_argument("--rate", type=float, nargs="+", metavar="HZ", help=rates)
-    identified = "compare before and after an identification of the arm"
-    instead.add_argument("--identified", action="store_true", help=identified)
-    parser.add_argument("--commanded", action="store_true", help="observe from commands, not from measured torques")
-    friction = "on the joint friction of the simulated arm (default: 3)"
-    parser.add_argument("--friction", type=float, metavar="FACTOR", help=friction)
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw pushes seen against false contacts")
+    parser.add_argument("--rate", type=float, nargs="+", metavar="HZ", help=rates)
     bench_observer(**given(parser, arguments))
 
 

@@ -13,8 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -25,21 +23,16 @@ from benchmarks.statistics import estimate
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, ORANGE, SKY_BLUE, VERMILION
+from contact_reach_ros.drawing.palette import BLACK, BLUE, SKY_BLUE
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.programs import Program, preparing
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import SOLVERS, make_solver
-from contact_reach_ros.planning.solver.cma_es import Distribution
-from contact_reach_ros.planning.solver.hybrid import Draw, HybridSolver, Search, ranked_costs, seeded_key
+from contact_reach_ros.planning.solver import make_solver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solver
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.files import read_scene
-
-TEMPERATURE = 0.1
-"""Of MPPI, relative to how much the median candidate costs more than the best."""
 
 INSTANTS = (0.01, 0.03, 0.1)
 """Times of the table, s."""
@@ -48,72 +41,10 @@ POINTS = 51
 """Of each curve."""
 
 
-class _Simple(HybridSolver[Problem]):
-    """A solver whose step evaluates one batch of points and moves the mean."""
-
-    def _advance(self, problem: Problem, search: Search, draw: Draw) -> Search:
-        points = self._points(problem, search, draw)
-        return self._finish(search, points, self._costs(problem, points))
-
-    def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
-        """The points (n, k) of a step; candidates about the mean."""
-        return self._draw_sample(search.distribution, draw).repaired
-
-    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
-        """The mean (n,) after a step, from points and their costs (k,)."""
-        raise NotImplementedError
-
-    def _finish(self, search: Search, points: jax.Array, costs: jax.Array) -> Search:
-        costs, rejected = ranked_costs(costs)
-        index = jnp.argmin(costs)
-        better = costs[index] < search.best_cost
-        return Search(
-            distribution=search.distribution._replace(mean=self._mean(search, points, costs)),
-            best=jnp.where(better, points[:, index], search.best),
-            best_cost=jnp.where(better, costs[index], search.best_cost),
-            rejected=search.rejected + rejected,
-        )
-
-
-class Descent(_Simple):
-    """Gradient and line search of Algorithm 1, without any candidates."""
-
-    def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
-        return self._points_on_line(problem, search.distribution.mean, (*draw, 0))
-
-    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
-        return points[:, jnp.argmin(costs)]
-
-
-class Mppi(_Simple):
-    """The mean of the candidates weighted by exp(−cost / temperature), which keep their initial spread."""
-
-    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
-        least = costs.min()
-        scale = TEMPERATURE * (jnp.median(costs) - least) + 1e-9
-        return points @ jax.nn.softmax(-(costs - least) / scale)
-
-
-class BestOfRandom(_Simple):
-    """Points drawn evenly from the box; the best of all is the result."""
-
-    def _points(self, problem: Problem, search: Search, draw: Draw) -> jax.Array:
-        shape = (len(search.best), self._settings.population)
-        return jax.random.uniform(seeded_key(draw, 0), shape, minval=-1.0)
-
-    def _mean(self, search: Search, points: jax.Array, costs: jax.Array) -> jax.Array:
-        return search.distribution.mean
-
-
-_OTHERS: dict[str, Callable[..., Solver[Problem]]] = {"descent": Descent, "mppi": Mppi, "random": BestOfRandom}
-
 LABELS = {
     "hybrid": ("hybrid, Algorithm 1", BLUE),
     "cma": ("plain CMA-ES", SKY_BLUE),
     "gradient": ("ten gradient steps each", BLACK),
-    "descent": ("gradient steps only", GREEN),
-    "mppi": ("MPPI", ORANGE),
-    "random": ("best of random points", VERMILION),
 }
 """Names and colours of the solvers in tables and plots."""
 
@@ -127,8 +58,7 @@ def run_race(
     solvers: dict[str, Solver[Problem]] = {}
     times: dict[str, list[float]] = {}
     for name in LABELS:
-        own = dataclasses.replace(settings, solver=name if name in SOLVERS else "hybrid")
-        solver = solvers[name] = _OTHERS.get(name, make_solver)(cost, size, own)
+        solver = solvers[name] = make_solver(cost, size, dataclasses.replace(settings, solver=name))
         with preparing():
             step = min(solver.warm_up(states[0].problem, solver.init(still, spread)) for _ in range(3))
         # Reserve, since steps take less time back to back.
@@ -139,11 +69,9 @@ def run_race(
     for number, state in enumerate(states):
         still_cost = cost_of(state.problem, still)
         for name, solver in solvers.items():
-            learned = name in SOLVERS
-            warm: Distribution = state.state if learned else solver.init(np.asarray(state.state.mean), spread)
             for start, begin, cost_then in (
                 ("cold", solver.init(still, spread), still_cost),
-                ("warm", warm, state.start_cost),
+                ("warm", state.state, state.start_cost),
             ):
                 began = time.perf_counter()
                 found = solver.solve(state.problem, begin, cost_then, number)

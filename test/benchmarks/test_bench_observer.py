@@ -17,8 +17,8 @@ from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
 def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(observer, "PUSHES", 6)
-    file, plot = tmp_path / "observer.json", tmp_path / "roc.png"
-    assert bench(observer, "--minutes", "0.05", "--json", file, "--plot", plot) == 0
+    file = tmp_path / "observer.json"
+    assert bench(observer, "--minutes", "0.05", "--json", file) == 0
     report = json.loads(file.read_text())
     assert abs(report["step_63_error"]) < 0.05
     assert 0.0 < report["free_rms_nm"]["max"] < 10.0
@@ -30,7 +30,6 @@ def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
     # The higher the thresholds, the less is seen, rightly or falsely.
     assert np.all(np.diff(report["roc"]["seen_share"]) <= 0.0)
     assert report["roc"]["seen_share"][0] == 1.0
-    assert plot.stat().st_size > 1000
     assert "6 pushes of 50 N at mid-arm" in capsys.readouterr().out
 
 

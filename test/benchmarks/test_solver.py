@@ -33,14 +33,6 @@ def test_every_solver_lowers_the_cost_and_a_warm_start_is_a_lead(race):
         assert curves["warm"][0] < curves["cold"][0]
 
 
-@pytest.mark.slow
-def test_sampling_where_it_learned_to_beats_sampling_anywhere(race):
-    at = {name: race["cold"][name]["at"][-1]["mean"] for name in LABELS}
-    assert at["random"] > max(at[name] for name in SOLVERS)
-    low, high = race["cold"]["random"]["over_hybrid"][-1]["ci95"]
-    assert low <= at["random"] - at["hybrid"] <= high
-
-
 def test_a_step_counts_once_it_has_ended():
     found = excess([np.array([3.0, 2.0, 1.5])], [1.0], 0.01, [0.0, 0.009, 0.01, 0.02, 0.5])
     assert found.tolist() == [[2.0, 2.0, 1.0, 0.5, 0.5]]
