@@ -1,31 +1,25 @@
-"""Whether the walls give way as the planner expects, and what simulating them costs."""
+"""Whether the walls give way as the planner expects."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
 from benchmarks.output import command_line, given, run_command, write_report
-from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
-from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
+from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.simulation.press import press_in_model, press_in_plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.timing import Histogram
-from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.free_path import free_path
 from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.kinds.wall import WallSettings
 from contact_reach_ros.world.obstacle import Obstacle
@@ -38,12 +32,6 @@ MAX_FORCE = 100.0
 """To press nodes with, N."""
 _PRESS_TICKS = 1000
 _RISE = 1.0 - math.exp(-1.0)
-
-_PATH_S = 4.0
-_HOLD_S = 1.0
-_REPETITIONS = 3
-_STIFFNESS = 800.0
-_DAMPING = 40.0
 
 
 class Press(TypedDict):
@@ -61,7 +49,7 @@ class Press(TypedDict):
 def bench_foam(
     scene: str = "wall", seed: int = 0, force: float = 10.0, fit: bool = False, file: Path | None = None
 ) -> dict[str, object]:
-    """Press nodes of the scene's upper wall, push the arm through, print tables and write JSON to `file`.
+    """Press nodes of the scene's upper wall, print a table and write JSON to `file`.
 
     Parameters
     ----------
@@ -70,7 +58,7 @@ def bench_foam(
     force
         What nodes are pressed with, N.
     fit
-        Whether to find the planner's stiffness that agrees best with the plant's, instead of pushing the arm through.
+        Whether to find the planner's stiffness that agrees best with the plant's, too.
 
     Raises
     ------
@@ -95,12 +83,6 @@ def bench_foam(
     report: dict[str, object] = {"force_N": force, "press": presses}
     if fit:
         report["fit"] = _print_fit(walls, force, presses)
-    else:
-        steps = report["step_us"] = time_steps(walls)
-        print(
-            f"CPU time of one step of 1 ms while the arm pushes along its free path, least of {_REPETITIONS} runs, us"
-        )
-        print("  " + "  ".join(f"{key} {value:.0f}" for key, value in steps.items()))
     write_report(report, file)
     return report
 
@@ -187,39 +169,6 @@ def _number(scene: Scene, node: tuple[int, int, int]) -> int:
 
 def _upper_wall(scene: Scene) -> Obstacle:
     return scene.obstacles[-1]
-
-
-def time_steps(scene: Scene) -> dict[str, float]:
-    """CPU time of the plant's steps in contact, µs, while the arm is pulled along its free path; contacts at most.
-
-    Every repetition takes the very same steps, so the least time of each is what it costs where nothing disturbs it.
-    """
-    model = RobotModel(scene.arm)
-    path = free_path(model, scene.start, scene.target)
-    if path is None:
-        raise SceneError(f"scene '{scene.name}': its target cannot be reached on a straight line")
-    runs = [_time_push(scene, model, path) for _ in range(_REPETITIONS)]
-    times = Histogram()
-    for took_ns in np.min([took for took, _ in runs], axis=0)[runs[0][1] > 0]:
-        times.add(int(took_ns))
-    contacts = float(runs[0][1].max())
-    return {**times.summary(), "max": 1e6 * times.maximum_ns / NANOSECONDS, "contacts": contacts}
-
-
-def _time_push(scene: Scene, model: RobotModel, path: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """CPU time, ns, and number of contacts of each step."""
-    plant = Plant(scene, SensorSettings(), JointSettings())
-    plant.set_actuation(Actuation.COMMANDED)
-    took, contacts = [], []
-    for tick in range(round((_PATH_S + _HOLD_S) / TICK)):
-        wanted = path[min(int(tick * TICK / _PATH_S * len(path)), len(path) - 1)]
-        q, v = plant.data.qpos[: len(wanted)], plant.data.qvel[: len(wanted)]
-        torque = model.gravity_at(q) + _STIFFNESS * (wanted - q) - _DAMPING * v
-        began_ns = time.thread_time_ns()
-        plant.step(torque)
-        took.append(time.thread_time_ns() - began_ns)
-        contacts.append(plant.data.ncon)
-    return np.array(took), np.array(contacts)
 
 
 def _surface_nodes(scene: Scene) -> list[tuple[int, int, int]]:

@@ -14,9 +14,7 @@ from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.scene import Scene
 
 
-def test_report_holds_every_node_and_the_steps(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(foam, "_PATH_S", 0.6)
-    monkeypatch.setattr(foam, "_HOLD_S", 0.2)
+def test_report_holds_every_node(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(foam, "_PRESS_TICKS", 300)
     monkeypatch.setattr(foam, "_surface_nodes", lambda _: [(0, 5, 0), (1, 5, 1)])
     file = tmp_path / "foam.json"
@@ -27,8 +25,6 @@ def test_report_holds_every_node_and_the_steps(tmp_path, monkeypatch, capsys):
         assert row["ratio"] == pytest.approx(row["plant_mm"] / row["planner_mm"])
         assert row["ratio"] == pytest.approx(1.0, abs=0.2)
         assert row["time_ratio"] == pytest.approx(1.0, abs=0.3)
-    # The arm was in contact, or nothing would have been timed.
-    assert report["step_us"]["contacts"] >= 1
     assert "ratio" in capsys.readouterr().out
 
 

@@ -8,7 +8,7 @@ from bench_command import bench
 
 from benchmarks import solver
 from benchmarks.solver import LABELS, bench_solver, excess
-from benchmarks.solver_steps import CONFIGURATIONS, bench_solver_steps
+from benchmarks.solver_steps import PRESETS, bench_solver_steps
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import SOLVERS
 
@@ -39,16 +39,16 @@ def test_a_step_counts_once_it_has_ended():
 
 
 @pytest.mark.slow
-def test_ten_steps_of_every_configuration_lower_the_cost(capsys):
+def test_ten_steps_of_every_solver_lower_the_cost(capsys):
     found = bench_solver_steps(["free"], 4, settings=SMALL)["free"]
     assert (found["states"], found["states_with_contact"]) == (4, 0)
-    for configuration in CONFIGURATIONS:
+    for configuration in PRESETS:
         for name in SOLVERS:
             entry = found[configuration][name]
             low, high = entry["ci95"]
             assert 0.0 < low <= entry["mean"] <= high
         assert found[configuration]["hybrid"]["share"]["mean"] == 1.0
-    assert capsys.readouterr().out.count("| free |") == len(CONFIGURATIONS) * len(SOLVERS)
+    assert capsys.readouterr().out.count("| free |") == len(PRESETS) * len(SOLVERS)
 
 
 @pytest.mark.parametrize(
