@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 
 # A sourced ROS 2 provides rclpy through PYTHONPATH, also inside .venv; otherwise rclpy comes as wheels.
 SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
-EXTRAS := baselines$(comma)$(if $(SOURCED),test,ros$(comma)test)
+EXTRAS := benchmarks$(comma)$(if $(SOURCED),test,ros$(comma)test)
 STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
 # Some tests need a browser, OpenGL without a display, or a compiler. $(call SYSTEM,is it there?,package,tests) installs what is
@@ -25,19 +25,23 @@ define SYSTEM
 endef
 CHROMIUM := command -v chromium || command -v chromium-browser || command -v google-chrome
 COMPILER := command -v g++ && $(BIN)/python -c 'import os, sysconfig; os.stat(sysconfig.get_path("include") + "/Python.h")'
-OPENGL := $(BIN)/python -c 'from contact_reach_ros.drawing.renderer import find_renderer; find_renderer()'
+OPENGL := $(BIN)/python -c 'from benchmarks.offscreen import find_backend; find_backend()'
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test lint build clean
+.PHONY: help venv demo bench test lint build clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST)
-	@echo "PYTHON=python3.12 chooses the interpreter when .venv is made; ARGS='...' goes to demo and test."
+	@echo "PYTHON=python3.12 chooses the interpreter when .venv is made; ARGS='...' goes to demo, bench and test."
 
 venv: $(STAMP) ## create .venv and install the package into it
 
 demo: $(STAMP) ## run the demonstration
 	@$(BIN)/contact-reach demo $(ARGS)
+
+bench: $(STAMP) ## run a benchmark, as NAME=table1; without NAME, list them
+	@test -n "$(NAME)" || { echo "NAME is one of these (benchmarks/README.md):"; grep -l "^def main" benchmarks/*.py | sed 's/.*\//  /; s/\.py//'; exit 1; }
+	@$(BIN)/python -m benchmarks.$(NAME) $(ARGS)
 
 test: $(STAMP) ## run the tests; with ARGS=test also those that take minutes
 	@$(call SYSTEM,$(CHROMIUM),chromium,the tests of the viewer's page)

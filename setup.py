@@ -70,13 +70,11 @@ setup(
         "websockets",
     ],
     extras_require={
-        "baselines": ["ompl"],
-        "experiments": ["distributed"],
+        "benchmarks": ["ompl"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "test": [
             "cma",
             "colcon-common-extensions",
-            "distributed",
             "hypothesis",
             "import-linter",
             "mcap-ros2-support",

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.errors import ContactReachError, InputError
-from contact_reach_ros.experiments.commands import add_benches
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.versions import VERSION
 
@@ -185,7 +184,12 @@ def _parser() -> argparse.ArgumentParser:
     repair.add_argument("--output", type=Path, metavar="DIR", help="the new bag (default: BAG_repaired)")
     repair.set_defaults(run=_bag_repair)
 
-    add_benches(commands.add_parser("bench", help="measure on this machine"))
+    bench = add("bench", _bench, "how well this machine keeps the time of the running stack")
+    bench.add_argument("what", nargs="?", default="control", type=_fitness, help=argparse.SUPPRESS)
+    bench.add_argument("--seconds", type=float, help="time that is measured, s (default: 60)")
+    bench.add_argument("--load", type=int, help="programs beside the stack that never sleep (default: 0)")
+    bench.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
+    _add_json(bench)
     return parser
 
 
@@ -272,6 +276,19 @@ def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) ->
     from contact_reach_ros.nodes.viewer import view
 
     return view(chosen, parameters, namespace)
+
+
+def _fitness(name: str) -> str:
+    """Refuse what is not the fitness check: the other benchmarks are in the repository, not in the package."""
+    if name != "control":
+        raise argparse.ArgumentTypeError(f"benchmarks run in a checkout of the repository: make bench NAME={name}")
+    return name
+
+
+def _bench(what: str, **options: Any) -> None:
+    from contact_reach_ros.doctor.fitness import run_fitness
+
+    run_fitness(**options)
 
 
 def _bag_repair(bag: Path, output: Path | None) -> None:

@@ -376,7 +376,7 @@ class Stack:
         state = self.planner.goal_state
         return state is not None and state.phase is GoalPhase.SETTLED
 
-    # The phases of a step; experiments that delay or drop messages override them.
+    # The phases of a step; benchmarks that delay or drop messages override them.
 
     def _control(self) -> Array | None:
         torque = None

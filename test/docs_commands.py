@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "bags/README.md", *(f"{folder}/*.md" for folder in ("docs", "msg_docs")))
+PAGES = ("README.md", "bags/README.md", "benchmarks/*.md", *(f"{folder}/*.md" for folder in ("docs", "msg_docs")))
 PROGRAM = ("contact-reach", ".venv/bin/contact-reach")
 NODE = re.compile(r"\.venv/bin/(?!contact-reach)(\w+)")
 

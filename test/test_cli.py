@@ -15,8 +15,8 @@ SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
 @pytest.mark.parametrize(
     "command",
-    [["bench", "control", "--ticks", "10"], ["reexecute", str(SAMPLE)], ["bag", "info", str(SAMPLE)]],
-    ids=["text", "long text", "table"],
+    [["reexecute", str(SAMPLE)], ["bag", "info", str(SAMPLE)]],
+    ids=["long text", "table"],
 )
 def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]) -> None:
     reading, writing = os.pipe()
@@ -47,3 +47,9 @@ def test_tool_says_how_a_stack_gets_another_tool(capsys):
         main(["tool", "my_tool.yaml"])
     assert ended.value.code == 2
     assert "put the section 'tool' under '/**: ros__parameters:'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["table1", "--targets", "2"], ["page", "--out", "page"], ["planner", "--quick"]])
+def test_benchmarks_of_the_repository_are_named_with_the_command_that_runs_them(capsys, arguments):
+    assert contact_reach("bench", *arguments) == 2
+    assert f"make bench NAME={arguments[0]}" in capsys.readouterr().err

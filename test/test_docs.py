@@ -1,6 +1,9 @@
 """Every command in the documentation is one that there is, and those that need no robot do what they should."""
 
 import argparse
+import contextlib
+import importlib
+import io
 import os
 import re
 import shlex
@@ -72,6 +75,19 @@ def check_program(arguments):
         BringupOptions.from_mapping({name: value for name, value in options.items() if name in names}, "up")
 
 
+def check_benchmark(name, *arguments):
+    """The benchmark is there, and its help names the options."""
+    check_module(f"benchmarks.{name.removeprefix('NAME=')}", " ".join(arguments).removeprefix("ARGS="))
+
+
+def check_module(module, arguments):
+    main_of = importlib.import_module(module).main
+    with contextlib.redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit):
+        main_of(["--help"])
+    options = [word for word in shlex.split(arguments) if word.startswith("--")]
+    assert all(option in printed.getvalue() for option in options), (module, arguments)
+
+
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: f"{command.page}: {command.line[:60]}")
 def test_every_command_is_one_that_there_is(command):
     program, *arguments = command.words
@@ -79,10 +95,14 @@ def test_every_command_is_one_that_there_is(command):
         check_program(arguments)
     elif node := NODE.fullmatch(program):
         check_node(node[1], arguments)
+    elif command.line.startswith("python -m benchmarks."):
+        check_module(arguments[1], shlex.join(arguments[2:]))
     elif program == "ros2":
         check_ros2(arguments)
+    elif program == "make" and arguments[0] == "bench":
+        check_benchmark(*arguments[1:])
     elif program == "make":
-        assert arguments[0] in TARGETS
+        assert arguments[0] in TARGETS or arguments[0] == "-C", command
         for text in arguments[1:]:
             if text.startswith("PYTHON="):
                 continue
@@ -126,7 +146,7 @@ def test_packages_are_installed_into_an_environment_only():
 
 NOT_RUN = {
     r"ros2 |source /opt/ros|source install|cd \$\(ros2|for policy|export ROS_SEC|ROS_SECURITY": "needs ROS 2 sourced",
-    r"contact-reach bench ": "takes minutes to hours; test/experiments runs them smaller",
+    r"contact-reach bench|make bench|make -C|python -m benchmarks": "takes minutes to hours; see test/benchmarks",
     r"--no-driver": "needs a robot",
     r"--namespace": "needs two stacks; test/nodes/test_namespaces.py has them",
     r"contact-reach identify\b": "moves the arm; test/nodes has a stack for it",

@@ -19,17 +19,6 @@ MIDDLE_GREY = "#888888"
 JOINT_COLOURS = (MIDDLE_GREY, ORANGE, SKY_BLUE, GREEN, PURPLE, BLUE, VERMILION)
 """Of joints from the first to the last, and of other series, in turns; all can be seen on white and on black."""
 
-METHOD_COLOURS = {
-    "contact_reach": BLUE,
-    "reference_posture": VERMILION,
-    "collision_free": PURPLE,
-    "rrt_star": GREEN,
-    "joint_torque": ORANGE,
-    "cma_es": SKY_BLUE,
-    "gradient": BLACK,
-}
-"""Colours by the names in `baselines.methods.METHODS`."""
-
 
 def rgb(colour: str) -> tuple[float, float, float]:
     """Parse '#rrggbb' into red, green and blue in [0, 1]."""

@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields
 
 from arm_simulation import ARM
 
-from contact_reach_ros.experiments.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
+from benchmarks.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
 from contact_reach_ros.simulation.faults import (
     Fault,
     Friction,

@@ -8,12 +8,12 @@ from arm_simulation import ARM
 from cases import CASES, Case, shortcomings
 from page import write
 
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.scripted import ScriptedPlanner
+from benchmarks.episode import EpisodeOptions, run_episode
+from benchmarks.faults import SMALL_PLANNER
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.baselines.scripted import ScriptedPlanner
-from contact_reach_ros.experiments.bench_faults import SMALL_PLANNER
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.simulation.settings import WatchdogSettings

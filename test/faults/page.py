@@ -9,7 +9,7 @@ from pathlib import Path
 from arm_simulation import ARM
 from cases import CASES, KINDS
 
-from contact_reach_ros.experiments.fault_checks import end_of, speed_share
+from benchmarks.fault_checks import end_of, speed_share
 from contact_reach_ros.simulation.faults import Fault
 
 PAGE = Path(__file__).parents[2] / "docs" / "faults.md"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from conftest import CONTROLLER, scene, small_planner
 
-from contact_reach_ros.experiments.baselines.method import Method
-from contact_reach_ros.experiments.episode import EpisodeOptions, run_episode
-from contact_reach_ros.experiments.episode_result import EpisodeResult
+from benchmarks.baselines.method import Method
+from benchmarks.episode import EpisodeOptions, run_episode
+from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
 from contact_reach_ros.simulation.faults import UnknownObstacle
 from contact_reach_ros.simulation.settings import WatchdogSettings

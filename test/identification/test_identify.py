@@ -7,9 +7,9 @@ import pytest
 import yaml
 from motions import ARM, recording
 
+from benchmarks.identified import record
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.experiments.identified import record
 from contact_reach_ros.identification.identify import BOTH, LINKS, identify
 from contact_reach_ros.identification.output import describe, write
 from contact_reach_ros.observer.budget import ContactBudget, load_budget

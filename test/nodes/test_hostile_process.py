@@ -133,7 +133,7 @@ def test_a_transition_that_is_not_permitted_is_refused(commanding, transition):
         [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={LONG_NAME}"],
         [*module("bringup.bringup"), "--ros-args", "-p", f"scene:={LONG_NAME}"],
         [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={LONG_NAME}"],
-        [*module("cli"), "bench", "planner", "--scene", LONG_NAME],
+        [*module("cli"), "bench", "--scene", LONG_NAME],
     ],
     ids=["scene", "budget", "bag", "bringup's scene", "bringup's parameters", "command line"],
 )

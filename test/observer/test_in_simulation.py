@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from contact_reach_ros.experiments.free_motion import START, FreeMotion
+from benchmarks.free_motion import START, FreeMotion
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings

@@ -7,9 +7,9 @@ import pytest
 from arm_simulation import ARM, HOME, REST
 from planning_helpers import PERMITTED_FORCE, SMALL, make_planner
 
+from benchmarks.clutter_scenes import clutter_name, clutter_scene
+from benchmarks.grid import Cell, EpisodeTask, Setup, run_cell
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.experiments.clutter_scenes import clutter_name, clutter_scene
-from contact_reach_ros.experiments.grid import Cell, EpisodeTask, Setup, run_cell
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.detour import Detour, begin, follow
 from contact_reach_ros.planning.planning_core import Request

@@ -16,7 +16,7 @@ from contact_reach_ros.world.obstacle import Material
 MAX_FREE_NODES = 200
 MAX_NODES = 300
 """Greatest numbers of movable nodes in a scene, and of all; with more, the simulation would not keep its step of
-1 ms: at these limits a step takes up to 0.35 ms in contact (`contact-reach bench foam`)."""
+1 ms: at these limits a step takes up to 0.35 ms in contact."""
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ class WallSettings(ObstacleSettings):
     friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
     planner_stiffness_scale: float = setting(
         1.0,
-        "factor on the springs in the planner's mesh, which does not harden; bench foam --fit finds it",
+        "factor on the springs in the planner's mesh, which does not harden; benchmarks/foam.py --fit finds it",
         minimum=0.05,
         maximum=20.0,
     )

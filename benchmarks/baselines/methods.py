@@ -1,0 +1,127 @@
+"""All ways to reach a goal, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from benchmarks.baselines.collision_free import CollisionFreePlanner
+from benchmarks.baselines.contact_rrt import find_contact_path
+from benchmarks.baselines.joint_torque import SIGMA, TorqueController, TorquePlanner
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.reactive import ReactivePlanner
+from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
+
+METHODS = {
+    "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
+    "no_detours": "the method without detours: it stays where its horizon sees no way on",
+    "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
+    "collision_free": "RRT* in joint space, the shortest of several simplified paths, followed without re-planning",
+    "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
+    "contact_rrt": "the same with a path of transition-based RRT, whose cost is the predicted force, below ε",
+    "reactive": "no planner: law (1) straight to the goal, law (2) at the arm's own posture",
+    "joint_torque": "plans joint torques (paper: 'joint torque') with Algorithm 1, applied without any control law",
+    "cma_es": "the method with plain CMA-ES (paper: 'vanilla CMA-ES') in place of Algorithm 1",
+    "gradient": "the method with many gradient steps per step of Algorithm 1",
+}
+"""What each name stands for, in one line with what the paper calls it."""
+
+_PATHS = {
+    "collision_free": PathSettings(),
+    "rrt_star": PathSettings(searches=1, iterations=1000, informed=False, simplify=False),
+}
+
+_ANY_POSTURE = 7.0
+"""rad."""
+
+PATH_METHODS = (*_PATHS, "contact_rrt")
+"""Methods that follow a path to its end, however long it is."""
+
+PLANLESS = (*PATH_METHODS, "reactive")
+"""Methods that plan nothing on the way, so that no plan takes time."""
+
+_CHANGES: dict[str, dict[str, str | float]] = {
+    "contact_reach": {"null_space": "planned", "solver": "hybrid"},
+    "no_detours": {"null_space": "planned", "solver": "hybrid", "detour_patience": 0.0},
+    "reference_posture": {"null_space": "reference_posture", "solver": "hybrid"},
+    "cma_es": {"null_space": "planned", "solver": "cma"},
+    "gradient": {"null_space": "planned", "solver": "gradient"},
+}
+"""Settings that make the difference between methods with the same planner; all others are the same."""
+
+
+def _search(
+    name: str, permitted_force: float, contact_stiffness: float
+) -> Callable[[Arm, Array, Target, Spheres, int], JointPath]:
+    """What finds the path of one of `PATH_METHODS`."""
+    if name in _PATHS:
+        return lambda arm, q, goal, spheres, seed: find_path(arm, q, goal, spheres, _PATHS[name], seed)
+    return lambda arm, q, goal, spheres, seed: find_contact_path(
+        arm, q, goal, spheres, permitted_force, contact_stiffness, seed
+    )
+
+
+def make_method(
+    arm: Arm,
+    name: str,
+    capacity: int,
+    permitted_force: float,
+    seed: int,
+    settings: PlanningSettings | None = None,
+    controller: ControllerSettings | None = None,
+) -> Method:
+    """A method that is not warmed up yet; only its `warm_up` takes long.
+
+    Parameters
+    ----------
+    arm
+        What it moves.
+    name
+        One of `METHODS`.
+    capacity
+        Number of obstacle spheres that its plans look at, see `sphere_capacity`.
+    permitted_force
+        ε of (4d), N.
+    seed
+        Of its random numbers; replaces that of the settings.
+    settings
+        Of the planner; those that make the method what it is are set here.
+    controller
+        Of the controller, whose gains the planner plans with.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such method; the message lists those there are.
+    """
+    if name not in METHODS:
+        raise SettingsError(f"method '{name}' is unknown; expected one of {', '.join(METHODS)}")
+    controller = ControllerSettings() if controller is None else controller
+    settings = PlanningSettings() if settings is None else settings
+    if name == "reactive":
+        return Method(ReactivePlanner(arm, settings), controller)
+    if name in PATH_METHODS:
+        search = _search(name, permitted_force, settings.contact_stiffness)
+        return Method(CollisionFreePlanner(arm, settings, controller.impedance, search, seed), controller)
+    if name == "joint_torque":
+        settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
+        damping = stop_damping(arm, controller.supervision)
+        planner = TorquePlanner(arm, settings, controller.impedance, permitted_force, capacity, damping)
+        return Method(planner, controller, TorqueController)
+    settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
+    if settings.null_space == "reference_posture":
+        # Law (6) pulls from afar, which the controller would refuse as a posture that is too far away.
+        supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
+        controller = dataclasses.replace(controller, supervision=supervision)
+    reach = controller.supervision.max_position_error
+    core = RecedingHorizonPlanner(arm, settings, controller.impedance, permitted_force, capacity, reach)
+    return Method(core, controller)

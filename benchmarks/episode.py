@@ -1,0 +1,273 @@
+"""One episode in this process, in lockstep and without ROS: the very objects that the nodes run.
+
+The same arguments give the same result, bit for bit, as long as the planner has no wall-clock deadline.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks.baselines.method import Method
+from benchmarks.episode_result import EpisodeResult
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.settings import ObserverSettings
+from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.planner import ReplanningSettings
+from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+from contact_reach_ros.simulation.faults import AnyFault, Fault, Late, WrongPlans
+from contact_reach_ros.simulation.plant import TICK, Plant
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.simulation.settings import JointSettings, SensorSettings, WatchdogSettings
+from contact_reach_ros.stack import Stack
+from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.task import FREE, HOLD, REST_SPEED, Goal
+
+SETTLE_TIME = 0.2
+"""Time for which the tip has to stay near the goal, no faster than `REST_SPEED`, to have settled, s."""
+
+STILL = 0.05
+"""rad: an arm none of whose joints has covered more in all of `EpisodeOptions.patience` is going nowhere."""
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    """How an episode is run.
+
+    Attributes
+    ----------
+    period, latency
+        Least time between plans, and from a state to the effect of its plan, s.
+    settle
+        Time before the goal is given, s; the brakes open within it.
+    timeout
+        Time to reach the goal, s.
+    success
+        Distance that counts as reached, m.
+    rate
+        Of the joint states, Hz; whatever is recorded is recorded at 1 kHz.
+    hold_orientation
+        Whether the goal holds the orientation of the start; otherwise it is left free.
+    noise_seed
+        Of the sensor noise; that of the scene if there is none.
+    linger
+        Time to go on after the goal was reached or the arm was stopped, s.
+    until_settled
+        Whether a goal counts as reached only when the tip has stayed there, at rest, for `SETTLE_TIME`.
+    patience
+        Time after which an arm that has stayed where it is, within `STILL`, is lost and the episode ends, s; 0 for
+        never.
+    faults
+        What goes wrong, counted from the moment the goal is given.
+    watchdog
+        Of the drive.
+    unexpected_contact
+        What the planner does about contact with what it does not know.
+    """
+
+    period: float = 0.03
+    latency: float = 0.04
+    settle: float = 0.8
+    timeout: float = 20.0
+    rate: float = 1000.0
+    success: float = 0.01
+    hold_orientation: bool = True
+    noise_seed: int | None = None
+    linger: float = 0.0
+    until_settled: bool = False
+    patience: float = 0.0
+    faults: tuple[Fault, ...] = ()
+    budget: ContactBudget = field(default_factory=ContactBudget)
+    observer: ObserverSettings = field(default_factory=ObserverSettings)
+    sensors: SensorSettings = field(default_factory=SensorSettings)
+    joints: JointSettings = field(default_factory=JointSettings)
+    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
+    unexpected_contact: UnexpectedContactSettings = field(default_factory=UnexpectedContactSettings)
+
+    @property
+    def replanning(self) -> ReplanningSettings:
+        """`period` and `latency` as the planner takes them."""
+        return ReplanningSettings(period=self.period, latency=self.latency)
+
+
+class _EpisodeRobot(SimulatedRobot):
+    """Calls `after_tick` after each tick of the physics, of which there may be several between joint states."""
+
+    after_tick: Callable[[], None]
+
+    def _tick(self, clock_ns: int) -> list[InputError]:
+        refused = super()._tick(clock_ns)
+        self.after_tick()
+        return refused
+
+
+class _EpisodeStack(Stack):
+    """The stack of an episode: nodes may be silent, and plans late or false."""
+
+    def __init__(self, scene: Scene, method: Method, options: EpisodeOptions) -> None:
+        period = 1.0 / options.rate
+        robot = _EpisodeRobot(
+            scene,
+            options.sensors,
+            options.joints,
+            options.watchdog,
+            options.faults,
+            options.noise_seed,
+            period=period,
+        )
+        method.planner.reset()
+        super().__init__(
+            scene,
+            replanning=options.replanning,
+            controller=method.controller(scene.arm, method.settings, period),
+            observer=options.observer,
+            unexpected_contact=options.unexpected_contact,
+            budget=options.budget,
+            planner=method.planner,
+            robot=robot,
+            period=period,
+        )
+        self.simulated = robot
+        self.sent: list[tuple[int, Array]] = []
+        """Everything that the controller sent, with its time, ns."""
+        self._late: deque[tuple[int, Plan]] = deque()
+
+    def _active(self, kind: type[AnyFault]) -> list[AnyFault]:
+        faults = self.simulated.faults
+        return [] if faults is None else faults.active(kind, self._clock_ns)
+
+    def _is_silent(self, node: str) -> bool:
+        faults = self.simulated.faults
+        return faults is not None and faults.is_silent(node, self._clock_ns)
+
+    def _control(self) -> Array | None:
+        return None if self._is_silent("controller") else super()._control()
+
+    def _observe(self) -> SafetyReport | None:
+        return None if self._is_silent("observer") else super()._observe()
+
+    def _plan(self) -> Plan | None:
+        try:
+            while self._late and self._late[0][0] <= self._clock_ns:
+                super()._follow(self._late.popleft()[1])
+        except InputError as error:
+            self._refuse("plans", error)
+        return None if self._is_silent("planner") else super()._plan()
+
+    def _send(self, torque: Array) -> None:
+        self.sent.append((self._clock_ns, torque))
+        super()._send(torque)
+
+    def _follow(self, plan: Plan) -> Plan:
+        for wrong in self._active(WrongPlans):
+            positions, duration = plan.positions + np.array(wrong.offset), wrong.stretch * plan.knot_duration_s
+            plan = dataclasses.replace(plan, positions=positions, knot_duration_s=duration)
+        delay = sum(late.delay for late in self._active(Late) if late.what == "plans")
+        if delay > 0.0:
+            self._late.append((self._clock_ns + round(delay * NANOSECONDS), plan))
+            return plan
+        return super()._follow(plan)
+
+
+def run_episode(
+    scene: Scene,
+    method: Method,
+    options: EpisodeOptions,
+    watch: Callable[[int, Plant], None] | None = None,
+) -> EpisodeResult:
+    """Run one episode until the goal is reached, the arm is stopped or the time is over.
+
+    Parameters
+    ----------
+    scene
+        With target and obstacles.
+    method
+        With room for the scene's obstacles; it forgets what it did before.
+    options
+        Everything else.
+    watch
+        Called after each tick with its number and the plant.
+
+    Raises
+    ------
+    SettingsError
+        If the faults cannot be had together.
+    """
+    stack = _EpisodeStack(scene, method, options)
+    plant = stack.simulated.plant
+    settle_ticks, linger_ticks = round(options.settle / TICK), round(options.linger / TICK)
+    joints: list[Array] = []
+    positions, forces, residuals, distances, plans = [], [], [], [], []
+    start_position = plant.tip_position
+    duration, settled, at_rest, has_goal, has_ended = float("nan"), float("nan"), 0, False, False
+    end_tick = settle_ticks + round(options.timeout / TICK)
+
+    def is_lost() -> bool:
+        ticks = round(options.patience / TICK)
+        return 0 < ticks <= len(joints) and not len(joints) % 500 and float(np.ptp(joints[-ticks:], 0).max()) < STILL
+
+    def after_tick() -> None:
+        nonlocal duration, settled, at_rest, has_ended, end_tick
+        if watch is not None:
+            watch(plant.steps - 1, plant)
+        if has_goal and not stack.failure:
+            positions.append(plant.tip_position)
+            joints.append(plant.data.qpos[: scene.arm.n].copy())
+            forces.append(plant.contact_forces())
+            residuals.append(stack.observer.momentum.residual)
+            distances.append(float(np.linalg.norm(positions[-1] - scene.target)))
+            if distances[-1] <= options.success and not np.isfinite(duration) and not stack.stop_reason:
+                duration = len(positions) * TICK
+            if options.until_settled:
+                before = positions[-2] if len(positions) > 1 else start_position
+                is_slow = np.linalg.norm(positions[-1] - before) <= REST_SPEED * TICK
+                at_rest = at_rest + 1 if is_slow and distances[-1] <= options.success else 0
+                if at_rest == round(SETTLE_TIME / TICK) and not np.isfinite(settled) and not stack.stop_reason:
+                    settled = len(positions) * TICK
+        done = settled if options.until_settled else duration
+        if not has_ended and (np.isfinite(done) or stack.stop_reason or is_lost()):
+            has_ended, end_tick = True, plant.steps + linger_ticks
+
+    stack.simulated.after_tick = after_tick
+    while plant.steps < end_tick and not stack.failure:
+        if plant.steps >= settle_ticks and not has_goal:
+            has_goal = True
+            stack.simulated.start_faults()
+            stack.command(Goal(scene.target, HOLD if options.hold_orientation else FREE))
+        step = stack.step()
+        if step.plan is not None:
+            plans.append(step.plan)
+    n, links = scene.arm.n, len(scene.arm.contact_links)
+    reasons = {
+        "observer": stack.observer.monitor.stop_reason,
+        "controller": stack.controller.stop_reason or stack.controller.not_vouched,
+        "drive": stack.robot.stop_reason,
+    }
+    return EpisodeResult(
+        duration=duration,
+        settled=settled,
+        until_settled=options.until_settled,
+        start_position=start_position,
+        positions=np.reshape(positions, (-1, 3)),
+        joints=np.reshape(joints, (-1, n)),
+        link_forces=np.reshape(forces, (-1, links)),
+        external_torques=np.reshape(residuals, (-1, n)),
+        distances=np.array(distances),
+        stop_reason=stack.stop_reason,
+        failure=stack.failure,
+        plans=plans,
+        reasons={name: reason for name, reason in reasons.items() if reason},
+        refused=stack.refused,
+        end_speed=float(np.abs(plant.data.qvel[:n]).max()),
+        period=1.0 / options.rate,
+        command_times=np.array([time_ns / NANOSECONDS for time_ns, _ in stack.sent]),
+        commands=np.reshape([torque for _, torque in stack.sent], (-1, n)),
+    )

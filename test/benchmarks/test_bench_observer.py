@@ -1,0 +1,108 @@
+"""The observer bench reports what it measured."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from bench_command import bench
+
+from benchmarks import observer, observer_trials
+from benchmarks.free_motion import START, FreeMotion
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+
+
+def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(observer, "PUSHES", 6)
+    file = tmp_path / "observer.json"
+    assert bench(observer, "--minutes", "0.05", "--json", file) == 0
+    report = json.loads(file.read_text())
+    assert abs(report["step_63_error"]) < 0.05
+    assert 0.0 < report["free_rms_nm"]["max"] < 10.0
+    latency = report["detection_latency_ms"]
+    assert 1.0 <= latency["p50"] <= latency["p95"] <= latency["max"] <= 100.0
+    assert report["pushes"] == 6
+    assert report["missed_contacts"] <= 1
+    assert report["false_stops_per_hour"] == 0.0
+    # The higher the thresholds, the less is seen, rightly or falsely.
+    assert np.all(np.diff(report["roc"]["seen_share"]) <= 0.0)
+    assert report["roc"]["seen_share"][0] == 1.0
+    assert "6 pushes of 50 N at mid-arm" in capsys.readouterr().out
+
+
+def test_pushes_are_seen_from_commands_through_gears_with_ten_times_the_friction():
+    settings, mismatch = ObserverSettings(torque_source=COMMANDED), MismatchSettings(friction_scale=10.0)
+    arm, budget = load_arm(), ContactBudget()
+    pushes = observer_trials.push_often(arm, 60.0, 2, budget, mismatch=mismatch, settings=settings)
+    assert all(push.latency < 0.1 for push in pushes)
+    least = observer_trials.least_push(pushes, 60.0)
+    assert 5.0 < least["p50"] <= least["p95"] < 60.0
+    free = observer_trials.move_freely(arm, mismatch, 0.05, budget, settings=settings)
+    assert (free.stops, free.contacts) == ([], 0)
+
+
+@pytest.mark.parametrize("minutes", ["0", "-1", "nan", "inf"])
+def test_minutes_out_of_range_are_refused(minutes, capsys):
+    assert bench(observer, "--minutes", minutes) == 2
+    assert f"minutes = {minutes}: expected a number above 0" in capsys.readouterr().err
+
+
+def test_stop_in_free_motion_is_counted_and_named(monkeypatch):
+    # With thresholds below the noise the arm is stopped as soon as it is watched.
+    monkeypatch.setattr(observer_trials, "_EPISODE_S", 2.0)
+    budget = ContactBudget(torque_thresholds=(0.5,) * 7, torque_per_speed=(0.0,) * 7)
+    run = observer_trials.move_freely(load_arm(), MismatchSettings(), 0.02, budget)
+    assert len(run.stops) >= 1
+    assert "seed 0, 0.5" in run.stops[0]
+    assert "external torque on lbr_A2" in run.stops[0]
+
+
+def test_push_acts_through_the_axis_of_its_link_and_across():
+    motion = FreeMotion(load_arm(), NO_MISMATCH, 0, ContactBudget())
+    while motion.plant.time < START:
+        motion.tick()
+    apply, link = observer_trials.random_push(motion.plant, 50.0, np.random.default_rng(0))
+    apply()
+    plant = motion.plant
+    body = plant.model.body(link).id
+    force, moment = plant.data.xfrc_applied[body, :3], plant.data.xfrc_applied[body, 3:]
+    assert np.linalg.norm(force) == pytest.approx(50.0)
+    assert force @ moment == pytest.approx(0.0, abs=1e-9)
+    assert link in {"lbr_link_3", "lbr_link_4", "lbr_link_5"}
+
+
+def test_onsets_are_debounced_and_merged():
+    ratios = [0.0] * 10 + [3.0] + [0.0] * 10 + [3.0] * 5 + [0.0] * 10 + [3.0] * 5 + [0.0] * 100 + [3.0] * 5
+    counts = dict(zip(observer_trials.SCALES, observer_trials.count_onsets(ratios), strict=True))
+    assert all(counts[scale] == (2 if scale < 3.0 else 0) for scale in observer_trials.SCALES)
+
+
+def test_push_that_is_not_seen_is_missed():
+    unseen = observer_trials.Push(math.nan, False, None, np.zeros(100))
+    seen = observer_trials.Push(0.004, False, True, np.full(100, 2.0))
+    summary = observer._pushed([unseen, seen, seen])
+    assert summary["missed_contacts"] == 1
+    assert summary["detection_latency_ms"]["p50"] == pytest.approx(4.0)
+    assert summary["link_right_share"] == 1.0
+
+
+def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(observer, "PUSHES", 3)
+    file = tmp_path / "rates.json"
+    assert bench(observer, "--minutes", "0.02", "--rate", "100", "500", "--json", file) == 0
+    rates = json.loads(file.read_text())["rates"]
+    assert list(rates) == ["100", "500"]
+    for hertz, found in rates.items():
+        for case in (found, found["matching"]):
+            # Reported at a state, and at the second above the threshold at the earliest.
+            period_ms = 1000.0 / float(hertz)
+            assert 2 * period_ms <= case["detection_latency_ms"]["p50"] <= case["detection_latency_ms"]["p95"] <= 50.0
+            assert case["missed_contacts"] == case["false_stops_per_hour"] == 0
+
+
+def test_rates_that_cannot_be_simulated_are_refused(capsys):
+    assert bench(observer, "--rate", "300") == 2
+    assert "rate = 300 Hz: expected one of 100, 125, 200" in capsys.readouterr().err

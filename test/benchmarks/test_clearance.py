@@ -1,0 +1,121 @@
+"""Distances of the arm from obstacles, at postures and along motions."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.baselines.clearance import ClearanceChecker, levers
+from contact_reach_ros.errors import PlanningError
+from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.collision import nearest
+from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.rigid import Block, Plane
+from contact_reach_ros.world.spheres import Spheres
+
+LIMITS = np.array(ARM.upper)
+FAR = np.array([[3.0, 0.0, 0.0]])
+
+
+def spheres_at(centers: np.ndarray, radius: float = 0.05) -> Spheres:
+    ones = np.ones(len(centers))
+    return Spheres(centers, centers, radius * ones, 100 * ones, 30 * ones)
+
+
+def postures(seed: int, count: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-LIMITS, LIMITS, (count, ARM.n))
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
+def test_distances_are_those_of_the_planners_obstacle_reader(count):
+    spheres = spheres_at(np.array([[0.5, 0.2, 0.4], [0.3, -0.6, 0.7], [-0.2, 0.5, 0.1]]))
+    checker = ClearanceChecker(ARM, spheres, 0.0, 0.02, HOME)
+    q = postures(count, count)
+    expected = [clearances(ARM, posture, spheres).min() for posture in q]
+    np.testing.assert_allclose(checker.distances(q), expected, rtol=0, atol=1e-6)
+
+
+def test_postures_keep_clear_where_the_distance_is_the_clearance():
+    floor = Plane("floor", (0.0, 0.0, 0.05))
+    spheres = dataclasses.replace(spheres_at(np.array([[0.5, 0.2, 0.4]])), environment=(floor,))
+    checker = ClearanceChecker(ARM, spheres, 0.03, 0.02, np.zeros(ARM.n))
+    q = postures(0, 500)
+    distances = checker.distances(q)
+    rigid = np.array([pair.distance for pair in nearest(ARM, q, (floor,))])
+    decided = (np.abs(distances - 0.03) > 1e-5) & (np.abs(rigid - 0.01) > 1e-5)
+    expected = (distances >= 0.03) & (rigid >= 0.01)
+    assert (expected != (distances >= 0.03)).sum() > 5
+    np.testing.assert_array_equal(checker.free(q)[decided], expected[decided])
+
+
+def test_motion_through_a_table_is_found_without_any_spheres():
+    table = Block("table", (0.58, 0.3, 0.15), (0.1, 0.1, 0.3))
+    checker = ClearanceChecker(ARM, Spheres.none((table,)), 0.02, 0.02, HOME)
+    turned = HOME + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert checker.free(np.stack([HOME, turned])).all()
+    assert not checker.motion_free(HOME, turned)
+
+
+@given(st.integers(0, 2**31))
+def test_no_point_of_the_arm_moves_further_than_the_levers_say(seed):
+    random = np.random.default_rng(seed)
+    start = random.uniform(-LIMITS, LIMITS)
+    end = start + random.uniform(-0.3, 0.3, 7)
+    moved = np.subtract(capsule_segments(ARM, end), capsule_segments(ARM, start))
+    assert np.linalg.norm(moved, axis=-1).max() <= np.abs(end - start) @ levers(ARM) + 1e-9
+
+
+def test_motion_through_a_sphere_is_found_wherever_the_sphere_is():
+    """Small spheres along the way of the elbow: none may slip through between two checks."""
+    start, end = HOME - np.array([1.2, 0, 0, 0, 0, 0, 0]), HOME + np.array([1.2, 0, 0, 0, 0, 0, 0])
+    for share in np.linspace(0.1, 0.9, 23):
+        _, ends = capsule_segments(ARM, start + share * (end - start))
+        checker = ClearanceChecker(ARM, spheres_at(ends[2][None], 0.005), 0.0, 0.02, start)
+        assert not checker.motion_free(start, end)
+    assert ClearanceChecker(ARM, spheres_at(FAR), 0.0, 0.02, start).motion_free(start, end)
+
+
+def test_between_the_checks_of_a_free_motion_at_most_half_the_resolution_is_lost():
+    random = np.random.default_rng(1)
+    spheres = spheres_at(np.array([[0.45, 0.3, 0.5], [0.2, -0.5, 0.6]]))
+    checker = ClearanceChecker(ARM, spheres, 0.02, 0.02, HOME)
+    free = 0
+    for _ in range(200):
+        end = np.clip(HOME + random.uniform(-1, 1, 7), -LIMITS, LIMITS)
+        if checker.motion_free(HOME, end):
+            free += 1
+            fine = HOME + np.linspace(0, 1, 400)[:, None] * (end - HOME)
+            assert checker.distances(fine).min() >= 0.01 - 1e-6
+    assert 20 < free < 180
+
+
+def test_pair_that_is_near_at_the_start_may_stay_as_near_but_come_no_nearer():
+    _, ends = capsule_segments(ARM, HOME)
+    center = ends[2] + np.array([0.0, 0.08 + 0.05 + 0.005, 0.0])
+    checker = ClearanceChecker(ARM, spheres_at(center[None]), 0.02, 0.001, HOME)
+    distance = checker.distances(HOME[None])[0]
+    assert 0.0 < distance < 0.02
+    turned = np.array([0.05, 0, 0, 0, 0, 0, 0])
+    assert checker.motion_free(HOME, HOME - turned)
+    assert not checker.motion_free(HOME, HOME + turned)
+
+
+def test_start_in_contact_is_refused_with_the_depth():
+    _, ends = capsule_segments(ARM, HOME)
+    with pytest.raises(PlanningError, match=r"the arm is \d+\.\d mm deep in an obstacle .* withdraw"):
+        ClearanceChecker(ARM, spheres_at(ends[2][None]), 0.02, 0.02, HOME)
+
+
+def test_without_obstacles_everything_is_free():
+    checker = ClearanceChecker(ARM, Spheres.none(), 0.02, 0.02, HOME)
+    assert checker.free(postures(0, 3)).all()
+    assert checker.motion_free(-LIMITS, LIMITS)
+    assert np.isinf(checker.distances(postures(0, 3))).all()
+
+
+def test_of_no_postures_none_is_clear():
+    checker = ClearanceChecker(ARM, spheres_at(FAR), 0.02, 0.02, HOME)
+    assert len(checker.distances(np.zeros((0, ARM.n)))) == len(checker.free(np.zeros((0, ARM.n)))) == 0

@@ -1,0 +1,124 @@
+"""Random scenes: the same from the same seed, and what the report makes of their episodes."""
+
+import pytest
+from arm_simulation import ARM
+from test_claims import record
+from test_grid import TINY
+
+from benchmarks.clutter import Clutter, bench_clutter, clutter_table, summary
+from benchmarks.clutter_scenes import FIRST_HELD_OUT, MAX_BODIES, clutter_scene
+from benchmarks.grid_run import Running
+from benchmarks.pictures import plot_clutter
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.world.checks import conflict
+from contact_reach_ros.world.generate import make_scene
+
+
+def test_a_seed_fixes_the_scene_and_seeds_differ():
+    assert clutter_scene(ARM, 3) == clutter_scene(ARM, 3)
+    scenes = [clutter_scene(ARM, seed) for seed in range(12)]
+    counts = [len(scene.obstacles) for scene in scenes]
+    assert min(counts) >= 1
+    assert max(counts) <= MAX_BODIES
+    assert len(set(counts)) > 3
+    stiffness = [getattr(body, "stiffness", 0) or body.edge_stiffness for scene in scenes for body in scene.obstacles]
+    assert 50 <= min(stiffness) < 150 < 700 < max(stiffness) <= 2000
+
+
+def test_scenes_begin_free_of_contact_and_can_be_simulated():
+    for seed in range(4):
+        scene = make_scene(clutter_scene(ARM, seed), ARM, seed)
+        assert not conflict(scene)
+        plant = SimulatedRobot(scene).plant
+        plant.step()
+        assert plant.contact_forces().max() == 0.0
+
+
+def test_evaluation_seeds_are_the_default():
+    assert Clutter().seed == FIRST_HELD_OUT
+
+
+def entry(method, scene, force=None, time=None, entered=None):
+    figures = {"max_contact_force": force, "mean_contact_force": force, "contact_impulse": force, "time_ratio": time}
+    if time is not None:
+        figures["time"] = time
+    made = record(f"clutter_{scene}", method=method, target=scene, **figures)
+    return {**made, "entry_time": entered if entered is not None else time}
+
+
+EPISODES = [
+    # Only contact gets there.
+    entry("contact_reach", 0, 1.0, 3.0), entry("reference_posture", 0, 5.0, 3.0), entry("collision_free", 0),
+    # Everything does; the forces are equal, and the path is slower.
+    entry("contact_reach", 1, 0.0, 3.0), entry("reference_posture", 1, 0.05, 2.0), entry("collision_free", 1, 0.0, 9.0),
+    # The method is only first there.
+    entry("contact_reach", 2, 4.0, None, 2.0), entry("reference_posture", 2, 7.0), entry("collision_free", 2, 0.0, 6.0),
+]  # fmt: skip
+NAMES = ("contact_reach", "reference_posture", "collision_free")
+
+
+def test_the_summary_counts_what_settles_and_who_is_best():
+    found = summary(EPISODES, NAMES)
+    methods = found["methods"]
+    assert found["scenes"] == 3
+    assert methods["contact_reach"]["success"]["mean"] == 1.0
+    assert methods["contact_reach"]["settled"]["mean"] == pytest.approx(2 / 3)
+    assert [methods[name]["best"]["mean"] for name in NAMES] == pytest.approx([1 / 3] * 3)
+    assert methods["contact_reach"]["peak_force_N"]["mean"] == pytest.approx(5 / 3)
+    assert found["contact_needed"]["mean"] == pytest.approx(1 / 3)
+    low, high = found["contact_needed"]["ci95"]
+    assert 0.0 < low < 1 / 3 < high < 1.0
+
+
+def test_one_scene_alone_has_no_intervals_of_differences():
+    report = {**summary(EPISODES[:3], NAMES), "command": "python -m benchmarks.clutter --scenes 1"}
+    row = next(line for line in clutter_table(report).splitlines() if line.startswith("| collision_free"))
+    assert row.split("|")[-4:-1] == [" -100 % ", " – ", " – "]
+
+
+def test_forces_are_compared_where_both_settle():
+    found = summary(EPISODES, NAMES)["methods"]["reference_posture"]["against"]
+    assert found["peak_force_N"]["mean"] == pytest.approx((4.0 + 0.05) / 2)
+    assert found["time_s"]["mean"] == pytest.approx(-0.5)
+
+
+def test_settling_is_compared_in_every_scene():
+    found = summary(EPISODES, NAMES)["methods"]
+    for method in NAMES:
+        less = found[method]["settled"]["mean"] - found["contact_reach"]["settled"]["mean"]
+        assert found[method]["against"]["settled"]["mean"] == pytest.approx(less)
+
+
+def test_the_table_says_how_often_contact_was_needed():
+    text = clutter_table({"command": "python -m benchmarks.clutter", **summary(EPISODES, NAMES)})
+    assert "| **contact_reach** | 100 %" in text
+    assert "Collision-free planning fails and contact gets the arm there in 33 %" in text
+
+
+def test_the_table_is_drawn(tmp_path):
+    plot_clutter(summary(EPISODES, NAMES), tmp_path / "clutter.png")
+    assert (tmp_path / "clutter.png").stat().st_size > 10_000
+
+
+def test_a_tiny_run_has_the_whole_report(tmp_path, capsys):
+    """As CI can: two scenes with the methods that compile nothing large, through the command's own path."""
+    bench = Clutter(scenes=2, seed=4, methods=("reactive", "contact_rrt"))
+    file = tmp_path / "clutter.json"
+    report = bench_clutter(bench, Running(file, workers=1), TINY)
+    assert set(report["methods"]) == {"reactive", "contact_rrt"}
+    for found in report["methods"].values():
+        assert {"success", "settled", "time_ratio", "peak_force_N", "mean_force_N", "impulse_Ns"} <= set(found)
+        assert set(found["settled"]) == {"mean", "ci95"}
+    assert report["scenes"] == 2
+    assert "| reactive |" in capsys.readouterr().out
+    # Nothing is run again.
+    again = bench_clutter(bench, Running(file, workers=1), TINY)
+    assert again["episodes"] == report["episodes"]
+
+
+def test_what_cannot_be_run_is_refused():
+    with pytest.raises(SettingsError, match="--methods 'rrt' is unknown"):
+        Clutter(methods=("rrt",))
+    with pytest.raises(SettingsError, match="--scenes 0: expected at least 1"):
+        Clutter(scenes=0)

@@ -1,0 +1,141 @@
+"""The collision-free baseline in episodes: contact-free, within the method's bounds, planned once."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+from scipy.spatial.transform import Rotation
+
+from benchmarks.baselines.collision_free import CollisionFreePlanner
+from benchmarks.baselines.method import Method
+from benchmarks.baselines.rrt_star import PathSettings, find_path
+from benchmarks.episode import EpisodeOptions, run_episode
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
+
+SETTINGS = PlanningSettings()
+QUICK = PathSettings(searches=2, iterations=300, goal_samples=600)
+MS = 1_000_000
+
+
+GAINS = ImpedanceSettings()
+AHEAD = 0.5 * GAINS.reference_ramp
+"""References are from where the arm will be then, s."""
+
+
+def search(arm, q, goal, spheres, seed):
+    return find_path(arm, q, goal, spheres, QUICK, seed)
+
+
+def make_planner(seed: int = 0, gains: ImpedanceSettings = GAINS, search=search) -> CollisionFreePlanner:
+    planner = CollisionFreePlanner(ARM, SETTINGS, gains, search, seed)
+    planner.warm_up(lambda line: None)
+    return planner
+
+
+@pytest.fixture(scope="module", params=range(2))
+def ball_episode(request):
+    scene = make_scene(read_scene("ball"), ARM, request.param)
+    planner = make_planner(request.param)
+    return scene, planner, run_episode(scene, Method(planner, ControllerSettings()), EpisodeOptions())
+
+
+def test_goal_behind_a_ball_is_reached_without_any_contact(ball_episode):
+    _, _, result = ball_episode
+    assert result.reached
+    assert result.contact_forces.max() == 0.0
+
+
+def test_references_are_within_the_methods_bounds_of_where_the_arm_is_expected(ball_episode):
+    _, _, result = ball_episode
+    # The way until then at the speed that the bounds permit.
+    share = 1.0 + AHEAD * GAINS.task_stiffness / GAINS.task_damping
+    slack = AHEAD * np.array(ARM.velocity_limits)
+    for plan in result.plans:
+        for knot, q in enumerate(plan.predicted_q[:-1]):
+            rotations, origins = link_frames(ARM, q)
+            turn = Rotation.from_matrix(plan.rotations[knot] @ rotations[-1].T).as_rotvec()
+            assert np.abs(plan.positions[knot] - origins[-1]).max() <= share * SETTINGS.translation_bound
+            assert np.abs(turn).max() <= share * SETTINGS.rotation_bound
+            assert (np.abs(plan.postures[knot] - q) <= SETTINGS.posture_bound + slack).all()
+
+
+def test_the_bounds_are_made_use_of(ball_episode):
+    """Most of the way, one of them is reached: no other method could be led along this path any faster."""
+    _, _, result = ball_episode
+    leads = []
+    for plan in result.plans:
+        rotations, origins = link_frames(ARM, plan.predicted_q[0])
+        turn = Rotation.from_matrix(plan.rotations[0] @ rotations[-1].T).as_rotvec()
+        shares = [
+            np.abs(plan.positions[0] - origins[-1]).max() / SETTINGS.translation_bound,
+            np.abs(turn).max() / SETTINGS.rotation_bound,
+            (np.abs(plan.postures[0] - plan.predicted_q[0]) / (np.array(ARM.velocity_limits) / 8.8)).max(),
+        ]
+        leads.append(max(shares))
+    assert np.median(leads) > 0.95
+
+
+def test_references_stay_on_the_path_and_never_go_back(ball_episode):
+    _, planner, result = ball_episode
+    corners = planner.path.postures
+    fine = np.concatenate([a + np.linspace(0, 1, 500)[:, None] * (b - a) for a, b in pairwise(corners)])
+    places = []
+    for plan in result.plans:
+        away = np.linalg.norm(fine - plan.postures[0], axis=1)
+        assert away.min() < 0.01
+        places.append(away.argmin())
+    assert (np.diff(places) >= -1).all()
+    np.testing.assert_allclose(result.plans[-1].postures[-1], corners[-1], rtol=0, atol=1e-6)
+
+
+def test_arm_is_where_it_was_expected(ball_episode):
+    _, _, result = ball_episode
+    for plan in result.plans[1:]:
+        tick = plan.effect_ns // MS - 801
+        if tick < len(result.joints):
+            assert np.abs(result.joints[tick] - plan.predicted_q[0]).max() < 0.02
+
+
+class TestPlanning:
+    START = np.array(ARM.home)
+    GOAL = Target(link_frames(ARM, START)[1][-1] + np.array([0.0, 0.1, 0.0]), link_frames(ARM, START)[0][-1])
+
+    def plan(self, planner, q=START, state=0, goal=GOAL):
+        return planner.plan(Request(q, np.zeros(ARM.n), state * MS, (state + 40) * MS, goal, Spheres.none()))
+
+    def test_the_path_is_searched_once_for_each_goal_and_after_a_reset(self):
+        searches = []
+
+        def counted(*args):
+            searches.append(args)
+            return search(*args)
+
+        planner = make_planner(search=counted)
+        first = self.plan(planner)
+        self.plan(planner, first.predicted_q[0], 40)
+        assert len(searches) == 1
+        self.plan(planner, first.predicted_q[0], 80, Target(self.GOAL.position + 0.02, self.GOAL.rotation))
+        assert len(searches) == 2
+        planner.reset()
+        again = self.plan(planner)
+        assert len(searches) == 3
+        np.testing.assert_array_equal(again.postures, first.postures)
+
+    def test_arm_pushed_off_the_path_is_led_back_within_the_bounds(self):
+        planner = make_planner(gains=ImpedanceSettings(reference_ramp=0.0))
+        first = self.plan(planner)
+        away = first.predicted_q[0] + np.array([0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
+        plan = self.plan(planner, away, 40)
+        start = link_frames(ARM, plan.predicted_q[0])[1][-1]
+        lead = plan.positions[0] - start
+        assert np.abs(lead).max() == pytest.approx(SETTINGS.translation_bound)
+        assert lead @ (first.positions[0] - start) > 0.0

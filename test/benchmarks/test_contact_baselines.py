@@ -1,0 +1,62 @@
+"""The baselines that know of contact or of no plan: forces, paths below the permitted one, straight motion."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME
+
+from benchmarks.baselines.contact_rrt import PredictedForce, find_contact_path
+from benchmarks.baselines.reactive import ReactivePlanner
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import PlanningError
+from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
+
+ELBOW = link_frames(ARM, HOME)[1][3]
+FLANGE, ROTATION = link_frames(ARM, HOME)[1][-1], link_frames(ARM, HOME)[0][-1]
+
+
+def ball(center, stiffness=100.0, radius=0.1):
+    one = np.ones(1)
+    return Spheres(np.array([center]), np.array([center]), radius * one, stiffness * one, 30.0 * one)
+
+
+def test_the_force_is_that_of_two_springs_in_series():
+    spheres = ball(ELBOW, 100.0)
+    deeper = ball(ELBOW, 100.0, 0.11)
+    first, second = (PredictedForce(ARM, each, 1000.0)(HOME[None])[0] for each in (spheres, deeper))
+    assert second - first == pytest.approx(0.01 / (1 / 100 + 1 / 1000), rel=1e-3)
+    assert PredictedForce(ARM, ball(ELBOW + np.array([0.0, 0.0, 3.0])), 1000.0)(HOME[None])[0] == 0.0
+
+
+def test_no_path_presses_harder_than_permitted():
+    goal = Target(FLANGE + np.array([0.0, 0.15, -0.1]), ROTATION)
+    q = HOME.copy()
+    q[0] += 0.25
+    in_the_way = link_frames(ARM, q)[1][3] + np.array([0.0, 0.12, 0.0])
+    spheres = ball(in_the_way, 300.0)
+    path = find_contact_path(ARM, HOME, goal, spheres, 10.0, 1000.0, seed=1)
+    np.testing.assert_array_equal(path.postures[0], HOME)
+    np.testing.assert_allclose(link_frames(ARM, path.postures[-1])[1][-1], goal.position, atol=1e-3)
+    force = PredictedForce(ARM, spheres, 1000.0)
+    for start, end in zip(path.postures[:-1], path.postures[1:], strict=True):
+        assert force(start + np.linspace(0.0, 1.0, 30)[:, None] * (end - start)).max() <= 11.0
+    again = find_contact_path(ARM, HOME, goal, spheres, 10.0, 1000.0, seed=1)
+    np.testing.assert_array_equal(path.postures, again.postures)
+
+
+def test_a_goal_deep_in_something_hard_has_no_path():
+    goal = Target(FLANGE + np.array([0.0, 0.15, -0.1]), ROTATION)
+    with pytest.raises(PlanningError, match=r"no posture at the goal .* within 10 N"):
+        find_contact_path(ARM, HOME, goal, ball(goal.position, 5000.0), 10.0, 1000.0, seed=1)
+
+
+def test_without_a_planner_the_reference_leads_straight_to_the_goal_at_the_bounds():
+    settings = PlanningSettings()
+    planner = ReactivePlanner(ARM, settings)
+    goal = Target(FLANGE + np.array([0.3, -0.002, 0.0]), ROTATION)
+    plan = planner.plan(Request(HOME, np.zeros(7), 0, 40_000_000, goal, Spheres.none()))
+    np.testing.assert_allclose(plan.positions[0] - FLANGE, [settings.translation_bound, -0.002, 0.0], atol=1e-12)
+    np.testing.assert_allclose(plan.rotations[0], ROTATION, atol=1e-12)
+    np.testing.assert_array_equal(plan.postures[0], HOME)

@@ -1,0 +1,142 @@
+"""What an episode hands to the planner, and what it reports of the walls."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+from plans import make_plan
+
+from benchmarks.baselines.method import Method
+from benchmarks.episode import EpisodeOptions, run_episode
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.free_path import free_path
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import rest_positions
+
+
+class StraightPlanner:
+    """Leads the arm along its free path, whatever stands in the way, and keeps the spheres it was shown."""
+
+    def __init__(self, scene):
+        self.model = RobotModel(ARM)
+        self.path = free_path(self.model, scene.start, scene.target)
+        self.positions = np.array([self.model.tip_pose(q)[0] for q in self.path])
+        self.spheres = []
+        self.number = 0
+
+    def reset(self):
+        self.number = 0
+
+    def plan(self, request):
+        self.spheres.append(request.spheres)
+        self.number += 1
+        nearest = np.linalg.norm(self.positions - self.model.tip_pose(request.q)[0], axis=1).argmin()
+        knots = self.path[np.minimum(nearest + 6 * np.arange(1, 4), len(self.path) - 1)]
+        poses = [self.model.tip_pose(knot) for knot in knots]
+        positions, rotations = (np.array(parts) for parts in zip(*poses, strict=True))
+        return make_plan(positions, rotations, knots, number=self.number, effect_ns=request.effect_ns)
+
+
+@pytest.fixture(scope="module")
+def episode():
+    scene = make_scene(read_scene("wall"), ARM, 0)
+    planner = StraightPlanner(scene)
+    options = EpisodeOptions(period=0.1, settle=0.6, timeout=6.0)
+    return scene, planner, run_episode(scene, Method(planner, ControllerSettings()), options)
+
+
+def test_the_planner_sees_the_walls_give_way(episode):
+    scene, planner, _ = episode
+    first, last = planner.spheres[0], planner.spheres[-1]
+    np.testing.assert_allclose(first.center, rest_positions(scene), rtol=0, atol=1e-6)
+    moved = np.linalg.norm(last.center - last.rest, axis=1)
+    assert moved.max() > 0.01
+    fixed = np.concatenate([wall.fixed for wall in scene.obstacles])
+    assert not moved[fixed].any()
+    assert len(last.edges) == sum(len(wall.edges) for wall in scene.obstacles)
+
+
+def test_pushing_through_is_felt(episode):
+    _, _, result = episode
+    assert result.contact_forces.max() > 2.0
+    assert result.distances[-1] < 0.8 * result.distances[0]
+    assert not result.contact_forces[:100].any()
+
+
+def test_the_noise_has_a_seed_of_its_own(episode):
+    scene, _, _ = episode
+
+    def joints(noise_seed):
+        options = EpisodeOptions(period=0.1, settle=0.6, timeout=0.2, noise_seed=noise_seed)
+        result = run_episode(scene, Method(StraightPlanner(scene), ControllerSettings()), options)
+        return result.joints
+
+    # Without one it is the scene's, 0.
+    np.testing.assert_array_equal(joints(None), joints(0))
+    assert not np.array_equal(joints(0), joints(1))
+    np.testing.assert_allclose(joints(0), joints(1), atol=1e-2)
+
+
+def test_an_episode_until_rest_goes_on_until_the_tip_has_stayed_there_slowly():
+    scene = make_scene(read_scene("free"), ARM, 1)
+
+    def run(until_settled):
+        options = EpisodeOptions(settle=0.6, timeout=9.0, success=0.02, until_settled=until_settled)
+        return run_episode(scene, Method(StraightPlanner(scene), ControllerSettings()), options)
+
+    passing, resting = run(False), run(True)
+    assert passing.reached
+    assert np.isnan(passing.settled)
+    assert resting.reached
+    assert resting.duration == passing.duration == passing.time
+    assert resting.time == resting.settled > resting.duration + 0.2
+    last = resting.positions[-201:]
+    speeds = np.linalg.norm(np.diff(last, axis=0), axis=1) / 1e-3
+    assert speeds.max() <= 0.01
+    assert np.linalg.norm(last[1:] - scene.target, axis=1).max() <= 0.02
+    before = np.linalg.norm(resting.positions[-202] - resting.positions[-203]) / 1e-3
+    assert before > 0.01 or np.linalg.norm(resting.positions[-202] - scene.target) > 0.02
+
+
+def test_an_arm_that_stays_where_it_is_is_lost_and_one_that_moves_is_not():
+    scene = make_scene(read_scene("free"), ARM, 1)
+
+    def ticks(patience, goes):
+        planner = StraightPlanner(scene)
+        if not goes:
+            planner.path = planner.path[:1]
+        # Nothing is near enough to be a goal that is reached.
+        options = EpisodeOptions(settle=0.6, timeout=2.5, success=1e-6, patience=patience)
+        result = run_episode(scene, Method(planner, ControllerSettings()), options)
+        assert not result.reached
+        return len(result.positions)
+
+    assert ticks(0.5, goes=False) == pytest.approx(500, abs=2)
+    assert ticks(0.5, goes=True) == ticks(0.0, goes=False) == 2500
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("patience", [0.0, 0.5])
+def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):
+    """The goal is 3 cm inside a ball of foam that the weight of contact alone would not let the hand press."""
+    q = np.array(ARM.home)
+    position, rotation = RobotModel(ARM).tip_pose(q)
+    ahead = rotation[:, 2]
+    ball = BallSettings(radius=0.1, stiffness=150.0).at(position + 0.175 * ahead)
+    scene = Scene("foam", ARM, 0, q, position + 0.06 * ahead, obstacles=ball)
+    settings = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64, contact_patience=patience)
+    planner = RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), permitted_force=10.0, capacity=1)
+    result = run_episode(scene, Method(planner, ControllerSettings()), EpisodeOptions(timeout=4.0))
+    assert result.reached == (patience > 0.0)
+    assert not result.stop_reason
+    assert result.contact_forces.max() < 10.0
+    if patience:
+        assert result.contact_forces.max() > 2.0
+    else:
+        assert result.distances[-1] > 0.02

@@ -1,0 +1,98 @@
+"""Episodes of the grid: the same wherever and in whatever order they are run."""
+
+import dataclasses
+import itertools
+
+import pytest
+
+from benchmarks import grid
+from benchmarks.grid import (
+    DEADLINE_STEPS,
+    Cell,
+    EpisodeTask,
+    Setup,
+    cell_of,
+    episode_seeds,
+    run_cell,
+)
+from benchmarks.workers import run_each
+from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.world.files import read_scene
+
+TINY = Setup(
+    planning=PlanningSettings(
+        deadline=0.0, population=32, elite=8, line_search_points=8, horizon=1, substeps=2, max_steps=3
+    ),
+    timeout=0.6,
+)
+
+
+def tasks(method="cma_es", targets=1, repeats=2, setup=TINY):
+    scene = read_scene("free")
+    every = itertools.product(["hold", "free"], range(targets), range(repeats))
+    return [EpisodeTask(Cell("free", goal, method, *seeds), scene, 0.05, setup) for goal, *seeds in every]
+
+
+def figures(record):
+    return {key: value for key, value in record.items() if key != "timing"}
+
+
+@pytest.fixture(scope="module")
+def here():
+    """Records of `tasks()`, run in this process."""
+    return [run_cell(task) for task in tasks()]
+
+
+@pytest.mark.slow
+def test_other_processes_and_another_order_give_the_same_to_the_last_bit(here):
+    found = {cell_of(record): record for record in run_each(run_cell, tasks()[::-1], 2)}
+    assert [figures(found[task.cell]) for task in tasks()] == [figures(record) for record in here]
+    assert {record["failure"] for record in here} == {""}
+
+
+@pytest.mark.slow
+def test_repeats_differ_in_random_numbers_and_not_in_the_target(here):
+    first, second = here[:2]
+    assert (first["repeat"], second["repeat"]) == (0, 1)
+    assert first["end_error"] != second["end_error"]
+    assert first["end_error"] == pytest.approx(second["end_error"], abs=5e-3)
+    assert first["time_ratio"] is None
+
+
+def test_seeds_of_solver_and_noise_depend_on_target_and_repeat():
+    seeds = [episode_seeds(target, repeat) for target in range(5) for repeat in range(5)]
+    for column in zip(*seeds, strict=True):
+        assert len(set(column)) == 25
+    solver = [solver for solver, _ in seeds]
+    assert max(solver) < 2**24
+    assert seeds[0] == episode_seeds(0, 0)
+
+
+def test_an_error_is_a_failed_episode_with_its_message():
+    task = tasks()[0]
+    strange = dataclasses.replace(task, cell=dataclasses.replace(task.cell, method="rrt"))
+    record = run_cell(strange)
+    assert not record["reached"]
+    assert record["failure"].startswith("SettingsError: method 'rrt' is unknown")
+    assert cell_of(record) == strange.cell
+
+
+def test_a_method_is_prepared_once(here, monkeypatch):
+    def again(*arguments):
+        raise AssertionError("made again")
+
+    monkeypatch.setattr(grid, "make_method", again)
+    assert [figures(run_cell(task)) for task in tasks()[:1]] == [figures(here[0])]
+
+
+def test_a_preset_is_run_without_the_wall_clock_and_with_the_time_of_its_plans():
+    shipped, paper = (Setup.of(name, ContactBudget()) for name in ("shipped", "paper_hinge"))
+    assert (shipped.planning.deadline, shipped.planning.max_steps) == (0.0, DEADLINE_STEPS)
+    assert (paper.planning.deadline, paper.planning.max_steps) == (0.0, 100)
+    assert (shipped.latency("contact_reach"), paper.latency("contact_reach")) == (0.04, 0.47)
+    # What plans nothing on the way answers at once.
+    assert paper.latency("collision_free") == paper.latency("reactive") == 0.04
+    ours = paper.options("contact_reach", "hold", 0.47)
+    assert (ours.period, ours.timeout, ours.until_settled) == (0.47, 60.0, True)
+    assert paper.options("collision_free", "hold", 0.04).period == 0.03

@@ -1,0 +1,209 @@
+"""Planning joint torques, and applying them without any control law."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from arm_simulation import ARM, HOME, ideal_plant
+
+from benchmarks.baselines.joint_torque import (
+    HeldTorque,
+    TorqueController,
+    TorquePlan,
+    TorquePlanner,
+    torque_bounds,
+    torque_step,
+)
+from benchmarks.baselines.method import Method
+from benchmarks.episode import EpisodeOptions, run_episode
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.constants import stop_damping
+from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.objectives import make_objective
+from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.prediction import pieces_between, reference_at
+from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.simulation.drive import WatchdogSettings
+from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import Spheres
+
+pytestmark = pytest.mark.slow
+
+SETTINGS = PlanningSettings(deadline=0.0, population=48, elite=12, line_search_points=32, horizon=2, max_steps=6)
+GAINS, CONTROLLER = ImpedanceSettings(), ControllerSettings()
+REST = np.zeros(ARM.n)
+MS = 1_000_000
+ROTATIONS, ORIGINS = link_frames(ARM, HOME)
+GOAL = Target(ORIGINS[-1] + np.array([0.02, 0.06, -0.03]), ROTATIONS[-1])
+LIMITS = np.array(ARM.torque_limits)
+DAMPING = stop_damping(ARM, CONTROLLER.supervision)
+
+
+@pytest.fixture(scope="module")
+def warm_planner() -> RecedingHorizonPlanner:
+    planner = TorquePlanner(ARM, SETTINGS, GAINS, 10.0, 0, DAMPING)
+    planner.warm_up(lambda line: None)
+    return planner
+
+
+@pytest.fixture
+def planner(warm_planner) -> RecedingHorizonPlanner:
+    warm_planner.reset()
+    return warm_planner
+
+
+def torque_at(controller, q, v, now_ns):
+    return controller.tick(q, v, now_ns, now_ns)
+
+
+def plan_from(planner, q=HOME, v=REST, state=0, effect=0) -> TorquePlan:
+    return planner.plan(Request(q, v, state * MS, effect * MS, GOAL, Spheres.none()))
+
+
+def test_torques_are_within_the_bounds_and_one_for_each_step(planner):
+    plan = plan_from(planner)
+    assert plan.torques.shape == (SETTINGS.horizon * SETTINGS.substeps, ARM.n)
+    bounds = torque_bounds(ARM, SETTINGS, GAINS, np.array(ARM.home))
+    assert (np.abs(plan.torques) <= bounds + 1e-4).all()
+    assert (bounds <= LIMITS).all()
+    distances = np.linalg.norm(plan.predicted_positions - GOAL.position, axis=1)
+    assert distances[-1] < distances[0] - 0.01
+
+
+def test_each_torque_holds_for_its_part_of_the_plan(planner):
+    plan = plan_from(planner, effect=40)
+    assert reference_at([plan], 40 * MS) is None
+    for index, torque in enumerate(plan.torques):
+        for instant in (40 * MS + index * 25 * MS + 1, 40 * MS + (index + 1) * 25 * MS):
+            np.testing.assert_array_equal(plan.in_force(instant).torque, torque)
+    assert plan.in_force((40 + 200) * MS + 1) is None
+    assert plan.changes_ns[0] == plan.effect_ns and plan.changes_ns[-1] == plan.effect_ns + 200 * MS
+
+
+def test_plan_starts_from_the_state_predicted_under_the_torques_in_force(planner):
+    first = plan_from(planner)
+    second = plan_from(planner, HOME, REST, 0, 100)
+    np.testing.assert_allclose(second.predicted_q[0], first.predicted_q[1], rtol=0, atol=1e-5)
+    planner.reset()
+    np.testing.assert_allclose(plan_from(planner, HOME, REST, 0, 100).predicted_q[0], HOME, rtol=0, atol=1e-5)
+
+
+def test_where_the_plan_has_run_out_the_joints_are_damped(planner):
+    plan = plan_from(planner)
+    hold = HeldTorque(REST, DAMPING)
+    pieces = pieces_between([plan], hold, 190 * MS, 240 * MS, 0.025)
+    assert [piece.held is hold for piece in pieces] == [False, True, True]
+    v = np.array([0.3, -0.2, 0.1, 0.2, 0.5, -0.5, 0.8])
+    system = make_objective(ARM, SETTINGS, GAINS).system
+    state = pipeline.init(system, single(HOME[:, None]), single(v[:, None]))
+    damped = torque_step(system, state, jax.tree.map(lambda values: single(values[:, None]), hold))
+    speeds = np.asarray(damped.qd)[:, 0]
+    model = RobotModel(ARM)
+    model.update(HOME, v)
+    assert speeds @ model.mass_matrix @ speeds < v @ model.mass_matrix @ v
+    assert np.abs(speeds).max() < np.abs(v).max()
+
+
+def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
+    plant = ideal_plant()
+    plant.set_actuation(Actuation.COMMANDED)
+    torque = np.array([4.0, -6.0, 3.0, 5.0, 0.4, -0.3, 0.2])
+    system = make_objective(ARM, PlanningSettings(), GAINS).system
+    state = pipeline.init(system, single(HOME[:, None]), single(REST[:, None]))
+    for _ in range(4):
+        state = torque_step(system, state, HeldTorque(single(torque[:, None]), None))
+    model = RobotModel(ARM)
+    for _ in range(100):
+        reading = plant.read()
+        model.update(reading.position, reading.velocity)
+        plant.step(model.bias + torque)
+    moved = plant.read().position - HOME
+    assert np.abs(moved).max() > 0.01
+    np.testing.assert_allclose(np.asarray(state.q)[:, 0] - HOME, moved, rtol=0.03, atol=1e-3)
+
+
+def test_standing_still_stops_a_moving_arm(warm_planner):
+    v = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.2, 0.3])
+    space = warm_planner._space
+    problem = Problem(
+        single(HOME[:, None]),
+        single(v[:, None]),
+        None,
+        single(GOAL.position[:, None]),
+        single(GOAL.rotation[:, :, None]),
+        term_weights(SETTINGS),
+        10.0,
+        SETTINGS.joint_limit_margin,
+    )
+    still = warm_planner._still(problem)
+    points = single(np.stack([still, np.zeros_like(still)], axis=1))
+    rollout = jax.jit(lambda points: space.objective.roll_out(problem, space.actions(points, problem)))(points)
+    stopped, coasting = np.moveaxis(np.asarray(rollout.q), 2, 0)
+    assert np.abs(stopped[-1] - stopped[1]).max() < 0.2 * np.abs(coasting[-1] - coasting[1]).max()
+
+
+class TestController:
+    @pytest.fixture
+    def controller(self) -> TorqueController:
+        controller = TorqueController(ARM, CONTROLLER)
+        controller.start(HOME, REST, 0)
+        return controller
+
+    def test_planned_torque_and_bias_once_the_plan_is_in_force_and_damping_after_it(self, controller, planner):
+        model = RobotModel(ARM)
+        v = np.full(ARM.n, 0.05)
+        model.update(HOME, v)
+        held = torque_at(controller, HOME, REST, 0)
+        plan = plan_from(planner, effect=10)
+        controller.follow(plan.references())
+        np.testing.assert_allclose(torque_at(controller, HOME, REST, 9 * MS), held, rtol=0, atol=0.5)
+        for now, torque in ((10, plan.torques[0]), (35, plan.torques[1]), (210, -DAMPING * v)):
+            np.testing.assert_allclose(torque_at(controller, HOME, v, now * MS), model.bias + torque, rtol=0, atol=1e-9)
+
+    def test_a_new_plan_takes_over_when_it_takes_effect(self, controller, planner):
+        model = RobotModel(ARM)
+        model.update(HOME, REST)
+        first, second = plan_from(planner), plan_from(planner, effect=60)
+        controller.follow(first.references())
+        controller.follow(second.references())
+        for now, torque in ((59, first.torques[2]), (60, second.torques[0])):
+            np.testing.assert_allclose(
+                torque_at(controller, HOME, REST, now * MS), model.bias + torque, rtol=0, atol=1e-9
+            )
+
+    def test_torques_are_capped_at_the_data_sheets_limits(self, controller, planner):
+        plan = plan_from(planner)
+        controller.follow(dataclasses.replace(plan, torques=np.full_like(plan.torques, 1e4)).references())
+        np.testing.assert_array_equal(torque_at(controller, HOME, REST, MS), LIMITS)
+
+    def test_observer_stops_the_arm(self, controller, planner):
+        controller.follow(plan_from(planner).references())
+        controller.hear(Verdict("lbr_A4: too much"), MS)
+        assert controller.stop_reason == "lbr_A4: too much"
+        v = np.full(ARM.n, 0.05)
+        for tick in range(2, 400):
+            torque = torque_at(controller, HOME, v, tick * MS)
+        model = RobotModel(ARM)
+        model.update(HOME, v)
+        np.testing.assert_allclose(torque, model.bias - DAMPING * v, rtol=0, atol=1e-6)
+
+
+def test_an_episode_gets_nearer_to_its_goal(planner):
+    scene = Scene("free", ARM, 0, HOME, GOAL.position)
+    method = Method(planner, CONTROLLER, TorqueController)
+    # No law keeps the joints within the speed that the drive permits.
+    options = EpisodeOptions(settle=0.6, timeout=1.0, watchdog=WatchdogSettings(speed_share=0.0))
+    result = run_episode(scene, method, options)
+    assert not result.stop_reason and not result.failure
+    assert result.distances.min() < 0.5 * result.distances[0]

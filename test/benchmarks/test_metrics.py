@@ -1,0 +1,103 @@
+"""Figures of episodes whose motion is known in closed form."""
+
+import numpy as np
+import pytest
+
+from benchmarks.episode_result import EpisodeResult
+from benchmarks.metrics import measure
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.settings import PlanningSettings
+
+START = np.array([0.4, 0.0, 0.5])
+TARGET = START + np.array([0.12, 0.0, 0.16])
+TIMES = 0.001 * np.arange(1, 2001)
+
+
+def episode(positions, **changes):
+    """An episode along these positions, in which nothing else happens."""
+    count = len(positions)
+    values = {
+        "duration": 0.001 * count,
+        "start_position": START,
+        "positions": positions,
+        "joints": np.zeros((count, 7)),
+        "link_forces": np.zeros((count, 6)),
+        "external_torques": np.zeros((count, 7)),
+        "distances": np.full(count, 0.009),
+        "stop_reason": "",
+        "failure": "",
+        "plans": [],
+    }
+    return EpisodeResult(**{**values, **changes})
+
+
+def straight(count=2000, speed=0.1):
+    return START + speed * TIMES[:count, None] * np.array([0.6, 0.0, 0.8])
+
+
+def test_a_straight_motion_is_as_long_as_its_displacement():
+    metrics = measure(episode(straight()), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
+    assert metrics.path_length == pytest.approx(0.2)
+    assert metrics.path_ratio == pytest.approx(1.0)
+    assert metrics.reached
+    assert metrics.time == pytest.approx(2.0)
+    # The slowest axis decides: 0.16 m at 0.088 m/s.
+    assert metrics.time_ratio == pytest.approx(2.0 / (0.16 / 0.088))
+    assert metrics.end_error == 0.009
+    assert metrics.end_speed == pytest.approx(0.1)
+
+
+def test_half_a_circle_is_longer_than_its_diameter():
+    angle = np.pi * TIMES / TIMES[-1]
+    circle = START + 0.1 * np.stack([1.0 - np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    metrics = measure(episode(circle), circle[-1], PlanningSettings(), ImpedanceSettings(), 10.0)
+    assert metrics.path_ratio == pytest.approx(np.pi / 2, rel=1e-4)
+
+
+def test_forces_torques_and_impulse():
+    forces, torques = np.zeros((2000, 6)), np.zeros((2000, 7))
+    forces[100:600, 2], forces[100:600, 3] = 12.0, 4.0
+    forces[700:900, 5] = 5.0
+    torques[50, 4], torques[60, 1] = -7.5, 3.0
+    metrics = measure(
+        episode(straight(), link_forces=forces, external_torques=torques),
+        TARGET,
+        PlanningSettings(),
+        ImpedanceSettings(),
+        10.0,
+    )
+    assert metrics.max_contact_force == 12.0
+    assert metrics.contact_impulse == pytest.approx(12.0 * 0.5 + 5.0 * 0.2)
+    assert metrics.over_budget == pytest.approx(0.5)
+    assert metrics.max_external_torque == 7.5
+
+
+def test_what_was_stopped_or_out_of_time_has_no_time():
+    stopped = measure(
+        episode(straight(), stop_reason="external torque on A2"), START, PlanningSettings(), ImpedanceSettings(), 10.0
+    )
+    late = measure(episode(straight(), duration=float("nan")), START, PlanningSettings(), ImpedanceSettings(), 10.0)
+    for metrics in (stopped, late):
+        assert not metrics.reached
+        assert metrics.time is metrics.time_ratio is metrics.path_ratio is None
+    assert stopped.stop_reason == "external torque on A2"
+
+
+def test_without_a_first_plan_there_is_nothing_to_measure():
+    empty = episode(np.zeros((0, 3)), duration=float("nan"), failure="no path")
+    metrics = measure(empty, TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
+    assert (metrics.failure, metrics.end_error, metrics.end_speed) == ("no path", None, None)
+    assert metrics.path_length == 0.0
+    assert metrics.max_contact_force == metrics.max_external_torque == 0.0
+
+
+def test_a_goal_that_asks_for_rest_is_reached_when_the_tip_has_settled():
+    passing = measure(episode(straight(), until_settled=True), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
+    assert not passing.reached
+    assert passing.time is None
+    assert passing.entry_time == pytest.approx(2.0)
+    settled = measure(
+        episode(straight(), until_settled=True, settled=2.4), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0
+    )
+    assert settled.reached
+    assert (settled.time, settled.entry_time) == (2.4, pytest.approx(2.0))

@@ -1,0 +1,121 @@
+"""Collision-free paths: found where there are any, and not where there are none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+
+from benchmarks.baselines.clearance import ClearanceChecker
+from benchmarks.baselines.rrt_star import PathSettings, find_path, goal_postures
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import PlanningError
+from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
+
+QUICK = PathSettings(searches=2, iterations=300, goal_samples=600)
+
+
+def problem_of(scene: Scene) -> tuple[np.ndarray, Target, Spheres]:
+    """Start, goal with the start's orientation held, and obstacles at rest."""
+    rotations, _ = link_frames(ARM, scene.start)
+    return scene.start, Target(scene.target, rotations[-1]), obstacle_spheres(scene, rest_positions(scene))
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_path_around_a_ball_keeps_clear_and_ends_at_the_goal(seed):
+    start, goal, spheres = problem_of(make_scene(read_scene("ball"), ARM, seed))
+    path = find_path(ARM, start, goal, spheres, QUICK, seed)
+    np.testing.assert_allclose(path.postures[0], start, rtol=0, atol=1e-6)
+    rotations, origins = link_frames(ARM, path.postures[-1])
+    np.testing.assert_allclose(origins[-1], goal.position, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(rotations[-1], goal.rotation, rtol=0, atol=2e-3)
+    limits = np.array(ARM.upper) - QUICK.joint_margin
+    checker = ClearanceChecker(ARM, spheres, 0.0, 0.02, start)
+    nearest = min(checker.distances(start[None])[0], QUICK.clearance) - 0.5 * QUICK.resolution
+    for a, b in zip(path.postures[:-1], path.postures[1:], strict=True):
+        fine = a + np.linspace(0, 1, 200)[:, None] * (b - a)
+        assert (np.abs(fine) <= limits + 1e-9).all()
+        assert checker.distances(fine).min() >= nearest - 1e-5
+    assert path.length <= path.raw_length + 1e-9
+    assert path.length >= np.linalg.norm(path.postures[-1] - path.postures[0]) - 1e-9
+
+
+def test_same_seed_same_path_and_another_seed_another_one():
+    problem = problem_of(make_scene(read_scene("ball"), ARM, 2))
+    first, again, other = (find_path(ARM, *problem, QUICK, seed).postures for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_without_obstacles_the_path_is_straight_to_the_nearest_goal():
+    start, goal, _ = problem_of(make_scene(read_scene("free"), ARM, 0))
+    path = find_path(ARM, start, goal, Spheres.none(), QUICK, 0)
+    assert path.length == pytest.approx(np.linalg.norm(path.postures[-1] - start), abs=1e-6)
+    assert path.length < 1.5
+
+
+@pytest.mark.parametrize(("seed", "orientation"), [(0, "held"), (1, "free"), (2, "free"), (3, "held")])
+def test_wall_scene_has_no_collision_free_path_and_without_walls_it_has(seed, orientation):
+    """With no clearance asked for at all: among thousands of postures at the goal none is free, or none is reached."""
+    start, goal, spheres = problem_of(make_scene(read_scene("wall"), ARM, seed))
+    if orientation == "free":
+        goal = Target(goal.position)
+    thorough = PathSettings(clearance=0.0, goal_samples=3000, searches=3, iterations=2000)
+    with pytest.raises(PlanningError, match=r"no collision-free (posture|path)"):
+        find_path(ARM, start, goal, spheres, thorough, seed)
+    assert find_path(ARM, start, goal, Spheres.none(), QUICK, seed).length > 0.0
+
+
+def test_walls_with_a_wide_gap_leave_a_path():
+    """The same search does not give up on two walls as such: here they stand further apart by 0.3 m each."""
+    scene = make_scene(read_scene("wall"), ARM, 0)
+    start, goal, spheres = problem_of(scene)
+    lower = np.arange(len(spheres)) < len(scene.obstacles[0].rest)
+    apart = spheres.center + np.where(lower, -0.3, 0.3)[:, None] * (0, 0, 1)
+    path = find_path(ARM, start, goal, dataclasses.replace(spheres, center=apart, rest=apart), QUICK, 0)
+    assert path.goals > 0
+
+
+def test_goals_without_a_path_to_them_are_told_apart_from_goals_that_do_not_exist():
+    """Two iterations are too few to get around the ball."""
+    problem = problem_of(make_scene(read_scene("ball"), ARM, 5))
+    with pytest.raises(PlanningError, match=r"no collision-free path to any of \d+ goal postures after 4 iterations"):
+        find_path(ARM, *problem, dataclasses.replace(QUICK, iterations=2), 0)
+
+
+def test_nearest_goals_come_first_and_no_more_than_asked_for():
+    start, goal, _ = problem_of(make_scene(read_scene("free"), ARM, 0))
+    checker = ClearanceChecker(ARM, Spheres.none(), 0.0, 0.02, start)
+    every = goal_postures(start, goal, checker, dataclasses.replace(QUICK, max_goals=10_000), np.random.default_rng(0))
+    few = goal_postures(start, goal, checker, dataclasses.replace(QUICK, max_goals=8), np.random.default_rng(0))
+    assert len(few) == 8
+    distances = np.sort(np.linalg.norm(every - start, axis=1))
+    np.testing.assert_allclose(np.linalg.norm(few[:4] - start, axis=1), distances[:4])
+
+
+def test_start_at_a_joint_limit_is_refused():
+    start, goal, _ = problem_of(make_scene(read_scene("free"), ARM, 0))
+    start = start.copy()
+    start[3] = -ARM.upper[3]
+    with pytest.raises(PlanningError, match=r"at least 0\.15 rad from its limits"):
+        find_path(ARM, start, goal, Spheres.none(), QUICK, 0)
+
+
+def test_missing_ompl_is_named_with_what_to_install(monkeypatch):
+    import builtins
+
+    real = builtins.__import__
+
+    def without_ompl(name, *args, **kwargs):
+        if name.split(".")[0] == "ompl":
+            raise ImportError("No module named 'ompl'")
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without_ompl)
+    problem = problem_of(make_scene(read_scene("free"), ARM, 0))
+    with pytest.raises(PlanningError, match=r"pip install .*\[baselines\]"):
+        find_path(ARM, *problem, QUICK, 0)

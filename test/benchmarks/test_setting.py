@@ -1,0 +1,75 @@
+"""Episodes for each value of a setting."""
+
+import json
+
+import pytest
+from bench_command import bench
+
+from benchmarks import setting
+from benchmarks.setting import Sweep, best
+
+
+def run(*arguments: str) -> int:
+    return bench(setting, *arguments)
+
+
+@pytest.mark.slow
+def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
+    """x_d is latched with every plan, so fewer plans move it less far; ratios are those of settling at the goal."""
+    file = tmp_path / "report.json"
+    assert run("latency", "0.04", "0.1", "--scenes", "free", "--targets", "1", "--json", str(file)) == 0
+    fast, slow = json.loads(file.read_text())["scenes"]["free"]
+    assert (fast["value"], slow["value"]) == (0.04, 0.1)
+    assert fast["reached"] == slow["reached"] == 1
+    assert 1.0 < fast["time_ratio"]["mean"] < 0.9 * slow["time_ratio"]["mean"]
+    assert fast["largest_force"]["mean"] == 0.0
+    assert "| free | contact_reach | 0.04 | 1/1 |" in capsys.readouterr().out
+
+
+def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value():
+    sweep = Sweep("latency", (0.04, 0.1), ("free",), targets=2)
+    cells = sweep.cells
+    assert [(cell.target, cell.repeat, cell.variant) for cell in cells] == [
+        (0, 0, "0.04"), (0, 0, "0.1"), (1, 0, "0.04"), (1, 0, "0.1"),
+    ]  # fmt: skip
+    assert [setup.latency("contact_reach") for setup in sweep.variants.values()] == [0.04, 0.1]
+
+
+def test_gains_reach_the_controller():
+    sweep = Sweep("null_stiffness", (10.0, 60.0), others=("max_steps=2",))
+    gains = [setup.controller.impedance.null_stiffness for setup in sweep.variants.values()]
+    assert gains == [10.0, 60.0]
+    assert {setup.planning.max_steps for setup in sweep.variants.values()} == {2}
+
+
+def row(value, reached, ratio, force):
+    return {
+        "value": value,
+        "targets": 4,
+        "reached": reached,
+        "time_ratio": {"mean": ratio},
+        "largest_force": {"mean": force},
+    }
+
+
+def test_the_best_value_presses_least_among_those_that_are_sure_and_quick():
+    rows = [row(0, 4, 1.1, 8.0), row(0.01, 4, 1.2, 1.2), row(0.05, 4, 1.9, 1.0), row(5, 0, float("nan"), 0.0)]
+    assert best(rows) == 0.01
+    assert best(rows[3:]) is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["contact_wieght", "1"], "contact_wieght"),
+        (["population", "2"], "population"),
+        (["max_steps", "many"], "max_steps"),
+        (["null_stiffness", "1000"], "null_stiffness"),
+        (["max_steps", "1", "--others", "population"], "expected NAME=VALUE"),
+        (["max_steps", "1", "--others", "populatoin=3"], "populatoin"),
+        (["max_steps", "1", "--arm", "kuka"], "kuka"),
+    ],
+)
+def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):
+    assert run(*arguments) == 2
+    assert message in capsys.readouterr().err

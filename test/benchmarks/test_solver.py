@@ -1,0 +1,59 @@
+"""The solver benchmark compares solvers on the same states."""
+
+import json
+
+import numpy as np
+import pytest
+from bench_command import bench
+
+from benchmarks import solver
+from benchmarks.solver import LABELS, bench_solver, excess
+from benchmarks.solver_steps import PRESETS, bench_solver_steps
+from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver import SOLVERS
+
+SMALL = PlanningSettings(population=16, elite=4, line_search_points=16, horizon=1, substeps=2, gradient_steps=2)
+
+
+@pytest.fixture(scope="module")
+def race(tmp_path_factory) -> dict:
+    folder = tmp_path_factory.mktemp("bench")
+    bench_solver(["free"], 4, 0.03, plot=folder / "race.png", file=folder / "report.json", settings=SMALL)
+    assert (folder / "race.png").stat().st_size > 10_000
+    return json.loads((folder / "report.json").read_text())["free"]
+
+
+@pytest.mark.slow
+def test_every_solver_lowers_the_cost_and_a_warm_start_is_a_lead(race):
+    for name in LABELS:
+        curves = {start: [entry["mean"] for entry in race[start][name]["curve"]] for start in ("cold", "warm")}
+        for curve in curves.values():
+            assert curve == sorted(curve, reverse=True) and curve[-1] >= 0.0
+        assert curves["cold"][-1] < curves["cold"][0]
+        assert curves["warm"][0] < curves["cold"][0]
+
+
+def test_a_step_counts_once_it_has_ended():
+    found = excess([np.array([3.0, 2.0, 1.5])], [1.0], 0.01, [0.0, 0.009, 0.01, 0.02, 0.5])
+    assert found.tolist() == [[2.0, 2.0, 1.0, 0.5, 0.5]]
+
+
+@pytest.mark.slow
+def test_ten_steps_of_every_solver_lower_the_cost(capsys):
+    found = bench_solver_steps(["free"], 4, settings=SMALL)["free"]
+    assert (found["states"], found["states_with_contact"]) == (4, 0)
+    for configuration in PRESETS:
+        for name in SOLVERS:
+            entry = found[configuration][name]
+            low, high = entry["ci95"]
+            assert 0.0 < low <= entry["mean"] <= high
+        assert found[configuration]["hybrid"]["share"]["mean"] == 1.0
+    assert capsys.readouterr().out.count("| free |") == len(PRESETS) * len(SOLVERS)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"), [("--states", "1", "at least 2"), ("--seconds", "0", "0.001 to 60")]
+)
+def test_too_little_is_refused(capsys, option, value, says):
+    assert bench(solver, option, value) == 2
+    assert says in capsys.readouterr().err
