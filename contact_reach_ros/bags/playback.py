@@ -162,20 +162,10 @@ class Playback:
         return self._position_ns + int((time.monotonic_ns() - self._anchor_ns) * self._rate)
 
 
-def read_ahead(
-    messages: Iterable[RawMessage], prepare: Callable[[], None] = lambda: None
-) -> Generator[RawMessage, None, None]:
-    """Read messages in another thread, some time before they are requested.
-
-    Parameters
-    ----------
-    messages :
-        To be read.
-    prepare :
-        Called in that thread when it starts.
-    """
+def read_ahead(messages: Iterable[RawMessage]) -> Generator[RawMessage, None, None]:
+    """Read messages in another thread, some time before they are requested."""
     remaining = iter(messages)
-    reader = ThreadPoolExecutor(1, "reader", prepare)
+    reader = ThreadPoolExecutor(1, "reader")
 
     def read_block() -> list[RawMessage]:
         return list(islice(remaining, _BLOCK))
