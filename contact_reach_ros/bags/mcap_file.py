@@ -172,30 +172,21 @@ class McapFile:
         return True
 
     def _scan(self) -> None:
-        """Read the file from its beginning to its end, or to where it is cut."""
+        """Go through the file to its end, or to where it is cut."""
         start = end = len(MCAP0_MAGIC)
-        read: list[McapRecord] = []
         with self.path.open("rb") as stream:
             try:
                 for record in self._records(stream):
-                    try:
-                        read += _unpacked(record)
-                        end = stream.tell()
-                    except _DAMAGE:
-                        if stream.tell() >= self._size:
-                            # Nothing follows: this is where the file is cut.
-                            raise
-                        self._damaged.add(end)
-                        self._add_part(start, end, read)
-                        start, end, read = stream.tell(), stream.tell(), []
+                    end = stream.tell()
                     if isinstance(record, Chunk) or end - start > _PART_BYTES:
-                        self._add_part(start, end, read)
-                        start, read = end, []
+                        self._add_part(start, end)
+                        start = end
             except _DAMAGE:
                 self._cut_at = end
-        self._add_part(start, end, read)
+        self._add_part(start, end)
 
-    def _add_part(self, start: int, end: int, records: Sequence[McapRecord]) -> None:
+    def _add_part(self, start: int, end: int) -> None:
+        records = self._unpack(start, end)
         for record in records:
             if isinstance(record, Metadata):
                 self.metadata[record.name] = record.metadata
@@ -214,8 +205,14 @@ class McapFile:
             self.message_counts += counts
 
     def _read(self, start: int, end: int) -> list[Message]:
-        """Read the messages of a part in the order of the file; none if it is damaged."""
+        """Read the messages of a part in the order of the file."""
+        return self._known_messages(start, self._unpack(start, end))
+
+    def _unpack(self, start: int, end: int) -> list[McapRecord]:
+        """Read the records of a part, of chunks those that they hold; leave out a damaged chunk."""
         records: list[McapRecord] = []
+        if start == end:
+            return records
         try:
             with self.path.open("rb") as stream:
                 stream.seek(start)
@@ -225,8 +222,7 @@ class McapFile:
                         break
         except _DAMAGE:
             self._damaged.add(start)
-            return []
-        return self._known_messages(start, records)
+        return records
 
     def _records(self, stream: BinaryIO, skip_magic: bool = False) -> Iterator[McapRecord]:
         return StreamReader(stream, skip_magic, emit_chunks=True, record_size_limit=self._size).records
