@@ -17,7 +17,7 @@ from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.adapter_settings import LbrSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.cdr import encode
+from contact_reach_ros.messages.serialization import encode
 from contact_reach_ros.messages.topics import NEWEST, Topic
 from contact_reach_ros.messages.values import JointOrder
 from contact_reach_ros.ros.inbox import Inbox

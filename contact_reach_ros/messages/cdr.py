@@ -7,9 +7,7 @@ and writers of this room can be imported without it.
 from __future__ import annotations
 
 import struct
-from typing import Any
 
-from contact_reach_ros.errors import InputError
 from contact_reach_ros.units import NANOSECONDS
 
 PLAIN_CDR = b"\x00\x01\x00\x00"
@@ -91,28 +89,3 @@ def joint_state_counts(data: bytes | bytearray) -> list[int]:
 def joint_state_starts(data: bytes | bytearray) -> list[int]:
     """Where in a serialised JointState the values of its three fields begin, if there are any."""
     return [aligned(at + 4) for at in joint_state_counts(data)[:-1]]
-
-
-def encode(message: Any) -> bytes:
-    """Serialise a message; up to eight bytes of padding may follow it."""
-    from rclpy.serialization import serialize_message
-
-    data: bytes = serialize_message(message)
-    return data
-
-
-def decode(data: bytes, message_type: type, topic: str) -> Any:
-    """Deserialise a message.
-
-    Raises `InputError` if the bytes are no message of that type; the topic is named.
-    """
-    from rclpy.impl.implementation_singleton import rclpy_implementation
-    from rclpy.serialization import deserialize_message
-
-    try:
-        return deserialize_message(data, message_type)
-    except rclpy_implementation.RMWError as error:
-        name = message_type.__name__
-        raise InputError(
-            f"{topic}: {len(data)} bytes that are no {name}; expected a serialised {name} ({error})"
-        ) from error

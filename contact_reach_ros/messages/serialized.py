@@ -29,11 +29,10 @@ from contact_reach_ros.messages.cdr import (
     STAMP_END,
     after_string,
     aligned,
-    decode,
-    encode,
     joint_state_counts,
     joint_state_starts,
 )
+from contact_reach_ros.messages.serialization import decode, encode
 from contact_reach_ros.messages.values import JointOrder, checked_stamp
 from contact_reach_ros.units import NANOSECONDS
 

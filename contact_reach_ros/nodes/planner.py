@@ -20,13 +20,14 @@ from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.cdr import decode, stamp_in
+from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.goals import to_goal
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.plan_messages import PlanMarkers, to_path, to_references, to_request, to_statistics
 from contact_reach_ros.messages.plan_request import request_parts
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
+from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget

@@ -19,8 +19,8 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.cdr import decode
 from contact_reach_ros.messages.intake import CODES, IntakeLog
+from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.ros.qos import qos_profile
 
