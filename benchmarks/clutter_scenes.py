@@ -7,12 +7,10 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.kinds.ball import BallSettings
-from contact_reach_ros.world.kinds.box import BoxSettings
-from contact_reach_ros.world.obstacle import ObstacleSettings
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.world.obstacle_kinds import BallSettings, BoxSettings, ObstacleSettings
 from contact_reach_ros.world.rigid import Plane
-from contact_reach_ros.world.scene import SceneFile, TargetSettings
+from contact_reach_ros.world.scene_file import SceneFile, TargetSettings
 
 FIRST_HELD_OUT = 10_000
 """Seeds from here on are run once, for the page of results; nothing is tuned on them."""

@@ -28,8 +28,8 @@ from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings, WatchdogSettings
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.world.goal import FREE, HOLD, REST_SPEED, Goal
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.task import FREE, HOLD, REST_SPEED, Goal
 
 SETTLE_TIME = 0.2
 """Time for which the tip has to stay near the goal, no faster than `REST_SPEED`, to have settled, s."""

@@ -24,9 +24,9 @@ from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.faults import Fault
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 SCENES = ("free", "ball")
 """Taken in turns."""

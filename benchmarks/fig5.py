@@ -45,8 +45,8 @@ from contact_reach_ros.drawing.shapes import Shape
 from contact_reach_ros.errors import RenderingError, SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.simulation.plant import TICK, Contacts, Plant
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import SceneFile, read_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 METHOD_COLOURS = {

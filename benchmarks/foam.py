@@ -16,14 +16,14 @@ from benchmarks.output import command_line, given, run_command, write_report
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.simulation.press import press_in_model, press_in_plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.kinds.wall import WallSettings
 from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.obstacle_kinds import WallSettings
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 AGREEMENT = 0.2

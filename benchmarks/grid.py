@@ -26,9 +26,10 @@ from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
 from contact_reach_ros.presets import preset
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.drive import WatchdogSettings
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import SceneFile
 from contact_reach_ros.world.spheres import sphere_capacity
 
 GOALS = ("hold", "free")

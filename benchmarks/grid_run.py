@@ -26,7 +26,7 @@ from benchmarks.output import Report, machine, read_report, say, write_report
 from benchmarks.workers import run_each
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.world.scene import SceneFile
+from contact_reach_ros.world.scene_file import SceneFile
 
 
 @dataclasses.dataclass(frozen=True)

@@ -31,8 +31,8 @@ from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 
 OURS, MUJOCO = "closed_loop", "MuJoCo"
 

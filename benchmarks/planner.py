@@ -21,7 +21,7 @@ from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.files import matching_scene_names, read_scene
+from contact_reach_ros.world.scene_file import matching_scene_names, read_scene
 
 METHODS = (paper.METHOD, paper.JOINT_TORQUE)
 _CLOSED_LOOP_S, _LATENCY_S = 4.0, 0.1

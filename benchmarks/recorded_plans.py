@@ -23,8 +23,9 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import SceneFile
 from contact_reach_ros.world.spheres import sphere_capacity
 
 NOTICEABLE_FORCE = 0.1

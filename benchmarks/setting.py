@@ -24,7 +24,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 LATENCY = "latency"
 """Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""

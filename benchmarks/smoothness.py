@@ -18,12 +18,12 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.task import Goal
+from contact_reach_ros.world.goal import Goal
+from contact_reach_ros.world.scene_file import read_scene
 
 SCENES = ("free", "ball", "wall")
 BANDS = ((VIBRATION, 50.0), (50.0, 150.0), (VIBRATION, 500.0))

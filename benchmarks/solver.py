@@ -32,7 +32,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solver
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 INSTANTS = (0.01, 0.03, 0.1)
 """Times of the table, s."""

@@ -17,9 +17,9 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import nearest
-from contact_reach_ros.world.files import read_scene
 from contact_reach_ros.world.rigid import Plane
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 
 SCENES = ("ball_mismatch",)
 """`wall_mismatch` has the same mismatch."""

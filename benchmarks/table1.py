@@ -19,8 +19,7 @@ from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.settings import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.scene import SceneFile
+from contact_reach_ros.world.scene_file import SceneFile, read_scene
 
 SCENES = ("free", "ball", "wall", "ball_mismatch", "wall_mismatch", "ball_misplaced", "wall_misplaced")
 """In the order of the paper's table, with those that differ from the models last."""

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from contact_reach_ros.planning.settings import PlanningSettings
     from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
     from contact_reach_ros.presets import preset
+    from contact_reach_ros.scenes.generate import load_scene
     from contact_reach_ros.simulation.robot import SimulatedRobot
     from contact_reach_ros.stack import Result, Robot, Stack, Tick, make_planner
     from contact_reach_ros.versions import VERSION as __version__
-    from contact_reach_ros.world.generate import load_scene
+    from contact_reach_ros.world.goal import Goal, Task
     from contact_reach_ros.world.scene import Scene
     from contact_reach_ros.world.spheres import Spheres, sphere_capacity
-    from contact_reach_ros.world.task import Goal, Task
 
 _WHERE = {
     "Arm": "arm.arm",
@@ -39,7 +39,7 @@ _WHERE = {
     "ContactReachError": "errors",
     "Controller": "control.controller",
     "ControllerSettings": "control.controller",
-    "Goal": "world.task",
+    "Goal": "world.goal",
     "ImpedanceSettings": "control.settings",
     "JointState": "arm.joint_state",
     "LimitSettings": "control.settings",
@@ -58,13 +58,13 @@ _WHERE = {
     "Spheres": "world.spheres",
     "Stack": "stack",
     "SupervisionSettings": "control.settings",
-    "Task": "world.task",
+    "Task": "world.goal",
     "Tick": "stack",
     "Tool": "arm.tool",
     "UnexpectedContactSettings": "planning.unexpected_contact",
     "load_arm": "arms",
     "load_budget": "observer.budget",
-    "load_scene": "world.generate",
+    "load_scene": "scenes.generate",
     "make_planner": "stack",
     "preset": "presets",
     "sphere_capacity": "world.spheres",

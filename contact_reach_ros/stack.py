@@ -31,10 +31,9 @@ from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stop_reasons import Verdict, requested
 from contact_reach_ros.timing import PERIOD
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, sphere_capacity
-from contact_reach_ros.world.task import Task
 
 if TYPE_CHECKING:
     from contact_reach_ros.planning.solver.solver import CostFunction, Solver

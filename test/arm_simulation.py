@@ -1,7 +1,7 @@
 """What several tests need: states of the arm, and a simulated one without noise and friction."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.obstacle import Obstacle, numbered
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene, SceneFile
+from contact_reach_ros.world.obstacle import Obstacle
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
+from contact_reach_ros.world.scene_file import SceneFile
 
 ARM = load_arm("iiwa14")
 TOOL = Tool(
@@ -46,6 +47,11 @@ def random_states(count: int, seed: int = 0, arm: Arm = ARM) -> tuple[np.ndarray
     random = np.random.default_rng(seed)
     positions = random.uniform(arm.lower, arm.upper, (count, arm.n))
     return positions, random.uniform(-arm.velocity_limits, arm.velocity_limits, (count, arm.n))
+
+
+def numbered(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
+    """The same obstacles with ids from 0."""
+    return tuple(dataclasses.replace(obstacle, id=number) for number, obstacle in enumerate(obstacles))
 
 
 def mobility(model: RobotModel) -> np.ndarray:

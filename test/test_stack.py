@@ -21,13 +21,13 @@ from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.simulation.faults import Fault, NotFinite, Silent, WrongClock
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack, Tick
-from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres
-from contact_reach_ros.world.task import FREE, Goal
 
 SMALL = PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
 FREE_SCENE = load_scene("free")

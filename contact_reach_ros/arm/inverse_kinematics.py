@@ -1,4 +1,4 @@
-"""Postures that hold the flange at a goal, for many seeds at once."""
+"""Which flange poses the arm can take, and the postures that hold them, for many seeds at once."""
 
 from __future__ import annotations
 
@@ -15,11 +15,26 @@ _DAMPING = 0.05
 _LONGEST_STEP = 0.5
 """Longest step of a joint in one iteration, rad."""
 _POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-4, 1e-3
-
-
 _SEEDS = 64
 """Random postures from which `is_attainable` searches: it found all of 2000 poses of random postures, and of an arm
 with six joints all but one."""
+
+
+def unreachable(arm: Arm, position: Array) -> str:
+    """Why the flange cannot be at `position` (3,), m, base frame; empty if no reason is known.
+
+    Reasons are a position farther from the shoulder than the arm reaches, and one inside the base. The text continues a
+    sentence that begins with the name of the position.
+    """
+    distance = float(np.linalg.norm(position - arm.shoulder))
+    if distance > arm.reach:
+        return f"is {distance:.3f} m from the shoulder at {list(arm.shoulder)} m; the arm reaches {arm.reach} m"
+    base = arm.base_capsule
+    axis_point = np.array([0.0, 0.0, np.clip(position[2], 0.0, base.end[2])])
+    if np.linalg.norm(position - axis_point) < base.radius:
+        place = np.round(position, 3).tolist()
+        return f"= {place} m lies inside the base; expected at least {base.radius} m from its axis"
+    return ""
 
 
 def is_attainable(arm: Arm, position: Array, rotation: Array | None, q: Array, only_axis: bool = False) -> bool:

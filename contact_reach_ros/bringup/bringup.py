@@ -31,9 +31,8 @@ from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.ros.running import refuse_beside_another
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.scene import parse_target
+from contact_reach_ros.scenes.generate import make_scene, parse_target
+from contact_reach_ros.world.scene_file import read_scene
 
 NAME = "bringup"
 

@@ -20,7 +20,7 @@ from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.interfaces import STOPPABLE
 from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.stopping import Outcome, release_all, stop_arm
-from contact_reach_ros.world.orientations import POSE
+from contact_reach_ros.world.goal import POSE
 
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""

@@ -30,9 +30,9 @@ from contact_reach_ros.report.summary import Episode, EpisodeSummary
 from contact_reach_ros.ros.interfaces import DEMO, RECORDER
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.ros.running import refuse_beside_another
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 INTERRUPTED = 130
 

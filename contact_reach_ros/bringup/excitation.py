@@ -17,7 +17,7 @@ from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.planning.node_settings import PlannerNodeSettings
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
-from contact_reach_ros.world.orientations import POSE
+from contact_reach_ros.world.goal import POSE
 from contact_reach_ros.world.spheres import Spheres
 
 _OBSERVER = "observer"

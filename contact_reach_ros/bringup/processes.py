@@ -22,9 +22,8 @@ from contact_reach_ros.parameter_files import RATE, ROBOT, arm_in, check_name, k
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
 from contact_reach_ros.viewer.settings import ViewerSettings
-from contact_reach_ros.world.files import read_scene, scene_file
-from contact_reach_ros.world.scene import SceneFile
-from contact_reach_ros.world.spheres import anywhere, sphere_capacity
+from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
+from contact_reach_ros.world.spheres import sphere_capacity
 
 ParameterValue = bool | int | float | str | list[str]
 

@@ -35,9 +35,9 @@ from contact_reach_ros.report.plot import SUCCESS_DISTANCE
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.process import initialise
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.timing import counts_between, percentiles_us, read_counts
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 NAME = "fitness"
 DRIVER, CONTROLLER = "driver", "controller"

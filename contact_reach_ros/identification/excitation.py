@@ -10,8 +10,7 @@ from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.world.clearance import clearances
-from contact_reach_ros.world.collision import nearest
+from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.spheres import Spheres
 
 CLEARANCE = 0.1

@@ -6,7 +6,7 @@ from typing import Any
 
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.planning.node_settings import PlannerNodeSettings
-from contact_reach_ros.world.task import POSE, Goal
+from contact_reach_ros.world.goal import POSE, Goal
 
 
 def to_goal(message: Any, settings: PlannerNodeSettings) -> Goal:

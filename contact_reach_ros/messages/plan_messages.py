@@ -35,7 +35,7 @@ from contact_reach_ros.messages.conversions import (
 from contact_reach_ros.messages.diagnostics import to_status
 from contact_reach_ros.messages.plan_reader import ARM, CONTACT, ELBOW, FLANGE
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.collision import capsule_segments
 
 
 class ReferenceMessages(NamedTuple):

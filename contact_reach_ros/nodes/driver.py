@@ -30,14 +30,13 @@ from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
+from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
 from contact_reach_ros.stop_reasons import StopCode, StopReason, requested
 from contact_reach_ros.timing import Histogram, write_counts
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.scene import parse_target
+from contact_reach_ros.world.scene_file import read_scene
 
 _MAX_CATCH_UP_NS = 20_000_000
 _CONTACTS_EVERY = 5

@@ -27,7 +27,7 @@ from contact_reach_ros.planning.terms import Context, term_weights, weighted_ter
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.planning.transfer.pipeline import Pose
-from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 

@@ -19,8 +19,7 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.clearance import clearances
-from contact_reach_ros.world.collision import nearest
+from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.task import Task
+from contact_reach_ros.world.goal import Target, Task
 
 
 class GoalPhase(Enum):

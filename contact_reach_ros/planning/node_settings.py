@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.settings import Sections, Settings, setting
 from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.world.orientations import HOLD, ORIENTATIONS
-from contact_reach_ros.world.task import ANGLE_TOLERANCE, REST_SPEED, TOLERANCE
+from contact_reach_ros.world.goal import ANGLE_TOLERANCE, HOLD, ORIENTATIONS, REST_SPEED, TOLERANCE
 
 SPEED_SCALE = "speed_scale"
 """Name of the setting that may be changed while the planner runs."""

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.spheres import Spheres
 
 _FAR_AWAY = (0.0, 0.0, -100.0)

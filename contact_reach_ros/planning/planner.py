@@ -24,9 +24,8 @@ from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.stop_reasons import is_missing_states
 from contact_reach_ros.units import NANOSECONDS
 from contact_reach_ros.world.collision import check_goal
-from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.spheres import Spheres
-from contact_reach_ros.world.task import Task
 
 _ABANDONED_NS = 2_000_000_000
 """Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""

@@ -10,15 +10,14 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.inverse_kinematics import is_attainable
+from contact_reach_ros.arm.inverse_kinematics import is_attainable, unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arm.workspace import unreachable
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.handles import add_ball, as_bytes
-from contact_reach_ros.world.files import scene_names
+from contact_reach_ros.world.scene_file import scene_names
 
 Value = bool | int | float | str
 

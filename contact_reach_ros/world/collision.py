@@ -1,4 +1,4 @@
-"""How near the arm is to rigid bodies and to itself."""
+"""How near the arm is to rigid bodies, to soft spheres and to itself."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from contact_reach_ros.arm.capsules import (
     shapes,
 )
 from contact_reach_ros.arm.inverse_kinematics import is_attainable
-from contact_reach_ros.arm.kinematics import tip_turn
+from contact_reach_ros.arm.kinematics import link_frames, tip_turn
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Environment, Plane, RigidBody
+from contact_reach_ros.world.spheres import Spheres
 
 GOAL_CLEARANCE = 0.005
 """Least distance of the hand from rigid bodies at a goal, m: nearer, the planner's margin would keep it away."""
@@ -82,6 +83,36 @@ def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
         step = (high - low) / (_SAMPLES - 1)
         low, high = np.maximum(best - step, 0.0), np.minimum(best + step, 1.0)
     return distances.min(axis=-1)
+
+
+def capsule_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """Start and end points of the moving links' capsules at `q` (n,), rad, in the base frame, (C, 3) each, m."""
+    rotations, origins = link_frames(arm, q)
+    starts, ends = [], []
+    for capsule in arm.capsules:
+        rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
+        starts.append(origin + rotation @ capsule.start)
+        ends.append(origin + rotation @ capsule.end)
+    return np.array(starts), np.array(ends)
+
+
+def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius: float | Array) -> Array:
+    """How deep each sphere lies in each capsule, (..., C, K), m; negative values are distances.
+
+    `starts` and `ends`, (..., C, 3) each, m, belong to the moving links' capsules, or to all `shapes`; `centers` are
+    (K, 3), m, and `radius` is one for all spheres or (K,), m.
+    """
+    axis = (ends - starts)[..., None, :]
+    offset = centers - starts[..., None, :]
+    share = np.clip(np.sum(offset * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
+    distance = np.linalg.norm(offset - share[..., None] * axis, axis=-1)
+    # The base is the first of the shapes.
+    return shape_radii(arm)[-starts.shape[-2] :, None] + radius - distance
+
+
+def clearances(arm: Arm, q: Array, spheres: Spheres) -> Array:
+    """Distance (K,) of each sphere's surface from the nearest link capsule at joint angles `q` (n,), m."""
+    return -overlap_depths(arm, *capsule_segments(arm, q), spheres.center, spheres.radius).max(axis=0, initial=-np.inf)
 
 
 def check_goal(arm: Arm, goal: Target, environment: Environment, q: Array) -> None:

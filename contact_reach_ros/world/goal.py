@@ -1,17 +1,25 @@
-"""Targets of the flange, and checks of commanded poses."""
+"""Goals of the arm: the tasks that users give, and the poses of the flange that are planned for."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.workspace import unreachable
+from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arrays import Array, checked_array
 from contact_reach_ros.errors import InputError
+
+HOLD, POSE, FREE = ORIENTATIONS = ("hold", "pose", "free")
+"""Orientation of a goal: the present one when the goal is given, the orientation of a commanded pose, or any."""
+
+TOLERANCE, ANGLE_TOLERANCE, REST_SPEED = 0.01, 0.05, 0.01
+"""Default tolerances of a goal: m, rad and m/s."""
 
 _SAME_POSITION, _SAME_ROTATION = 1e-3, 1e-2
 """Differences up to which two targets are the same, m and rad."""
@@ -60,44 +68,109 @@ class Target:
         return turned <= _SAME_ROTATION and math.dist(self.position, other.position) <= _SAME_POSITION
 
 
-def make_goal(
-    arm: Arm, frame: str, position: Array, quaternion: Array, orientation: str, present_rotation: Array
-) -> Target:
-    """Check a commanded flange pose and turn it into a target.
+@runtime_checkable
+class Task(Protocol):
+    """The interface of tasks to `Stack.run` and the planner: a pose to plan for, and whether the task is done."""
 
-    Parameters
+    def resolve(self, arm: Arm, present_rotation: Array) -> Target:
+        """The pose to plan for, given the tip's present rotation (3, 3); raises `InputError` if it is impossible."""
+
+    def reached(self, position: Array, target: Target) -> bool:
+        """Whether the tip at `position` (3,), m, base frame, has completed the task."""
+
+    def settled(self, position: Array, rotation: Array, speed: float, target: Target) -> bool:
+        """Whether the tip in a pose, base frame, at `speed`, m/s, has completed the task and is at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """The task of moving the tip to a pose.
+
+    Attributes
     ----------
-    arm
-        Arm whose flange it is.
-    frame
-        Frame of the pose; must be the base frame.
     position
         (3,), m.
-    quaternion
-        (4,), x y z w; used only when `orientation` is 'pose'.
     orientation
-        One of `orientations.ORIENTATIONS`.
-    present_rotation
-        (3, 3), held by 'hold'.
+        'hold' for the orientation that the tip has when the goal is given, 'free' for any, or a unit quaternion
+        (x, y, z, w).
+    frame
+        Frame of position and orientation; it must be the arm's base frame, the default.
+    tolerance
+        Distance from the position that counts as reached, m.
+    angle_tolerance
+        Angle from the orientation with which the tip has settled, rad, unless any will do.
+    rest_speed
+        Speed of the tip up to which it is at rest, m/s.
 
     Raises
     ------
     InputError
-        If a value is not finite, the frame is unknown, or the position is out of reach or inside the base; the message
-        names the field and the expectation.
+        If position, orientation or tolerance has the wrong type or shape.
     """
-    if frame != arm.base_frame:
-        raise InputError(f"goal: frame '{frame}' is unknown; expected '{arm.base_frame}'")
-    if not np.isfinite(position).all():
-        raise InputError(f"goal: position = {position.tolist()}; expected finite numbers in m")
-    reason = unreachable(arm, position)
-    if reason:
-        raise InputError(f"goal: position {reason}")
-    if orientation == "free":
-        return Target(position)
-    if orientation == "hold":
-        return Target(position, present_rotation)
-    length = float(np.linalg.norm(quaternion))
-    if not (np.isfinite(length) and abs(length - 1.0) < 0.01):
-        raise InputError(f"goal: orientation = {quaternion.tolist()}; expected a unit quaternion x, y, z, w")
-    return Target(position, Rotation.from_quat(quaternion / length).as_matrix())
+
+    position: ArrayLike
+    orientation: str | ArrayLike = HOLD
+    frame: str = field(default="", kw_only=True)
+    tolerance: float = field(default=TOLERANCE, kw_only=True)
+    angle_tolerance: float = field(default=ANGLE_TOLERANCE, kw_only=True)
+    rest_speed: float = field(default=REST_SPEED, kw_only=True)
+
+    def __post_init__(self) -> None:
+        _check_numbers("position", self.position, 3, "three numbers x, y, z in m")
+        expected = f"'{HOLD}', '{FREE}' or a unit quaternion x, y, z, w"
+        if not isinstance(self.orientation, str):
+            _check_numbers("orientation", self.orientation, 4, expected)
+        elif self.orientation not in (HOLD, FREE):
+            raise InputError(f"goal: orientation = '{self.orientation}'; expected {expected}")
+        for name, what in (
+            ("tolerance", "distance in m"),
+            ("angle_tolerance", "angle in rad"),
+            ("rest_speed", "speed in m/s"),
+        ):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"goal: {name} = {getattr(self, name)}; expected a positive {what}")
+
+    def resolve(self, arm: Arm, present_rotation: Array) -> Target:
+        """The pose to plan for, given the tip's present rotation (3, 3).
+
+        Raises
+        ------
+        InputError
+            If a value is not finite or not a unit quaternion, the frame is unknown, or the position is out of reach or
+            inside the base; the message names the field and the expectation.
+        """
+        position = np.array(self.position, dtype=float)
+        if self.frame not in ("", arm.base_frame):
+            raise InputError(f"goal: frame '{self.frame}' is unknown; expected '{arm.base_frame}'")
+        if not np.isfinite(position).all():
+            raise InputError(f"goal: position = {position.tolist()}; expected finite numbers in m")
+        reason = unreachable(arm, position)
+        if reason:
+            raise InputError(f"goal: position {reason}")
+        if isinstance(self.orientation, str):
+            return Target(position, present_rotation if self.orientation == HOLD else None)
+        quaternion = np.array(self.orientation, dtype=float)
+        length = float(np.linalg.norm(quaternion))
+        if not (np.isfinite(length) and abs(length - 1.0) < 0.01):
+            raise InputError(f"goal: orientation = {quaternion.tolist()}; expected a unit quaternion x, y, z, w")
+        return Target(position, Rotation.from_quat(quaternion / length).as_matrix())
+
+    def reached(self, position: Array, target: Target) -> bool:
+        """Whether the tip at `position` (3,), m, base frame, is where `target` asks it to be."""
+        return float(np.linalg.norm(position - target.position)) <= self.tolerance
+
+    def settled(self, position: Array, rotation: Array, speed: float, target: Target) -> bool:
+        """Whether the tip in a pose, base frame, at `speed`, m/s, is where `target` asks it to be, and at rest."""
+        is_there = speed <= self.rest_speed and self.reached(position, target)
+        return is_there and target.angle(rotation) <= self.angle_tolerance
+
+
+def _check_numbers(name: str, values: ArrayLike, count: int, expected: str) -> None:
+    """Raise `InputError` unless there are exactly `count` numbers, finite or not."""
+    try:
+        fits = np.asarray(values, dtype=float).shape == (count,)
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        shown = " ".join(repr(values).split())
+        raise InputError(f"goal: {name} = {shown}; expected {expected}")

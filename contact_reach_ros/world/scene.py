@@ -1,4 +1,4 @@
-"""Scenes: an arm, its target and the obstacles around it, made concrete from YAML files by a seed."""
+"""Scenes: an arm, its target and the obstacles around it."""
 
 from __future__ import annotations
 
@@ -8,60 +8,10 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.settings import Settings, setting
-from contact_reach_ros.world.obstacle import Obstacle, ObstacleSettings
+from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment
-
-
-@dataclass(frozen=True)
-class TargetSettings(Settings):
-    """The box in which targets are drawn, and the start of episodes."""
-
-    minimum: tuple[float, ...] = setting((0.2, -0.3, 0.0), "lower corner", unit="m", minimum=-1.5, maximum=1.5)
-    maximum: tuple[float, ...] = setting((0.6, 0.3, 0.5), "upper corner", unit="m", minimum=-1.5, maximum=1.5)
-    min_distance: float = setting(0.2, "least distance from the start", unit="m", minimum=0.0, maximum=1.5)
-    start: tuple[float, ...] | None = setting(
-        None,
-        "joint angles at the start, within the arm's limits; null for its home posture",
-        unit="rad",
-        per_joint=True,
-    )
-    reach: float = setting(
-        0.0,
-        "reach of the arm that `start` and all lengths but `position` and `center` are for; other arms have them in "
-        "proportion; 0 for as they are",
-        unit="m",
-        minimum=0.0,
-        maximum=5.0,
-    )
-    start_position: tuple[float, ...] | None = setting(
-        None,
-        "where the tip of other arms starts, the axis of the last joint along x",
-        unit="m",
-        minimum=-1.5,
-        maximum=1.5,
-        optional_length=3,
-    )
-    position: tuple[float, ...] | None = setting(
-        None, "the target, instead of one drawn in the box", unit="m", minimum=-1.5, maximum=1.5, optional_length=3
-    )
-
-    def start_of(self, arm: Arm) -> Array:
-        """Joint angles at the start (n,), rad.
-
-        Raises
-        ------
-        SettingsError
-            If their number is not that of the arm's joints, or one is outside its limits.
-        """
-        if self.start is None:
-            return np.array(arm.home)
-        start = np.array(self.resolve(arm).start)
-        for name, angle, lower, upper in zip(arm.joint_names, start, arm.lower, arm.upper, strict=True):
-            if not lower <= angle <= upper:
-                raise SettingsError(f"target: start = {self.start}: expected {name} in [{lower:.3f}, {upper:.3f}] rad")
-        return start
 
 
 @dataclass(frozen=True)
@@ -150,36 +100,3 @@ class Scene:
             return self.obstacles
         pairs = zip(self.obstacles, self.offsets, strict=True)
         return tuple(replace(obstacle, rest=obstacle.rest + offset) for obstacle, offset in pairs)
-
-
-@dataclass(frozen=True)
-class SceneFile:
-    """The content of a scene's YAML file, its base included."""
-
-    name: str
-    target: TargetSettings
-    obstacles: tuple[ObstacleSettings, ...] = ()
-    mismatch: MismatchSettings = NO_MISMATCH
-    source: str = field(default="", compare=False)
-    """Path of the file, for messages; empty without a file."""
-    environment: Environment = ()
-    """Rigid bodies: floor, table and the like."""
-
-
-def parse_target(text: str) -> Array | None:
-    """Parse a position (3,) in m from 'x y z'; None for an empty text.
-
-    Raises
-    ------
-    SceneError
-        If it is not three finite numbers.
-    """
-    if not text.strip():
-        return None
-    try:
-        position = np.array([float(word) for word in text.split()])
-    except ValueError:
-        position = np.empty(0)
-    if position.shape != (3,) or not np.isfinite(position).all():
-        raise SceneError(f"target '{text}': expected three finite numbers 'x y z' in m")
-    return position

@@ -11,9 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from contact_reach_ros.arrays import Array, checked_array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.world.obstacle import Obstacle, bodies
+from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment
-from contact_reach_ros.world.scene import Scene, SceneFile
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import SceneFile, anywhere
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,6 @@ FIXED_STIFFNESS = 1e5
 
 MAX_SPHERES = 12
 """Greatest number of a scene's spheres that a plan takes into account: the nearest ones."""
-
-
-def anywhere(file: SceneFile) -> tuple[Obstacle, ...]:
-    """The obstacles of a scene file, in arbitrary places: for their shapes and materials only."""
-    return bodies(file.obstacles, [np.zeros(3)] * len(file.obstacles))
 
 
 def sphere_capacity(scene: SceneFile | Scene) -> int:

@@ -14,9 +14,9 @@ from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs
+from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arm.table import table_text
-from contact_reach_ros.arm.workspace import unreachable
 from contact_reach_ros.arms import ARMS, DEFAULT_ARM, is_shipped, load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.control.stability import check_gains

@@ -21,6 +21,7 @@ from benchmarks.fault_draws import DRAWS, random_faults
 from benchmarks.faults import fault_setup, run_with_faults, summary, text_of
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.faults import (
     Friction,
     Late,
@@ -33,8 +34,7 @@ from contact_reach_ros.simulation.faults import (
     WrongClock,
     WrongPlans,
 )
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 NEAREST = {
     1470: [

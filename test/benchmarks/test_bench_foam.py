@@ -9,9 +9,9 @@ from bench_command import bench
 
 from benchmarks import foam
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 
 
 def test_report_holds_every_node(tmp_path, monkeypatch, capsys):

@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 
 from benchmarks.baselines.clearance import ClearanceChecker, levers
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.world.clearance import clearances
-from contact_reach_ros.world.collision import nearest
-from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.collision import capsule_segments, clearances, nearest
 from contact_reach_ros.world.rigid import Block, Plane
 from contact_reach_ros.world.spheres import Spheres
 

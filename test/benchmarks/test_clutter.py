@@ -10,9 +10,9 @@ from benchmarks.clutter_scenes import FIRST_HELD_OUT, MAX_BODIES, clutter_scene
 from benchmarks.grid_run import Running
 from benchmarks.pictures import plot_clutter
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.scenes.checks import conflict
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.world.checks import conflict
-from contact_reach_ros.world.generate import make_scene
 
 
 def test_a_seed_fixes_the_scene_and_seeds_differ():

@@ -16,9 +16,9 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres
 
 SETTINGS = PlanningSettings()

@@ -12,11 +12,11 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.free_path import free_path
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.world.obstacle_kinds import BallSettings
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 

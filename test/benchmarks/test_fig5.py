@@ -18,9 +18,9 @@ from benchmarks.fig5 import TOUCHED, Fig5, bench_fig5, watch_episode
 from benchmarks.grid import concrete_scene
 from benchmarks.offscreen import find_backend
 from contact_reach_ros.errors import RenderingError
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 pytestmark = pytest.mark.slow

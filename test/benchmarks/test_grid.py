@@ -18,7 +18,7 @@ from benchmarks.grid import (
 from benchmarks.workers import run_each
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 TINY = Setup(
     planning=PlanningSettings(

@@ -10,10 +10,10 @@ from benchmarks.baselines.clearance import ClearanceChecker
 from benchmarks.baselines.rrt_star import PathSettings, find_path, goal_postures
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 QUICK = PathSettings(searches=2, iterations=300, goal_samples=600)

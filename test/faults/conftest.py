@@ -16,10 +16,10 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.settings import WatchdogSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.rigid import Block
+from contact_reach_ros.world.scene_file import read_scene
 
 CONTROLLER = ControllerSettings()
 TIMEOUT = 5.0

@@ -6,11 +6,11 @@ from motions import ARM
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.excitation import check_clearance, goals
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.collision import check_goal
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Plane
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 HOME = np.array(ARM.home)

@@ -18,7 +18,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.goal_state import read_goal_state
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.world.kinds.wall import WallSettings
+from contact_reach_ros.world.obstacle_kinds import WallSettings
 from contact_reach_ros.world.spheres import MAX_SPHERES
 
 TYPES = {

@@ -19,7 +19,7 @@ from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.ros.frames import Frames
-from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 CAMERA = "camera"

@@ -11,7 +11,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.messages.plan_messages import PlanMarkers
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.collision import capsule_segments
 
 PERMITTED = 10.0
 

@@ -8,7 +8,7 @@ from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.ros.parameters import settings_of
-from contact_reach_ros.world.files import read_scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import MAX_SPHERES
 
 

@@ -20,7 +20,7 @@ from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 BALL = load_scene("ball")

@@ -16,8 +16,8 @@ from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, ru
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import read_signals
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.world.scene_file import read_scene
 
 PROJECT = Path(__file__).parents[2]
 PICTURE, SAMPLE = PROJECT / "docs" / "viewer.png", PROJECT / "bags" / "sample"

@@ -21,7 +21,7 @@ from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.transfer.brax_generalized import network, sphere_body
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import load_system
-from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

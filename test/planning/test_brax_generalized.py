@@ -23,10 +23,10 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective, law_torque, network
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.model import arm_model
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.stack import Stack, make_planner
-from contact_reach_ros.world.generate import load_scene
+from contact_reach_ros.world.goal import Goal
 from contact_reach_ros.world.spheres import Spheres
-from contact_reach_ros.world.task import Goal
 
 
 def objective(pipeline: str) -> Objective:

@@ -19,9 +19,9 @@ from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import body_distances, nearest
+from contact_reach_ros.world.goal import FREE, HOLD, Goal
 from contact_reach_ros.world.rigid import Block, Environment, Plane
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.task import FREE, HOLD, Goal
 
 TABLE = Block("table", (0.5, 0.0, 0.09), (0.3, 0.2, 0.18))
 BODIES = (

@@ -12,8 +12,7 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
 from contact_reach_ros.planning.unexpected_contact import IGNORE, RETREAT
-from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.task import FREE, Goal
+from contact_reach_ros.world.goal import FREE, Goal, Target
 
 HERE = Goal(TIP)
 MOVING = np.eye(ARM.n)[0] * 0.05

@@ -26,16 +26,16 @@ from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
 from contact_reach_ros.planning.transfer.kinematics import link_frames as lane_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import WatchdogSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
+from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.kinds.ball import BallSettings
 from contact_reach_ros.world.obstacle import Obstacle
-from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.obstacle_kinds import BallSettings
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

@@ -16,14 +16,10 @@ from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.planning.planner import Planner, ReplanningSettings
 from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.unexpected_contact import (
-    RETREAT,
-    ContactReaction,
-    UnexpectedContactSettings,
-)
+from contact_reach_ros.planning.unexpected_contact import RETREAT, ContactReaction, UnexpectedContactSettings
+from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.rigid import Block
 from contact_reach_ros.world.spheres import Spheres
-from contact_reach_ros.world.task import FREE, Goal
 
 SETTINGS = ReplanningSettings(period=0.03, latency=0.04, require_obstacles=False)
 GOAL = Goal([0.5, 0.1, 0.3])

@@ -10,13 +10,12 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.stack import make_planner as make_whole_planner
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.goal import Goal, Target
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres
-from contact_reach_ros.world.task import Goal
 
 FLANGE = link_frames(ARM, HOME)[1][-1]
 GOAL = Target(FLANGE + np.array([0.2, 0.1, -0.1]))

@@ -27,11 +27,10 @@ from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.stack import Stack, make_planner
-from contact_reach_ros.world.generate import load_scene
-from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.goal import Goal, Target
 from contact_reach_ros.world.spheres import Spheres
-from contact_reach_ros.world.task import Goal
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 

@@ -9,10 +9,10 @@ from planning_helpers import SMALL
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
-from contact_reach_ros.world.generate import load_scene
-from contact_reach_ros.world.task import Goal
+from contact_reach_ros.world.goal import Goal
 
 REST_MS = 500
 LONGEST_MS = 3000

@@ -15,7 +15,7 @@ from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, cont
 from contact_reach_ros.planning.transfer.kinematics import link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
-from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.spheres import Spheres
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

@@ -8,7 +8,7 @@ from arm_simulation import ARM, HOME, TICK_NS
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
-from contact_reach_ros.world.clearance import clearances
+from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 

@@ -8,6 +8,7 @@ from arm_simulation import TICK_NS as MS
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.faults import (
     Fault,
     Faults,
@@ -29,9 +30,8 @@ from contact_reach_ros.simulation.faults import (
 from contact_reach_ros.simulation.plant import Actuation, Plant, PointForce
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import JointSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.scene import MismatchSettings, Scene
+from contact_reach_ros.world.scene_file import read_scene
 
 START = np.array([0.1, 0.6, -0.2, -1.3, 0.3, 0.8, -0.4])
 OBSTACLE = UnknownObstacle((0.6, 0.0, 0.3))

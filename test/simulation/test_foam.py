@@ -8,16 +8,15 @@ import pytest
 from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION
 
 from contact_reach_ros.errors import SceneError
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.obstacles import Foam
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.press import press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.simulation.settings import JointSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.kinds.ball import BallSettings
-from contact_reach_ros.world.kinds.wall import WallSettings
-from contact_reach_ros.world.overlap import capsule_segments
+from contact_reach_ros.world.collision import capsule_segments
+from contact_reach_ros.world.obstacle_kinds import BallSettings, WallSettings
 from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 FOREARM = 3

@@ -5,11 +5,11 @@ import pytest
 from arm_simulation import ARM, HOME, NO_FRICTION, REST, TORQUE_LIMITS, ideal_plant, random_states
 
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.scene_file import read_scene
 
 FRICTION = JointSettings()
 

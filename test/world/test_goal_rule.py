@@ -10,13 +10,12 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.planning.node_settings import ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.scenes.generate import load_scene, make_scene
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.viewer.tabs import reach
 from contact_reach_ros.world.collision import check_goal
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import load_scene, make_scene
-from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.task import FREE, HOLD, Goal
+from contact_reach_ros.world.goal import FREE, HOLD, Goal, Target
+from contact_reach_ros.world.scene_file import read_scene
 
 ABOVE, NEAR = (0.0, 0.0, 1.15), (0.45, 0.2, 0.3)
 """Above the base the hand cannot point down: the joint limits are in the way."""

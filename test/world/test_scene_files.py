@@ -9,13 +9,13 @@ from arm_simulation import ARM, with_obstacle
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.world.collision import check_hand, nearest
-from contact_reach_ros.world.files import matching_scene_names, read_scene, scene_names
-from contact_reach_ros.world.generate import make_scene
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.kinds.ball import BallSettings
+from contact_reach_ros.world.obstacle_kinds import BallSettings
 from contact_reach_ros.world.rigid import Plane
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, TargetSettings, parse_target
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.scene_file import TargetSettings, matching_scene_names, read_scene, scene_names
 
 
 @pytest.fixture
@@ -190,9 +190,9 @@ class TestWhatNoSeedMakesPossible:
             ),
             (
                 "target: {position: [0.9, 0.3, 0.3]}",
-                r"\[0\.9, 0\.3, 0\.3\] m cannot be reached: .* is 0\.951 m",
+                r"goal: position is 0\.951 m from the shoulder .* reaches 0\.85 m",
             ),
-            ("target: {position: [0.05, 0.0, 0.2]}", "lies inside the base; expected at least 0.11 m from its axis"),
+            ("target: {position: [0.05, 0.0, 0.2]}", r"there lbr_link_7 lies 120\.0 mm deep in lbr_link_0"),
             (
                 "target: {minimum: [0.9, 0.1, 0.3], maximum: [1.0, 0.2, 0.5]}",
                 r"nearest point of the box .* is 0\.906 m from the shoulder .* reaches 0\.85 m; move the box",
@@ -208,7 +208,10 @@ class TestWhatNoSeedMakesPossible:
     @pytest.mark.parametrize(
         ("content", "message"),
         [
-            ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 nodes in the two walls"),
+            (
+                "base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}",
+                "840 spheres and nodes, 672 of which",
+            ),
             (
                 "ball: {mass: 0.001, stiffness: 2500.0}",
                 "ball: .* of 3500 N/m in all .* stable up to 2000 N/m",
@@ -264,7 +267,7 @@ class TestEnvironment:
         [
             (
                 "environment: {table: {sise: [1, 1, 1]}}",
-                "table: unknown key 'sise'; a plane has point, normal",
+                "environment: table: unknown key 'sise'; did you mean 'size'",
             ),
             ("environment: {table: {size: [1, 0, 1]}}", "environment: table: size = .* expected a list of 3 values"),
             ("environment: {floor: {normal: [0, 0, 0]}}", "environment: floor: normal = .* expected a vector"),

@@ -7,11 +7,10 @@ import pytest
 from arm_simulation import ARM
 
 from contact_reach_ros.errors import SceneError, SettingsError
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.kinds.ball import BallSettings
-from contact_reach_ros.world.kinds.box import BoxSettings
+from contact_reach_ros.world.obstacle_kinds import BallSettings, BoxSettings
+from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions, sphere_capacity
 
 LIST = """

@@ -12,14 +12,14 @@ from arm_simulation import ARM, HOME, POSITION_LIMITS, mobility, with_obstacle
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
+from contact_reach_ros.scenes import generate
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world import generate
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.free_path import free_path
-from contact_reach_ros.world.generate import make_scene
-from contact_reach_ros.world.overlap import capsule_segments, overlap_depths
-from contact_reach_ros.world.scene import Scene, TargetSettings
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.scene_file import TargetSettings, read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 SEEDS = range(31)
@@ -125,7 +125,7 @@ def test_given_target_is_kept():
 @pytest.mark.parametrize("target", [(1.2, 0.0, 0.3), (0.0, 0.0, 0.4), (0.4, 0.0, -2.0)])
 @pytest.mark.parametrize("name", ["free", "ball"])
 def test_impossible_target_is_refused_with_the_reason(name, target):
-    with pytest.raises(SceneError, match=r"target \[.*\] m cannot be reached.*choose another target"):
+    with pytest.raises(SceneError, match=r"\.yaml: goal: position .*(reaches 0\.85 m|inside the base)"):
         make_scene(read_scene(name), ARM, 0, np.array(target))
 
 
@@ -141,14 +141,14 @@ def test_target_that_leaves_no_room_for_the_ball_is_refused(monkeypatch):
     monkeypatch.setattr(generate, "_TARGET_TRIES", 3)
     # A few centimetres from the start no part of the arm moves far enough to be blocked.
     origin, _ = RobotModel(ARM).tip_pose(HOME)
-    with pytest.raises(SceneError, match=r"no target with a ball on the arm's path.*choose another target"):
+    with pytest.raises(SceneError, match=r"no target with the ball on the path.*choose another target"):
         make_scene(read_scene("ball"), ARM, 0, origin + np.array([0.0, 0.0, 0.01]))
 
 
 def test_box_without_targets_is_refused_with_what_to_change():
     file = read_scene("free")
     box = TargetSettings(min_distance=1.5)
-    with pytest.raises(SceneError, match=r"scene 'free', seed 3: no target found .*widen the target's box"):
+    with pytest.raises(SceneError, match=r"free\.yaml: seed 3: no target found .*widen the box of the target"):
         make_scene(dataclasses.replace(file, target=box), ARM, 3)
 
 
@@ -197,7 +197,7 @@ class TestWhatTheFilePlaces:
 
     def test_commanded_target_in_the_ball_is_refused_with_how_deep(self):
         inside = np.add(self.CENTER, (0.0, 0.0, -0.07))
-        with pytest.raises(SceneError, match=r"scene 'ball': target .* lies 30\.0 mm inside the ball .* move"):
+        with pytest.raises(SceneError, match=r"ball\.yaml: target .* lies 30\.0 mm inside the ball .* move"):
             make_scene(self.file(center=self.CENTER), ARM, 0, inside)
 
     def test_commanded_target_in_a_node_is_refused(self):

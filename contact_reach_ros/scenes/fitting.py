@@ -16,10 +16,12 @@ from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SceneError
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.overlap import capsule_links, on_hand, postures_at
 from contact_reach_ros.settings import Settings
-from contact_reach_ros.world.free_path import free_path
-from contact_reach_ros.world.overlap import on_hand, postures_at
-from contact_reach_ros.world.scene import SceneFile, TargetSettings
+from contact_reach_ros.world.collision import capsule_segments
+from contact_reach_ros.world.obstacle_kinds import ObstacleSettings, WallSettings
+from contact_reach_ros.world.scene_file import SceneFile, TargetSettings
 
 _PLACES = ("center", "position")
 """Lengths that say where something is: they stay as they are."""
@@ -35,6 +37,11 @@ _STARTS = 60
 """Postures that are tried as starts."""
 _LIMIT_MARGIN = 0.25
 """Least distance of joints from their limits at the start, rad."""
+_GAP_SHARE = 0.94
+"""The gap of walls, as a share of the least height at which the arm gets through."""
+_FOREARM_LINK = 4
+_POINTS = np.linspace(0.0, 1.0, 21)
+"""Where heights along a capsule are measured, as shares of its length."""
 
 S = TypeVar("S", bound=Settings)
 
@@ -54,7 +61,7 @@ def fitted(file: SceneFile, arm: Arm) -> SceneFile:
         found = _start(arm, scaled)
         if found is None:
             raise SceneError(
-                f"scene '{file.name}': no posture of arm '{arm.name}' was found from which its hand, pointing along x, "
+                f"no posture of arm '{arm.name}' was found from which its hand, pointing along x, "
                 "gets from target.start_position into the targets' box; give target.start, minimum and maximum for it"
             )
         scaled = found
@@ -62,8 +69,30 @@ def fitted(file: SceneFile, arm: Arm) -> SceneFile:
     middle = 0.5 * (np.array(scaled.minimum) + np.array(scaled.maximum))
     postures = postures_at(arm, middle, link_frames(arm, start)[0][-1])
     postures = postures if len(postures) else start[None]
-    obstacles = tuple(_scaled(each, factor).suited_to(arm, postures) for each in file.obstacles)
+    obstacles = tuple(with_gap(_scaled(each, factor), arm, postures) for each in file.obstacles)
     return dataclasses.replace(file, target=scaled, obstacles=obstacles)
+
+
+def with_gap(section: ObstacleSettings, arm: Arm, postures: Array) -> ObstacleSettings:
+    """Walls with a gap that is as narrow for the arm as 0.15 m is for the iiwa 14; other obstacles as they are.
+
+    The gap follows from that of `postures` (N, n), rad, in which the part of the arm that is in the walls or behind
+    them is lowest, when the target is as near as it may be: with an iiwa's elbow aside, the height of its hand.
+    """
+    if not isinstance(section, WallSettings):
+        return section
+    depth = section.size[0] + section.target_clearance
+    return dataclasses.replace(section, gap=_GAP_SHARE * min(_height(arm, q, depth) for q in postures))
+
+
+def _height(arm: Arm, q: Array, depth: float) -> float:
+    """Height of the part of hand and forearm that is at most `depth` behind the tip along x, in a posture (n,), m."""
+    starts, ends = capsule_segments(arm, q)
+    beyond, radii = capsule_links(arm) >= _FOREARM_LINK, shape_radii(arm)[1:, None]
+    points = starts[:, None] + _POINTS[:, None] * (ends - starts)[:, None]
+    counts = beyond[:, None] & (points[..., 0] >= link_frames(arm, q)[1][-1][0] - depth)
+    above, below = points[..., 2] + radii, points[..., 2] - radii
+    return float(above[counts].max(initial=-np.inf) - below[counts].min(initial=np.inf))
 
 
 def _scaled(settings: S, factor: float) -> S:

@@ -11,17 +11,12 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.world.files import read_scene
-from contact_reach_ros.world.fitting import fitted
-from contact_reach_ros.world.free_path import free_path
-from contact_reach_ros.world.generate import load_scene, make_scene
-from contact_reach_ros.world.overlap import (
-    capsule_segments,
-    holding_segments,
-    overlap_depths,
-    path_segments,
-    postures_at,
-)
+from contact_reach_ros.scenes.fitting import fitted, with_gap
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.generate import load_scene, make_scene
+from contact_reach_ros.scenes.overlap import holding_segments, path_segments, postures_at
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
+from contact_reach_ros.world.scene_file import read_scene
 
 OTHERS = [name for name in ARMS if name != ARM.name]
 
@@ -60,7 +55,7 @@ def test_the_rule_for_the_gap_gives_that_of_the_arm_that_the_scene_is_for():
     (walls,), target = file.obstacles, file.target
     middle = 0.5 * (np.array(target.minimum) + np.array(target.maximum))
     rotations, _ = link_frames(ARM, target.start_of(ARM))
-    found = walls.suited_to(ARM, postures_at(ARM, middle, rotations[-1]))
+    found = with_gap(walls, ARM, postures_at(ARM, middle, rotations[-1]))
     assert found.gap == pytest.approx(walls.gap, abs=0.003)
 
 

@@ -1,0 +1,186 @@
+"""Concrete scenes from a scene file and a seed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arrays import Array
+from contact_reach_ros.errors import ContactReachError, SceneError, SettingsError
+from contact_reach_ros.scenes.checks import check_placement, conflict
+from contact_reach_ros.scenes.fitting import fitted
+from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.placing import place
+from contact_reach_ros.world.collision import check_goal
+from contact_reach_ros.world.goal import Goal
+from contact_reach_ros.world.obstacle_kinds import WallSettings, bodies
+from contact_reach_ros.world.scene import MismatchSettings, Scene
+from contact_reach_ros.world.scene_file import SceneFile, read_scene
+
+_TARGET_TRIES, _TARGET_TRIES_WITH_WALLS = 200, 20
+"""Numbers of targets that are tried: few with walls, because the search for their place takes long."""
+_FOAM = 1
+"""Keeps the random numbers of the mismatch independent of those of the places."""
+
+
+def load_scene(name: str, arm: Arm | None = None, seed: int = 0, target: ArrayLike | None = None) -> Scene:
+    """Load a scene of the package, or of a YAML file, and make it concrete.
+
+    Parameters
+    ----------
+    name
+        Name of a scene in config/scenes, or the path of a YAML file.
+    arm
+        Arm for which target and obstacles are placed; None for the iiwa 14.
+    seed
+        The same seed gives the same scene.
+    target
+        Position of the tip (3,), m, base frame, which replaces the file's or a random one.
+
+    Raises
+    ------
+    SceneError
+        As `read_scene` and `make_scene`, and if an argument has the wrong type or value.
+    """
+    if not (arm is None or isinstance(arm, Arm)):
+        raise SceneError(f"arm = {arm!r}: expected an Arm, from load_arm(name)")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise SceneError(f"seed = {seed!r}: expected an integer from 0 on")
+    return make_scene(read_scene(name), arm or load_arm(), seed, target)
+
+
+def parse_target(text: str) -> Array | None:
+    """Parse a position (3,) in m from 'x y z'; None for an empty text.
+
+    Raises
+    ------
+    SceneError
+        If it is not three finite numbers.
+    """
+    if not text.strip():
+        return None
+    try:
+        position = np.array([float(word) for word in text.split()])
+    except ValueError:
+        position = np.empty(0)
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise SceneError(f"target '{text}': expected three finite numbers 'x y z' in m")
+    return position
+
+
+def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = None) -> Scene:
+    """Draw a target and place the obstacles so that the arm's free path meets them, unless the file places them.
+
+    Parameters
+    ----------
+    file
+        From `read_scene`.
+    arm
+        Arm that the scene is made for, and that is simulated in it.
+    seed
+        The same seed gives the same scene. Only what the file leaves open is drawn from the seed.
+    target
+        Flange position (3,), m, which replaces the file's or a random one.
+
+    Raises
+    ------
+    SceneError
+        If a given target cannot be reached or is inside an obstacle, an obstacle lies in the arm at the start, or no
+        target or no place for the obstacle was found; the message says what to change.
+    SettingsError
+        If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
+    """
+    try:
+        return _mismatched(_drawn(fitted(file, arm), arm, seed, target), file.mismatch)
+    except ContactReachError as error:
+        kind = SettingsError if isinstance(error, SettingsError) else SceneError
+        raise kind(f"{file.source or file.name}: {error}") from error
+
+
+def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Scene:
+    check_placement(file, arm)
+    random = np.random.default_rng(seed)
+    given = file.target.position if target is None else target
+    tries = _TARGET_TRIES
+    if any(isinstance(section, WallSettings) for section in file.obstacles):
+        tries = min(tries, _TARGET_TRIES_WITH_WALLS)
+    if given is not None and all(section.center is not None for section in file.obstacles):
+        tries = 1
+    start = file.target.start_of(arm)
+    reason = ""
+    for wanted, path in _targets(file, RobotModel(arm), given, tries, random):
+        centers = []
+        for section in file.obstacles:
+            center = place(section, arm, path, random)
+            if center is None:
+                break
+            centers.append(center)
+        else:
+            obstacles = bodies(file.obstacles, centers)
+            scene = Scene(file.name, arm, seed, start, wanted, obstacles, environment=file.environment)
+            reason = conflict(scene)
+            if not reason:
+                return scene
+    if tries == 1:
+        raise SceneError(reason)
+    names = " and ".join(f"the {section.KIND}" for section in file.obstacles)
+    last = f" (the last: {reason})" if reason else ""
+    raise SceneError(
+        f"seed {seed}: no target{names and f' with {names} on the path'} found in {tries} tries{last}; "
+        f"{'widen the box of the target' if given is None else 'choose another target'}, relax the limits of the "
+        "obstacles, or give them a center"
+    )
+
+
+def _targets(
+    file: SceneFile, model: RobotModel, given: ArrayLike | None, tries: int, random: np.random.Generator
+) -> Iterator[tuple[Array, Array]]:
+    """Targets (3,), m, with the arm's free path (N, n), rad, to each: a given one again and again, or random ones.
+
+    Raises `SceneError` or `InputError` if the arm cannot reach the given target.
+    """
+    start = file.target.start_of(model.arm)
+    origin, rotation = model.tip_pose(start)
+    if given is None:
+        for _ in range(tries):
+            drawn = random.uniform(file.target.minimum, file.target.maximum)
+            if np.linalg.norm(drawn - origin) >= file.target.min_distance:
+                path = free_path(model, start, drawn)
+                if path is not None:
+                    yield drawn, path
+        return
+    goal = Goal(given).resolve(model.arm, rotation)
+    check_goal(model.arm, goal, file.environment, start)
+    path = free_path(model, start, goal.position)
+    placed = " and ".join(section.KIND for section in file.obstacles if section.center is None)
+    if path is None and placed:
+        raise SceneError(
+            f"the {placed} cannot be placed on the arm's path: from the start it does not get to the target "
+            f"{np.round(goal.position, 3).tolist()} m on a straight line with the orientation held; choose another "
+            "target, or say in a scene file where the obstacle is"
+        )
+    for _ in range(tries):
+        yield goal.position, start[None] if path is None else path
+
+
+def _mismatched(scene: Scene, mismatch: MismatchSettings) -> Scene:
+    """Draw the obstacles' mismatch apart from the rest, so that it changes nothing else in the scene."""
+    random = np.random.default_rng((scene.seed, _FOAM))
+    scale = random.uniform(1.0 - mismatch.foam_variation, 1.0 + mismatch.foam_variation)
+    scale *= mismatch.foam_factor ** random.uniform(-1.0, 1.0)
+    offsets = np.zeros((0, 3))
+    if mismatch.placement_error:
+        offsets = random.normal(size=(len(scene.obstacles), 3))
+        lengths = mismatch.placement_error * random.uniform(size=(len(scene.obstacles), 1))
+        offsets *= lengths / np.linalg.norm(offsets, axis=1, keepdims=True)
+    changed = dataclasses.replace(scene, mismatch=mismatch, foam_scale=float(scale), offsets=offsets)
+    for obstacle, offset in zip(changed.true_obstacles, offsets, strict=False):
+        # One that would begin in the arm is seen where it is.
+        offset *= not conflict(dataclasses.replace(scene, obstacles=(obstacle,)))
+    return changed
