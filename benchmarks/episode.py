@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.baselines.method import Method
 from benchmarks.episode_result import EpisodeResult
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import SafetyReport
@@ -27,7 +27,7 @@ from contact_reach_ros.simulation.plant import TICK, Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings, WatchdogSettings
 from contact_reach_ros.stack import Stack
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import FREE, HOLD, REST_SPEED, Goal
 from contact_reach_ros.world.scene import Scene
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.overlap import path_segments
 from contact_reach_ros.simulation import faults

@@ -38,8 +38,8 @@ from benchmarks.view import (
     path_shapes,
     target_shapes,
 )
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILION, WHITE
 from contact_reach_ros.drawing.shapes import Shape
 from contact_reach_ros.errors import RenderingError, SettingsError

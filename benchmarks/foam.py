@@ -13,8 +13,8 @@ import numpy as np
 import scipy.optimize
 
 from benchmarks.output import command_line, given, run_command, write_report
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Plant

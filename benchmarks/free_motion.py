@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import SupervisionSettings
@@ -17,7 +17,7 @@ from contact_reach_ros.observer.safety import SafetyMonitor
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 
 REACH = (1.2, 0.5, 0.8, 0.6, 1.2, 0.6, 1.5)

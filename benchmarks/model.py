@@ -21,9 +21,9 @@ from contact_reach_ros.planning.action_space import ReferenceSpace
 
 from benchmarks.output import command_line, given, percentiles, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings

@@ -10,16 +10,16 @@ import numpy as np
 
 from benchmarks.free_motion import START, FreeMotion
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.safety import SafetySettings
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 
 MID_ARM = (3, 4, 5)

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import ContactReachError, SettingsError
-from contact_reach_ros.versions import versions
+from contact_reach_ros.resources import versions
 
 Report = dict[str, Any]
 """A benchmark's result, as JSON has it."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import SKY_BLUE, rgb
 from contact_reach_ros.drawing.parts import DARK, FOAM, NODE, RIGID, link_shapes
 from contact_reach_ros.drawing.shapes import Capsule, Colour, Cylinder, Mesh, Shape, Sphere, corners, move

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from contact_reach_ros.planning.settings import PlanningSettings
     from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
     from contact_reach_ros.presets import preset
+    from contact_reach_ros.resources import VERSION as __version__
     from contact_reach_ros.scenes.generate import load_scene
     from contact_reach_ros.simulation.robot import SimulatedRobot
     from contact_reach_ros.stack import Result, Robot, Stack, Tick, make_planner
-    from contact_reach_ros.versions import VERSION as __version__
     from contact_reach_ros.world.goal import Goal, Task
     from contact_reach_ros.world.scene import Scene
     from contact_reach_ros.world.spheres import Spheres, sphere_capacity
@@ -76,7 +76,7 @@ __all__ = ["__version__", *_WHERE]
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return importlib.import_module("contact_reach_ros.versions").VERSION
+        return importlib.import_module("contact_reach_ros.resources").VERSION
     if name not in _WHERE:
         raise AttributeError(f"module 'contact_reach_ros' has no attribute '{name}'")
     value = getattr(importlib.import_module(f"contact_reach_ros.{_WHERE[name]}"), name)

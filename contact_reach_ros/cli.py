@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.errors import ContactReachError, InputError
-from contact_reach_ros.resources import PACKAGE
-from contact_reach_ros.versions import VERSION
+from contact_reach_ros.resources import PACKAGE, VERSION
 
 BAD_INPUT = 2
 
@@ -227,7 +226,7 @@ def _later(place: str) -> Callable[..., int | None]:
 def _check(parameters: Path | None) -> None:
     """Check the parameter file, if one is given, before anything that takes seconds."""
     if parameters:
-        from contact_reach_ros.parameter_check import check_parameters
+        from contact_reach_ros.presets import check_parameters
 
         check_parameters(parameters)
 

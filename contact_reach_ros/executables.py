@@ -7,23 +7,66 @@ that the imports take. The node then installs its own signal handling.
 from __future__ import annotations
 
 import importlib
+import os
+import signal
 import sys
+import threading
 from functools import partial
+from types import FrameType
 
-from contact_reach_ros.command_line import answer, asks_for_help, foreign_arguments
-from contact_reach_ros.parameter_files import NODES
-from contact_reach_ros.starting import end_at_signals
+from contact_reach_ros.settings import NODES
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_watcher: threading.Thread | None = None
+
+
+def end_at_signals() -> None:
+    """End this process at SIGINT or SIGTERM, with exit code 0, until others are to handle them.
+
+    Imports and compilers keep the main thread from handling signals for seconds: another thread does it for that long.
+    """
+    global _watcher
+    for number in _SIGNALS:
+        signal.signal(number, _end)
+    if _watcher is None:
+        reader, writer = os.pipe()
+        os.set_blocking(writer, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        _watcher = threading.Thread(target=_watch, args=[reader], name="starting", daemon=True)
+        _watcher.start()
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    os._exit(0)
+
+
+def _watch(reader: int) -> None:
+    while data := os.read(reader, 1):
+        # Whoever has replaced the handler meanwhile wants to do more.
+        if signal.getsignal(data[0]) is _end:
+            os._exit(0)
 
 
 def _run(module: str) -> None:
     end_at_signals()
-    node, arguments = module.rpartition(".")[2], sys.argv[1:]
-    if node in NODES and (asks_for_help(arguments) or foreign_arguments(arguments)):
-        # The node itself would answer the same after the seconds that its imports take.
-        from contact_reach_ros.node_settings import ALL_SECTIONS
+    node = module.rpartition(".")[2]
+    if node in NODES and {"-h", "--help"} & {*sys.argv}:
+        print(_help(node))
+    else:
+        importlib.import_module(f"contact_reach_ros.{module}").main()
 
-        sys.exit(answer(node, ALL_SECTIONS[node], arguments))
-    importlib.import_module(f"contact_reach_ros.{module}").main()
+
+def _help(node: str) -> str:
+    """How a node is started, and its parameters with accepted values and meaning."""
+    from contact_reach_ros.arms import known_parameters, load_arm
+    from contact_reach_ros.presets import SECTIONS
+    from contact_reach_ros.settings import declared_parameters
+
+    listed = declared_parameters if node == "bringup" else known_parameters
+    lines = [f"usage: {node} [--ros-args [-p NAME:=VALUE ...] [--params-file FILE]], see msg_docs/{node}.md", ""]
+    for name, entry in listed(SECTIONS[node], load_arm()).items():
+        lines.append(f"  {name} ({entry.accepts}): {entry.description}")
+    return "\n".join(lines)
 
 
 driver = partial(_run, "nodes.driver")

@@ -1,17 +1,22 @@
-"""Whole configurations by name: what the nodes run, and the paper's own in both readings of its cost."""
+"""Whole configurations: the settings of all nodes, the check of a file with them, and those that have a name."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.arm.tool import Tool
+from contact_reach_ros.arms import EVERY_SECTION, TOOL, arm_in, known_parameters, load_arm
+from contact_reach_ros.bags.settings import RECORDER_SECTIONS
+from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS
+from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, make_settings, parameters_in
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.node_settings import (
     PLANNER_SECTIONS,
     ReplanningSettings,
@@ -19,6 +24,40 @@ from contact_reach_ros.planning.node_settings import (
 )
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.resources import config_file
+from contact_reach_ros.settings import (
+    DEFAULT_PARAMETERS,
+    RATE,
+    ROBOT,
+    Sections,
+    check_node_names,
+    check_parameters_in,
+    full_name,
+    make_settings,
+    parameters_in,
+)
+from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, check_period
+from contact_reach_ros.viewer.settings import VIEWER_SECTIONS
+
+if TYPE_CHECKING:
+    from contact_reach_ros.control.controller import ControllerSettings
+
+SECTIONS: Mapping[str, Sections] = {
+    "driver": DRIVER_SECTIONS,
+    "controller": CONTROLLER_SECTIONS,
+    "observer": OBSERVER_SECTIONS,
+    "planner": PLANNER_SECTIONS,
+    "adapter": ADAPTER_SECTIONS,
+    "recorder": RECORDER_SECTIONS,
+    "viewer": VIEWER_SECTIONS,
+    "bringup": BRINGUP_SECTIONS,
+}
+"""Settings of each of `NODES`, as classes by parameter prefix."""
+
+_NEEDED = ("controller", "observer", "planner")
+_ONE_CLOCK = ("driver", "adapter", *_NEEDED)
+"""Nodes that count joint states: they must have the same arm and rate."""
+
+Given = Mapping[str, Mapping[str, Any]]
 
 PRESETS = {
     "paper_linear": "presets/paper_linear.yaml",
@@ -49,6 +88,9 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
 
     Raises `SettingsError` if there is no preset of this name, or its file has a value that is not accepted.
     """
+    # It compiles the controller's arithmetic.
+    from contact_reach_ros.control.controller import ControllerSettings
+
     file, arm = preset_file(name), arm or load_arm()
 
     def settings(node: str, sections: Any) -> dict[str, Any]:
@@ -64,3 +106,66 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
         ),
         unexpected_contact=planner["unexpected_contact"],
     )
+
+
+def check_parameters(file: Path, given: Given | None = None) -> None:
+    """Check names of nodes and parameters, values, and what must be the same in several nodes.
+
+    Controller and planner cannot have different gains: both read those of the section `controller`. In the same way the
+    controller reads the settings of the observer with which it watches itself.
+
+    Parameters
+    ----------
+    file
+        Parameter file of all nodes.
+    given
+        Parameters that come on top of the file's, by the nodes that are started; None while nobody knows which are.
+
+    Raises
+    ------
+    SettingsError
+        Naming the file, node and parameter, and what is expected.
+    """
+    check_node_names(file)
+    values: dict[str, dict[str, Any]] = {}
+    settings: dict[str, dict[str, Any]] = {}
+    arms: dict[str, Arm] = {}
+    for node, sections in SECTIONS.items():
+        source = f"{file}: {node}"
+        values[node] = own = {**parameters_in(file, node), **(given or {}).get(node, {})}
+        arms[node] = arm = arm_in(own, source)
+        check_parameters_in(file, node, known_parameters(sections, arm))
+        settings[node] = make_settings(own, {**EVERY_SECTION, **sections}, arm, source)
+    started = _NEEDED if given is None else tuple(given)
+    for name, default in {entry.name: entry.default for entry in (ROBOT, RATE)}.items():
+        _check_same(file, name, {node: values[node].get(name, default) for node in _ONE_CLOCK if node in started})
+    for entry in Tool.declared():
+        of_node = {node: getattr(settings[node][TOOL], entry.name) for node in _ONE_CLOCK if node in started}
+        _check_same(file, full_name(TOOL, entry.name), of_node)
+    rate: Any = values["controller"].get(RATE.name, RATE.default)
+    _check_together(file, settings, arms["controller"], 1.0 / rate, started)
+
+
+def _check_same(file: Path, name: str, of_node: Mapping[str, Any]) -> None:
+    if len(set(of_node.values())) > 1:
+        listed = ", ".join(f"{value} for the {node}" for node, value in of_node.items())
+        raise SettingsError(f"{file}: {name} = {listed}; expected the same for all of them: set it in a section '/**'")
+
+
+def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: float, started: tuple[str, ...]) -> None:
+    """Check what no node can check of its own values, or only once it runs."""
+    # Not before the values are known to be right: it loads the arm's model.
+    from contact_reach_ros.control.stability import check_gains
+
+    try:
+        check_gains(arm, settings["controller"]["impedance"], period)
+        if "adapter" in started:
+            settings["adapter"][""].check_period(period)
+        if "driver" in started:
+            check_period(period)
+    except SettingsError as error:
+        raise SettingsError(f"{file}: {error}") from error
+    paths = {node: settings[node][""].contact_budget for node in ("planner", "observer")}
+    planners, observers = (load_budget(path).resolve(arm) for path in paths.values())
+    if planners != observers:
+        raise SettingsError(f"{file}: planner and observer read different contact budgets: {paths}; expected the same")

@@ -1,4 +1,4 @@
-"""Locations of the package's files that are not Python code, and of its cache."""
+"""Locations of the package's files that are not Python code and of its cache, and the versions behind a result."""
 
 from __future__ import annotations
 
@@ -6,13 +6,22 @@ import contextlib
 import hashlib
 import os
 import pickle
+import platform
+import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.errors import ContactReachError
 
 PACKAGE = "contact_reach_ros"
+VERSION = "0.2.0"
+"""Version of this package, the same as in package.xml."""
+
+_PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numba", "numpy", "pin", "mcap", "ros-rclpy")
+"""Packages that results depend on; `ros-rclpy` is there where rclpy comes as a wheel."""
+_PATIENCE_S = 5.0
 
 _KEPT = 300
 """Files in a folder of the cache."""
@@ -110,3 +119,36 @@ class KeptFile:
             files = sorted(self._file.parent.glob("*.pickle"), key=lambda each: each.stat().st_mtime)
             for old in files[:-_KEPT]:
                 old.unlink(missing_ok=True)
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on, as far as they are installed."""
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def git_revision() -> str | None:
+    """Commit of the checkout that this package runs from, with "-dirty" if files differ; None outside a checkout."""
+    checkout = Path(__file__).resolve().parents[1]
+    # An installed package may lie inside somebody else's checkout.
+    if not (checkout / ".git").exists():
+        return None
+    commit = _git(checkout, "rev-parse", "HEAD")
+    changes = _git(checkout, "status", "--porcelain", "--untracked-files=no")
+    if not commit or changes is None:
+        return None
+    return f"{commit}-dirty" if changes else commit
+
+
+def _git(checkout: Path, *arguments: str) -> str | None:
+    command = ["git", "-C", str(checkout), *arguments]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return result.stdout.strip() if result.returncode == 0 else None

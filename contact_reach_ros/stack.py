@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.agreement import disagreement, plan_basis
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.errors import InputError, PlanningError, SettingsError
+from contact_reach_ros.errors import InputError, PlanningError, SettingsError, Verdict, requested
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -28,9 +28,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
 from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.stop_reasons import Verdict, requested
-from contact_reach_ros.timing import PERIOD
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, PERIOD
 from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, sphere_capacity

@@ -26,8 +26,8 @@ from contact_reach_ros.bringup.bringup import SECTIONS as BRINGUP
 from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.cli import _parser, main
 from contact_reach_ros.messages import topics
-from contact_reach_ros.node_settings import SECTIONS
 from contact_reach_ros.nodes import replay
+from contact_reach_ros.presets import SECTIONS
 from contact_reach_ros.ros.interfaces import INTERFACES
 from contact_reach_ros.ros.parameters import check_arguments
 

@@ -4,10 +4,9 @@ import pytest
 import yaml
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.node_settings import ALL_SECTIONS
-from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import NODES, parameters_in
+from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.resources import config_file
+from contact_reach_ros.settings import NODES, parameters_in
 
 STACK = {"driver": {}, "controller": {}, "observer": {}, "planner": {}}
 
@@ -24,7 +23,7 @@ def written(tmp_path):
 
 def test_the_packages_own_file_passes():
     check_parameters(config_file("default.yaml"), STACK)
-    assert list(ALL_SECTIONS) == list(NODES)
+    assert list(SECTIONS) == list(NODES)
 
 
 @pytest.mark.parametrize(

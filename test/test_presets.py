@@ -7,8 +7,7 @@ from arm_simulation import ARM
 
 import contact_reach_ros as cr
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.presets import PRESETS, preset, preset_file
+from contact_reach_ros.presets import PRESETS, check_parameters, preset, preset_file
 
 PAPER = ("paper_linear", "paper_hinge")
 

@@ -17,8 +17,8 @@ from contact_reach_ros.timing import (
     write_counts,
 )
 
-BUCKET_US = 5.0
-LONGEST_US = 100_000.0
+SHARE = 1 / 64
+"""Of a duration: width of its bucket, if that is not 1 µs."""
 
 
 def filled(durations_us: list[float]) -> Histogram:
@@ -31,7 +31,7 @@ def filled(durations_us: list[float]) -> Histogram:
 @given(st.lists(st.integers(0, 99_999), min_size=1, max_size=200), st.floats(0.1, 100))
 def test_percentiles_are_exact_to_a_bucket(durations_us, percent):
     true = np.percentile(durations_us, percent, method="inverted_cdf")
-    assert true <= filled(durations_us).percentile_us(percent) <= true + BUCKET_US
+    assert true <= filled(durations_us).percentile_us(percent) <= true + max(1.0, SHARE * true)
 
 
 def test_no_percentile_exceeds_the_longest_duration():
@@ -42,21 +42,15 @@ def test_no_percentile_exceeds_the_longest_duration():
 def test_longest_duration_is_kept_exactly():
     histogram = filled([10.0] * 99 + [250_000.25])
     assert histogram.maximum_ns == 250_000_250
-    assert histogram.percentile_us(50) == 15.0
+    assert histogram.percentile_us(50) == 11.0
     assert histogram.percentile_us(100) == 250_000.25
-
-
-def test_durations_beyond_the_last_bucket_count_as_the_longest():
-    histogram = filled([LONGEST_US, 2 * LONGEST_US, 3 * LONGEST_US])
-    assert histogram.count == 3
-    assert histogram.percentile_us(1) == 3 * LONGEST_US
 
 
 def test_negative_durations_count_as_zero():
     histogram = filled([-1.0, -1e9])
     histogram.add(20_000)
     assert histogram.count == 3
-    assert histogram.percentile_us(50) == BUCKET_US
+    assert histogram.percentile_us(50) == 1.0
     assert histogram.maximum_ns == 20_000
 
 
@@ -68,17 +62,15 @@ def test_summary_has_the_names_that_reports_use():
     summary = filled(list(np.linspace(0, 1000, 1001))).summary()
     assert list(summary) == list(PERCENTILES)
     for name, percent in PERCENTILES.items():
-        assert summary[name] == pytest.approx(10 * percent, abs=2 * BUCKET_US)
+        assert summary[name] == pytest.approx(10 * percent, rel=SHARE, abs=2.0)
 
 
-def test_counts_tell_how_many_durations_there_were_of_each_length():
-    histogram = filled([1.0, 4.0, 7.0, 999.0, 1234.0, 150_000.0])
+def test_counts_hold_how_many_durations_there_were_of_each_length():
+    histogram = filled([1.0, 1.5, 7.0, 999.0, 1234.0, 150_000.0])
     counts = histogram.counts()
     assert list(counts.values()) == [2, 1, 1, 1, 1]
-    edges = list(counts)
-    assert edges[:3] == [5, 10, 1000]
-    assert 1234 <= edges[3] <= 2234
-    assert edges[4] > LONGEST_US
+    for edge, duration in zip(counts, [1.5, 7.0, 999.0, 1234.0, 150_000.0], strict=True):
+        assert duration < edge <= duration + max(1.0, SHARE * duration)
     assert read_counts(write_counts(counts)) == counts
 
 
@@ -93,7 +85,7 @@ def test_what_happened_between_two_times_has_counts_of_its_own(before, between):
 
 def test_percentiles_of_counts_are_those_of_the_histogram():
     histogram = filled(list(np.linspace(1, 990, 2000)))
-    assert percentiles_us(histogram.counts()) == pytest.approx(histogram.summary(), abs=BUCKET_US)
+    assert percentiles_us(histogram.counts()) == pytest.approx(histogram.summary(), rel=SHARE, abs=1.0)
     assert all(math.isnan(value) for value in percentiles_us({}).values())
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.collisions import nearest_bodies
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion, place_capsules

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.baselines.rrt_star import JointPath
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.plan import Plan

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import make_constants, stop_damping
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.kernels import repulsion_torque

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planning_core import Request

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
 if TYPE_CHECKING:

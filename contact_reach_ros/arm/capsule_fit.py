@@ -14,7 +14,7 @@ import trimesh
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""

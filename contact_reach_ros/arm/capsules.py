@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arrays import Array
 
 _POSTURES = 8192
 """Random postures within the limits that decide which capsules can touch."""

@@ -10,9 +10,9 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.collada import collada_points
 from contact_reach_ros.arm.urdf_tree import Shape
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
 _RIM = 24

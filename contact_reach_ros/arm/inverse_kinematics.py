@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arrays import Array
 
 _STEPS = 60
 _DAMPING = 0.05

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import PARALLEL, Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm.arm import Capsule, Joint, Vector3
-from contact_reach_ros.arm.arm_options import ArmOptions
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
 from contact_reach_ros.arm.collision_shapes import shape_balls
 from contact_reach_ros.arm.kinematics import rotation_about, rotation_from_quaternion
+from contact_reach_ros.arm.table import ArmOptions
 from contact_reach_ros.arm.urdf_tree import UrdfTree
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
 _SWEEP = 12

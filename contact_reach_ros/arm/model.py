@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.mjcf import build_mjcf
-from contact_reach_ros.arrays import Array
 
 _WORLD_ALIGNED = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

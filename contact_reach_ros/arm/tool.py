@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Quaternion, Vector3
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion, tensor_matrix
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 

@@ -9,9 +9,9 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm, Capsule
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
-from contact_reach_ros.arrays import Array
 
 
 def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""An `Arm` out of a URDF and the few choices that a URDF leaves open."""
+"""Arms in files: a URDF with the few choices that it leaves open, or a table."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Inertia, Joint
-from contact_reach_ros.arm.arm_options import ArmOptions
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, frame_about
 from contact_reach_ros.arm.kinematics import tensor_matrix
 from contact_reach_ros.arm.link_capsules import Part, link_capsules, vector
+from contact_reach_ros.arm.table import ArmOptions, arm_of_table, converted
 from contact_reach_ros.arm.urdf_tree import TURNING, UrdfJoint, UrdfTree, read_urdf
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.settings import read_yaml
 
 MAX_JOINTS = 7
+_YAML = (".yaml", ".yml")
+_OF_TABLES = "joints"
+"""Key that only a table has."""
 _TURN = round(2.0 * math.pi, 4)
 _ROUNDING = 1e-10
 
@@ -286,3 +290,25 @@ def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
     found = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
     w, x, y, z = (0.0 if abs(value) < _ROUNDING else float(value) for value in found)
     return (1.0, 0.0, 0.0, 0.0) if x == y == z == 0.0 else (w, x, y, z)
+
+
+def read_arm_file(file: Path) -> Reading:
+    """Read an arm from a table, a URDF, or the options of a URDF.
+
+    Options are in a YAML file beside the URDF, by default of the same name.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read, has an unknown key, or is not the description of a serial arm; the message names
+        file and key.
+    """
+    if file.suffix == ".urdf":
+        beside = next((file.with_suffix(ending) for ending in _YAML if file.with_suffix(ending).is_file()), None)
+        options = ArmOptions() if beside is None else converted(read_yaml(beside), ArmOptions, str(beside))
+        return read_arm(file, options)
+    content = read_yaml(file)
+    if _OF_TABLES in content:
+        return Reading(arm_of_table(content, str(file)), {}, [], [])
+    options = converted(content, ArmOptions, str(file))
+    return read_arm(file.parent / options.urdf if options.urdf else file.with_suffix(".urdf"), options)

@@ -1,18 +1,30 @@
-"""The arms that come with the package, one table each, and those that users bring."""
+"""The arms that come with the package, one table each, those that users bring, and the parameters that choose one."""
 
 from __future__ import annotations
 
 import functools
 import importlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.table import arm_of_table, table_of
+from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.settings import read_yaml
+from contact_reach_ros.settings import (
+    EVERY_NODE,
+    Sections,
+    Setting,
+    declared_parameters,
+    full_name,
+    make_settings,
+    parameters_in,
+    read_yaml,
+)
+from contact_reach_ros.settings import ROBOT as ROBOT_PARAMETER
 
-DEFAULT_ARM = "iiwa14"
+DEFAULT_ARM = str(ROBOT_PARAMETER.default)
 ROBOT, ROBOT_DIGEST, ROBOT_TABLE = "robot", "robot digest", "robot table"
 """Names under which nodes report their arm."""
 EARLIER_DIGESTS = {"fb09104480dee5b5": ("a1afed95948d1e7c", "f4d510c0cfa2a199")}
@@ -22,6 +34,10 @@ ENDINGS = (".urdf", ".yaml", ".yml")
 _FOLDER = Path(__file__).parent
 ARMS = tuple(sorted(file.stem for file in _FOLDER.iterdir() if file.suffix in (".py", ".yaml") and file.stem[0] != "_"))
 """Names that `load_arm` takes: those of the tables in this folder."""
+TOOL = "tool"
+EVERY_SECTION: Sections = {TOOL: Tool}
+"""Settings of every node by prefix: all of them have the same arm."""
+TOOL_PARAMETERS = tuple(full_name(TOOL, entry.name) for entry in Tool.declared())
 
 
 @functools.cache
@@ -40,7 +56,7 @@ def load_arm(name: str = DEFAULT_ARM) -> Arm:
     """
     if name.endswith(ENDINGS):
         # It loads what reads meshes, which the arms of the package do without.
-        from contact_reach_ros.arm.arm_file import read_arm_file
+        from contact_reach_ros.arm.urdf_reader import read_arm_file
 
         return read_arm_file(Path(name)).arm
     if name not in ARMS:
@@ -61,3 +77,44 @@ def arm_settings(arm: Arm) -> dict[str, Any]:
     """What nodes report of their arm: name and digest, and all of its numbers if the package does not have it."""
     settings: dict[str, Any] = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest}
     return settings if is_shipped(arm) else settings | {ROBOT_TABLE: table_of(arm)}
+
+
+def known_parameters(sections: Sections, arm: Arm) -> dict[str, Setting]:
+    """The parameters of a node with these sections, and those of every node, by full name."""
+    return {entry.name: entry for entry in EVERY_NODE} | declared_parameters({**EVERY_SECTION, **sections}, arm)
+
+
+def arm_in(values: Mapping[str, Any], source: str) -> Arm:
+    """The arm of a node, with its tool, out of parameters by full name; names of others are left alone.
+
+    Raises
+    ------
+    SettingsError
+        Naming `source`, if there is no such arm or tool.
+    """
+    if ROBOT_TABLE in values:
+        # As nodes report an arm that the package does not have.
+        arm = arm_of_table(values[ROBOT_TABLE], f"{source}: {ROBOT_TABLE}")
+    else:
+        arm = checked_arm(values.get(ROBOT, DEFAULT_ARM), f"{source}: {ROBOT}")
+    return arm.with_tool(make_settings(values, EVERY_SECTION, arm, source)[TOOL])
+
+
+def checked_arm(value: Any, where: str) -> Arm:
+    """The arm that a value of the parameter `robot` stands for.
+
+    Raises
+    ------
+    SettingsError
+        Naming `where` it is, if there is no such arm, or its file is refused.
+    """
+    name = str(ROBOT_PARAMETER.check(value, where))
+    try:
+        return load_arm(name)
+    except SettingsError as error:
+        raise SettingsError(f"{where}: {error}") from error
+
+
+def robot_in(file: Path) -> str:
+    """The arm of the nodes with this parameter file, as `load_arm` takes it; raises `SettingsError` as above."""
+    return str(parameters_in(file, "planner").get(ROBOT, DEFAULT_ARM))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about, tensor_matrix
-from contact_reach_ros.arrays import Array
 
 _ARMATURE = 0.01
 """Reflected motor inertia of every joint, kg m²: link 7 alone (0.001 kg m²) would be unphysically light."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.bags.columns import Column
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 
 class Clock:

@@ -30,7 +30,7 @@ from contact_reach_ros.messages.cdr import (
     joint_state_names,
     joint_state_starts,
 )
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 Times = NDArray[np.int64]
 Bytes = NDArray[np.uint8]

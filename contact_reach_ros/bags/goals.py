@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 _KEYS = ("goal x m", "goal y m", "goal z m")
 _CLOSE = 1e-5

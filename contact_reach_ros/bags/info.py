@@ -17,7 +17,7 @@ from contact_reach_ros.bags.loss import LOST
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 GAP_RATIO = 5.0
 """A gap is this many times longer than the median time between two messages of its topic..."""

@@ -10,8 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 
 from contact_reach_ros.bags.reader import RawMessage
-from contact_reach_ros.timing import Histogram
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, Histogram
 
 _CLOSE_NS = 2_000_000
 """A message due within this time is waited for by sleeping exactly as long; a pause takes effect after it."""

@@ -18,7 +18,7 @@ from contact_reach_ros.bags.mcap_file import McapFile
 from contact_reach_ros.bags.message_types import Decoder
 from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, read_offered_qos
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 _STATES, _SAFETY = "/joint_states", "/safety_state"
 """Topics that every stack has."""

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, load_arm
+from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.values import read_settings
-from contact_reach_ros.parameter_files import arm_in
 
 SETTINGS = "settings"
 _ONLOOKERS = ("recorder", "viewer")

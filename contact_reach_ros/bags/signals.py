@@ -20,7 +20,7 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds, numbers, read_settings
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 _SPARSE = {
     "goal_pose": "geometry_msgs/msg/PoseStamped",

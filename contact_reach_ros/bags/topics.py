@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 ROS2MSG = "ros2msg"
 """Language of .msg files, the only one of definitions that is read and written here."""

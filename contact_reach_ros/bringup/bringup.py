@@ -21,9 +21,7 @@ from contact_reach_ros.bringup.children import Interruption, StackError
 from contact_reach_ros.bringup.processes import processes, stack_arm
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.command_line import answer
 from contact_reach_ros.errors import ContactReachError, SettingsError
-from contact_reach_ros.parameter_files import check_node_names, sections_of_others
 from contact_reach_ros.ros.boundary import Boundary
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
@@ -32,6 +30,7 @@ from contact_reach_ros.ros.parameters import check_arguments, declare, early_val
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.ros.running import refuse_beside_another
 from contact_reach_ros.scenes.generate import make_scene, parse_target
+from contact_reach_ros.settings import check_node_names, sections_of_others
 from contact_reach_ros.world.scene_file import read_scene
 
 NAME = "bringup"
@@ -53,9 +52,6 @@ def main() -> None:
 
 def run_bringup(arguments: list[str]) -> int:
     """Run with a command line, program name first; returns the exit code."""
-    code = answer(NAME, SECTIONS, arguments[1:])
-    if code is not None:
-        return code
     interruption = Interruption()
     try:
         arm = check_arguments(arguments, NAME, SECTIONS)

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.parameter_files import as_arguments
 from contact_reach_ros.planning.node_settings import SPEED_SCALE
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.interfaces import STOPPABLE
 from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.stopping import Outcome, release_all, stop_arm
+from contact_reach_ros.settings import as_arguments
 from contact_reach_ros.world.goal import POSE
 
 _REST_S = 5.0

@@ -24,14 +24,14 @@ from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import RATE, parameters_in
 from contact_reach_ros.report.plot import SUCCESS_DISTANCE
 from contact_reach_ros.report.summary import Episode, EpisodeSummary
 from contact_reach_ros.ros.interfaces import DEMO, RECORDER
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.ros.running import refuse_beside_another
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.settings import RATE, parameters_in
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
 
 INTERRUPTED = 130

@@ -8,8 +8,8 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
@@ -17,7 +17,7 @@ from contact_reach_ros.messages.values import JointOrder, nanoseconds
 from contact_reach_ros.ros.client import PLANNER, StackClient
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 DISCOVERY_S = 15.0
 """For nodes that are up to hear each other."""

@@ -12,15 +12,14 @@ from typing import NamedTuple
 import yaml
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import arm_in, known_parameters, load_arm
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.node_settings import SECTIONS
 from contact_reach_ros.observer.budget import budget_file
-from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import RATE, ROBOT, arm_in, check_name, known_parameters, parameters_in
+from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
+from contact_reach_ros.settings import RATE, ROBOT, check_name, parameters_in
 from contact_reach_ros.viewer.settings import ViewerSettings
 from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
 from contact_reach_ros.world.spheres import sphere_capacity

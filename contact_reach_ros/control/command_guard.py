@@ -8,16 +8,15 @@ from enum import Enum
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState, checked_torque
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.adapter_settings import DAMPING, AdapterSettings
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque
 from contact_reach_ros.control.stability import stable_damping
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import StopCode, StopReason
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.errors import InputError, StopCode, StopReason
+from contact_reach_ros.timing import NANOSECONDS
 
 COMMANDS = "adapter/commands"
 """Topic that refusals name."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.kernels import Constant
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import lightness, stable_damping

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
 from contact_reach_ros.control.law import blend
@@ -19,10 +19,8 @@ from contact_reach_ros.control.references import Reference, ReferenceQueue, Refe
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import check_gains, lightness, stable_damping
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import Verdict
-from contact_reach_ros.timing import PAUSE, StampOrder
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.errors import InputError, Verdict
+from contact_reach_ros.timing import NANOSECONDS, PAUSE, StampOrder
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from numba import float64
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 
 class Constant(IntEnum):

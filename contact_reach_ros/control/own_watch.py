@@ -6,13 +6,11 @@ import math
 from contextlib import suppress
 from typing import Protocol
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.supervisor import Supervisor
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict
-from contact_reach_ros.timing import GAP_PERIODS, GAPS_IN_A_ROW
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
+from contact_reach_ros.timing import GAP_PERIODS, GAPS_IN_A_ROW, NANOSECONDS
 
 
 class Report(Protocol):

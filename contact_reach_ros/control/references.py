@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 
 @dataclass(frozen=True)

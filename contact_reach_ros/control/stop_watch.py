@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.timing import states_in
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, states_in
 
 _BY_HAND = 2.0
 """An arm at rest that gets faster than so many times the speed of rest is moved by hand; slower, it creeps."""

@@ -11,13 +11,11 @@ from enum import Enum
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import StopWatch
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict, is_missing_states, with_sequel
-from contact_reach_ros.timing import states_in
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, is_missing_states, with_sequel
+from contact_reach_ros.timing import NANOSECONDS, states_in
 
 
 class Mode(Enum):

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.doctor.findings import Finding, failed, graded, passed
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.timing import RateCheck
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.observer.sight import RateCheck
+from contact_reach_ros.timing import NANOSECONDS
 
 _GOOD_SHARE, _BAD_SHARE = 0.01, 0.1
 _LONG_GAP_NS = 20e6

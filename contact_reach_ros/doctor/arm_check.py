@@ -10,19 +10,18 @@ from rich.console import Console
 from rich.table import Table
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arm_file import read_arm_file
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_name, shapes
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.table import table_text
+from contact_reach_ros.arm.urdf_reader import read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.doctor.findings import write_text
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.timing import PERIOD
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, PERIOD
 from contact_reach_ros.viewer.access import serve
 from contact_reach_ros.viewer.fit import show_fit
 from contact_reach_ros.viewer.settings import ViewerSettings

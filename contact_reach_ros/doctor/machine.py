@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.doctor.findings import Finding, graded, passed
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 PRIORITY = 80
 """SCHED_FIFO priority that is asked for: the highest of the nodes, the driver's."""

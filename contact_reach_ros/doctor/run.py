@@ -10,7 +10,7 @@ from rich.console import Console
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import arm_in, load_arm, robot_in
 from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
@@ -25,9 +25,9 @@ from contact_reach_ros.doctor.findings import (
 )
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, NODES, arm_in, parameters_in, robot_in
+from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, parameters_in
 
 _LISTEN_S = 1.0
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 Indices = NDArray[np.intp]
 Colour = tuple[float, float, float, float]

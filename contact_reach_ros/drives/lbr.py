@@ -12,8 +12,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState as JointStateMessage
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.adapter_settings import LbrSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
@@ -21,7 +21,7 @@ from contact_reach_ros.messages.serialization import encode
 from contact_reach_ros.messages.topics import NEWEST, Topic
 from contact_reach_ros.messages.values import JointOrder
 from contact_reach_ros.ros.inbox import Inbox
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 try:
     from lbr_fri_idl.msg import LBRState, LBRTorqueCommand

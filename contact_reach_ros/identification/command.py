@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.tool import Tool
+from contact_reach_ros.arms import TOOL as TOOL_SECTION
+from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.bags.signals import read_signals
@@ -17,11 +19,10 @@ from contact_reach_ros.identification.identify import BOTH, LINKS, TOOL, identif
 from contact_reach_ros.identification.output import describe, write
 from contact_reach_ros.identification.recording import Recording, make_recording
 from contact_reach_ros.observer.settings import ObserverSettings
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, TOOL_PARAMETERS, arm_in, full_name
-from contact_reach_ros.parameter_files import TOOL as TOOL_SECTION
 from contact_reach_ros.reexecution.settings import BUDGET, recorded_sections
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, full_name
+from contact_reach_ros.timing import NANOSECONDS
 
 OUTPUT = Path("identified.yaml")
 _OBSERVER = "observer"

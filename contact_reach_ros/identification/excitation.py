@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.spheres import Spheres

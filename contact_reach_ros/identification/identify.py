@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.fit import Fit, Motion, fit
 from contact_reach_ros.identification.parameters import Parameters

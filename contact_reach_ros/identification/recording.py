@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.settings import MomentumSettings
-from contact_reach_ros.timing import GAP_PERIODS
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS
 
 LEAST_S = 10.0
 """Shortest recording that is fitted, without its pauses, s."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.recording import Recording
 from contact_reach_ros.observer.budget import ContactBudget

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 PLAIN_CDR = b"\x00\x01\x00\x00"
 """Encapsulation header of plain CDR, little-endian. Alignment counts from its end."""

@@ -11,8 +11,8 @@ from geometry_msgs.msg import Point, PoseStamped, Quaternion, Transform, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.timing import NANOSECONDS
 
 
 def to_time(nanoseconds: int) -> Time:

@@ -8,10 +8,10 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.errors import code_of
 from contact_reach_ros.messages.safety_state import ERROR, MONITORING, OK, STOP_CODE, WARN, findings
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
-from contact_reach_ros.stop_reasons import code_of
 
 _LEVELS = {SafetyLevel.FREE: OK, SafetyLevel.CONTACT: WARN, SafetyLevel.BLIND: ERROR, SafetyLevel.COLLISION: ERROR}
 

@@ -6,12 +6,12 @@ import numpy as np
 from geometry_msgs.msg import Quaternion
 from visualization_msgs.msg import Marker, MarkerArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.messages.cdr import HEADER
 from contact_reach_ros.messages.conversions import set_time, to_marker, to_point
 from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBSTACLES, PLANE, REST
 from contact_reach_ros.messages.serialization import encode
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Plane, RigidBody, slab
 from contact_reach_ros.world.scene import Scene

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import FrameError, InputError
 from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, STAMP, after_list, after_string, aligned, text_at
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.rigid import Block, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
 

@@ -21,8 +21,8 @@ from trajectory_msgs.msg import (
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.messages.conversions import (
     set_time,
     to_duration,

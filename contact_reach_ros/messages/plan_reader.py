@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.values import FARTHEST, quaternion, vector
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.memory import Memory
 from contact_reach_ros.planning.patience import Approach

@@ -14,8 +14,8 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64MultiArray
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import (
     ARRAY_COUNT,
@@ -34,7 +34,7 @@ from contact_reach_ros.messages.cdr import (
 )
 from contact_reach_ros.messages.serialization import decode, encode
 from contact_reach_ros.messages.values import JointOrder, checked_stamp
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 _DOUBLE = np.dtype("<f8")
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 LATEST_S = 2**31 - 3600
 """Seconds of the latest stamp that is accepted: an hour is left for what follows, which has stamps of its own."""

@@ -19,7 +19,7 @@ from contact_reach_ros.control.supervisor import check_state
 from contact_reach_ros.drives.effort import EffortTarget
 from contact_reach_ros.drives.franka import FrankaTarget
 from contact_reach_ros.drives.lbr import LbrTarget
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode, StopReason, internal, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
@@ -29,7 +29,6 @@ from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER, CONTROLLER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import ADAPTER_PRIORITY, Role
-from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, requested
 from contact_reach_ros.timing import Histogram, StampOrder
 
 NAME = "adapter"

@@ -28,7 +28,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 _MATCHED_S = 1.0
 _SHOW_S = 0.2

@@ -12,12 +12,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.logging import LoggingSeverity
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.agreement import differences, disagreement
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode, StopReason, internal, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.intake import Taken
@@ -28,7 +28,6 @@ from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
-from contact_reach_ros.parameter_files import full_name
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.interfaces import ALONE, OBSERVER
 from contact_reach_ros.ros.lockstep import BEHIND_ADAPTER
@@ -36,8 +35,7 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import CONTROLLER_PRIORITY, Role
-from contact_reach_ros.settings import Settings
-from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, requested
+from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Histogram, write_counts
 
 NAME = "controller"

@@ -16,10 +16,10 @@ from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.urdf import build_urdf
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time
 from contact_reach_ros.messages.diagnostics import to_stop_state
@@ -33,9 +33,7 @@ from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
 from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
-from contact_reach_ros.stop_reasons import StopCode, StopReason, requested
-from contact_reach_ros.timing import Histogram, write_counts
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, Histogram, write_counts
 from contact_reach_ros.world.scene_file import read_scene
 
 _MAX_CATCH_UP_NS = 20_000_000

@@ -8,7 +8,7 @@ from typing import Any
 
 from rclpy.logging import LoggingSeverity
 
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode, StopReason, internal, is_missing_states, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.diagnostics import to_safety_state
@@ -23,7 +23,6 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import OBSERVER_PRIORITY, Role
 from contact_reach_ros.settings import Settings
-from contact_reach_ros.stop_reasons import StopCode, StopReason, internal, is_missing_states, requested
 
 NAME = "observer"
 

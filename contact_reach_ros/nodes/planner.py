@@ -112,7 +112,7 @@ class PlannerNode(ManagedNode):
         self._late = 0
         self._detour = 0
         """Number of the detour that the arm is on; 0 for none."""
-        self._solve_times = Histogram(bucket_us=100)
+        self._solve_times = Histogram()
         self._rivalry = ""
         self.every(LOOK_AROUND_S, self._look_around)
 

@@ -21,12 +21,12 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.topic_recorder import TopicRecorder
+from contact_reach_ros.resources import git_revision, versions
 from contact_reach_ros.ros.lockstep import FOREVER_NS
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.versions import git_revision, versions
+from contact_reach_ros.timing import NANOSECONDS
 
 DRAIN_PERIOD = 0.02
 DISCOVERY_PERIOD = 0.1

@@ -20,7 +20,7 @@ from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.process import initialise, without_ros_arguments
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 BAD_INPUT = 2
 

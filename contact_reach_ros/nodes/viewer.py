@@ -22,13 +22,13 @@ from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import JointOrder, checked_stamp
 from contact_reach_ros.nodes.viewer_actions import StackActions
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.parameter_files import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
 from contact_reach_ros.viewer.live import LiveState

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 
 _POINTS = 5
 """Candidates along the axis of each capsule."""

@@ -7,11 +7,10 @@ import math
 import numpy as np
 from scipy.linalg import lapack
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.observer.settings import MomentumSettings
-from contact_reach_ros.timing import GAP_PERIODS, PAUSE
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, PAUSE
 
 _IDENTITY = np.eye(6)
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState, checked_torque
 from contact_reach_ros.arm.model import Models, RobotModel
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver
@@ -19,9 +19,7 @@ from contact_reach_ros.observer.plausibility import PlausibilityCheck, TorqueChe
 from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.observer.sight import Sight
-from contact_reach_ros.stop_reasons import Verdict
-from contact_reach_ros.timing import StampOrder
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, StampOrder
 
 HEARTBEAT = 0.01
 """Longest time between reports that must be passed on, s."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.observer.settings import PlausibilitySettings
-from contact_reach_ros.stop_reasons import StopCode, StopReason
-from contact_reach_ros.timing import GAP_PERIODS, states_in
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, states_in
 
 _MEMORY = 0.2
 """Time constant with which a difference between position and integrated velocity is forgotten, s."""

@@ -8,12 +8,11 @@ from enum import Enum
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.model_error import ModelError
 from contact_reach_ros.observer.settings import SafetySettings
-from contact_reach_ros.stop_reasons import StopCode, StopReason
 from contact_reach_ros.timing import states_in
 
 

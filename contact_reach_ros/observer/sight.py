@@ -2,19 +2,81 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.stop_reasons import StopCode, StopReason
-from contact_reach_ros.timing import GAPS_IN_A_ROW, RateCheck, states_in
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.errors import StopCode, StopReason
+from contact_reach_ros.timing import GAPS_IN_A_ROW, NANOSECONDS, PAUSE, states_in
 
 TAKEN_OVER = 100
 """Time for which a moving arm may come without torques, ms: its drive holds it, and either gives it back or brakes."""
 
 REST_SPEED = 0.05
 """Joint speed, rad/s, up to which torques may be unknown: the brakes are closed."""
+
+
+class RateCheck:
+    """Compares the stamps of joint states with the nominal rate, over about the last second.
+
+    Attributes
+    ----------
+    steps
+        Steps from state to state that were taken into account, at most those of a second.
+    mean_ns, jitter_ns
+        Mean step, and mean difference from the nominal one, ns.
+    late_share
+        Share of the steps that were longer than one and a half periods.
+    longest_ns
+        Longest step of the last `steps`, slowly forgotten, ns.
+    """
+
+    TOLERANCE = 0.5
+    """How far the mean step may be from the nominal one, as a share of it."""
+    _LEAST = 50
+    """Steps without which nothing can be concluded."""
+
+    def __init__(self, period: float) -> None:
+        """`period`: nominal time between states, s."""
+        self.steps = 0
+        self.mean_ns = self.longest_ns = period * NANOSECONDS
+        self.jitter_ns = self.late_share = 0.0
+        self._period_ns = period * NANOSECONDS
+        self._window = max(self._LEAST, round(1.0 / period))
+        self._stamp_ns: int | None = None
+
+    def update(self, stamp_ns: int) -> None:
+        """Take the stamp of a new state, ns; pauses and steps backwards are no steps."""
+        previous, self._stamp_ns = self._stamp_ns, stamp_ns
+        if previous is None or not 0 < stamp_ns - previous <= max(PAUSE * NANOSECONDS, 5 * self._period_ns):
+            return
+        step = stamp_ns - previous
+        self.steps = min(self.steps + 1, self._window)
+        share = 1.0 / self.steps
+        self.mean_ns += share * (step - self.mean_ns)
+        self.jitter_ns += share * (abs(step - self._period_ns) - self.jitter_ns)
+        self.late_share += share * ((step > 1.5 * self._period_ns) - self.late_share)
+        self.longest_ns = max(step, self.longest_ns + share * (self._period_ns - self.longest_ns))
+
+    def mismatch(self, least: int = _LEAST) -> str:
+        """In what way the states do not come at the nominal rate; empty when they do, or before `least` steps."""
+        if self.steps < least or abs(self.mean_ns / self._period_ns - 1.0) <= self.TOLERANCE:
+            return ""
+        found, nominal = NANOSECONDS / self.mean_ns, NANOSECONDS / self._period_ns
+        return (
+            f"joint states come at {found:.0f} Hz, expected {nominal:.0f} Hz: set the parameter state_rate of all "
+            "nodes to the driver's"
+        )
+
+    def summary(self) -> Mapping[str, float]:
+        """Values for diagnostics."""
+        return {
+            "joint states Hz": NANOSECONDS / self.mean_ns if self.steps else float("nan"),
+            "joint states late share": self.late_share,
+            "joint states jitter us": self.jitter_ns / 1000.0,
+        }
 
 
 class Sight:

@@ -22,7 +22,7 @@ from brax import base, kinematics
 from flax import struct
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.cost import Objective, on_the_way
 from contact_reach_ros.planning.transfer import pipeline

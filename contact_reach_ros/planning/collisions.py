@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_segments
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.transfer.clearance import Bodies, bodies_of
 from contact_reach_ros.world.collision import body_distances, nearest

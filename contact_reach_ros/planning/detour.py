@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.collision import clearances, nearest

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.spheres import Spheres
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.settings import Sections, Settings, setting
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import ANGLE_TOLERANCE, HOLD, ORIENTATIONS, REST_SPEED, TOLERANCE
 
 SPEED_SCALE = "speed_scale"

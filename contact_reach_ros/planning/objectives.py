@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.problem import Problem

@@ -10,7 +10,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.collision import clearances

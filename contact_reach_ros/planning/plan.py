@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.references import References
 
 

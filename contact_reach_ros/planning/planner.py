@@ -12,7 +12,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
-from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.errors import InputError, PlanningError, is_missing_states
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
@@ -21,8 +21,7 @@ from contact_reach_ros.planning.node_settings import ReplanningSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planning_core import PlanningCore, Request
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
-from contact_reach_ros.stop_reasons import is_missing_states
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.spheres import Spheres

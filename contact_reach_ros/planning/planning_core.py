@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres

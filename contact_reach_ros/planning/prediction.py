@@ -12,8 +12,8 @@ import jax
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.planning.plan import Held, HeldReference, ReferenceTrajectory
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.agreement import plan_basis
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError
@@ -27,14 +27,7 @@ from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
 from contact_reach_ros.planning.plan import Held, HeldReference, Plan, ReferenceTrajectory
 from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.prediction import (
-    MAX_PIECES,
-    Predictor,
-    followed,
-    hold_at,
-    pieces_between,
-    reference_at,
-)
+from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, followed, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings

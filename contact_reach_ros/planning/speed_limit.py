@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import PlanningSettings
 

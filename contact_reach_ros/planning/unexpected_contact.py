@@ -7,10 +7,10 @@ import json
 import math
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.planning.node_settings import IGNORE, RETREAT, UnexpectedContactSettings
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres

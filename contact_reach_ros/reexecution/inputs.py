@@ -22,7 +22,7 @@ from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
 from contact_reach_ros.messages.values import checked_stamp, read_settings
 from contact_reach_ros.reexecution.settings import recorded_sections
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 JOINT_STATES = TOPICS[Taken.JOINT_STATES]
 COMMANDS = TOPICS[Taken.COMMANDS]

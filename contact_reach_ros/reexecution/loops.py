@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.errors import BagError, InputError
+from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.references import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
@@ -31,8 +31,7 @@ from contact_reach_ros.reexecution.inputs import (
 )
 from contact_reach_ros.reexecution.outcome import Difference, Reexecution
 from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings, recorded_period
-from contact_reach_ros.stop_reasons import requested
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 TOLERANCE = 1e-9
 """N m: differences up to this count as none."""

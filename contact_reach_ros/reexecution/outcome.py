@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.timing import NANOSECONDS
 
 
 class Difference(NamedTuple):

@@ -6,14 +6,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE
+from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE, TOOL_PARAMETERS
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
-from contact_reach_ros.parameter_files import TOOL_PARAMETERS, check_node_names, full_name, parameters_in
 from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS
-from contact_reach_ros.settings import Sections, unknown_key
+from contact_reach_ros.settings import Sections, check_node_names, full_name, parameters_in, unknown_key
 from contact_reach_ros.timing import PERIOD
 
 BUDGET = "budget"

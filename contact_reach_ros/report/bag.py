@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.bags.signals import EpisodeSignals, read_signals

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import welch
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 VIBRATION = 20.0
 """Frequency above which torques move gears and not the arm, Hz."""

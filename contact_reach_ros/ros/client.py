@@ -17,15 +17,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arms import arm_in, load_arm
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds, read_settings
-from contact_reach_ros.parameter_files import arm_in
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import OPERATOR

@@ -26,8 +26,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time
 from contact_reach_ros.messages.values import nanoseconds
-from contact_reach_ros.timing import StampOrder
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, StampOrder
 
 CONTROLLER = "controller"
 BEHIND_ADAPTER = "controller behind adapter"

@@ -17,20 +17,19 @@ from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import ROBOT_DIGEST, arm_settings, load_arm
+from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.messages.topics import DIAGNOSTICS, LOCKSTEP_HORIZON, SETTINGS, Topic
-from contact_reach_ros.parameter_files import AUTOSTART, CPUS, EVERY_SECTION, RATE, ROBOT, TOOL, full_name
+from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.ros.parameters import declare
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.settings import Sections, Settings
-from contact_reach_ros.units import NANOSECONDS
-from contact_reach_ros.versions import VERSION
+from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, Settings, full_name
+from contact_reach_ros.timing import NANOSECONDS
 
 _IDLE_NS = 100_000_000
 

@@ -12,20 +12,21 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.utilities import remove_ros_args
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import checked_arm, known_parameters
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.parameter_files import (
+from contact_reach_ros.settings import (
     ROBOT,
+    Sections,
+    Setting,
     check_name,
     check_parameters_in,
-    checked_arm,
     full_name,
-    known_parameters,
     make_settings,
     parameters_in,
 )
-from contact_reach_ros.settings import Sections, Setting
 
 
 def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str] = ()) -> dict[str, Any]:
@@ -93,13 +94,16 @@ def _descriptor(entry: Setting, read_only: bool) -> ParameterDescriptor:
 def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> Arm:
     """Check the parameter files and overrides on a command line against the settings of a node; returns its arm.
 
-    ROS itself drops an unknown key without a word; here the node does not start.
+    ROS itself ignores an unknown key or argument; here the node does not start.
 
     Raises
     ------
     SettingsError
-        Naming file and key, and what is accepted.
+        Naming file and key, or the argument, and what is accepted.
     """
+    foreign = remove_ros_args(list(arguments))[1:]
+    if foreign:
+        raise SettingsError(f"{' '.join(foreign)}: unknown arguments; expected --ros-args -p NAME:=VALUE, see --help")
     arm = checked_arm(early_value(arguments, node_name, ROBOT), f"parameter {ROBOT.name} of {node_name}")
     known = known_parameters(sections, arm)
     for option, value in itertools.pairwise(arguments):

@@ -19,20 +19,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from contact_reach_ros.command_line import answer
 from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.discovery import choose_discovery
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import check_arguments
-from contact_reach_ros.ros.scheduling import (
-    Role,
-    choose_cpus,
-    give_way,
-    isolated_cpus,
-    take_priority,
-    use_cpus,
-)
-from contact_reach_ros.starting import end_at_signals
+from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, isolated_cpus, take_priority, use_cpus
 
 
 def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], priority: int = 0) -> int:
@@ -49,9 +41,6 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
     priority
         SCHED_FIFO priority of a loop or monitor.
     """
-    code = answer(node_class.NAME, node_class.SECTIONS, arguments[1:])
-    if code is not None:
-        return code
     try:
         check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
     except ContactReachError as error:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_name, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError, SceneError
 from contact_reach_ros.scenes.overlap import on_hand, on_middle
 from contact_reach_ros.world.collision import check_hand, nearest, overlap_depths

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
 
 MIN_MOBILITY = 0.05
 """Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration counts as singular."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import ContactReachError, SceneError, SettingsError
 from contact_reach_ros.scenes.checks import check_placement, conflict
 from contact_reach_ros.scenes.fitting import fitted

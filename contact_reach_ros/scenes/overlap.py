@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.world.collision import capsule_segments
 
 _HAND_LINKS = 2

@@ -7,8 +7,8 @@ from typing import cast
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_radii, shape_segments
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.scenes.overlap import holding_segments, on_hand, on_middle, path_segments
 from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.obstacle_kinds import BallSettings, ObstacleSettings, WallSettings

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

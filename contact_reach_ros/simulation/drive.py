@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import checked_torque
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arrays import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import WatchdogSettings
-from contact_reach_ros.stop_reasons import StopCode, StopReason
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 
 class Drive:

@@ -14,11 +14,11 @@ from typing import ClassVar, TypeVar
 
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.plant import Plant, PointForce
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 Vector = tuple[float, float, float]
 Item = TypeVar("Item")

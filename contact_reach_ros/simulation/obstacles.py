@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import self_pairs
 from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, capsule_names, numbers
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment, Plane
 

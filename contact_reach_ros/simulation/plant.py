@@ -9,8 +9,8 @@ from enum import Enum
 import mujoco
 import numpy as np
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.simulation.contacts import ContactReader, Contacts
 from contact_reach_ros.simulation.obstacles import (
     OUT_OF_REACH,

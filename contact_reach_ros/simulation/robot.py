@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.faults import Fault, Faults, UnknownObstacle
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings, WatchdogSettings, check_period
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
 

@@ -9,8 +9,8 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, rgb
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.handles import as_bytes

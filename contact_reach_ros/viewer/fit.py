@@ -9,10 +9,10 @@ import trimesh
 import viser
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import hull
 from contact_reach_ros.arm.capsules import shape_name, shape_radii, shape_segments
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import SKY_BLUE, rgb
 from contact_reach_ros.drawing.parts import BODY
 from contact_reach_ros.viewer.handles import as_bytes, capsule_mesh

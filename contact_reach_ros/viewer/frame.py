@@ -8,7 +8,7 @@ from enum import Enum
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_reader import PlanPicture

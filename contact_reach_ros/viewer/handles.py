@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 import viser
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.drawing.palette import ORANGE, VERMILION, rgb
 from contact_reach_ros.drawing.parts import BODY
 

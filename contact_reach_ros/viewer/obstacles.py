@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, QhullError
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.drawing.parts import DARK, FOAM, NODE, RIGID
 from contact_reach_ros.viewer.handles import as_bytes
 from contact_reach_ros.world.rigid import Environment, slab

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, ORANGE, VERMILION
 
 SPAN = 20.0

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import tip_positions
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, goal_distance, read_signals

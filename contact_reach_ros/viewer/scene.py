@@ -11,8 +11,8 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, rgb
 from contact_reach_ros.drawing.parts import link_shapes
 from contact_reach_ros.drawing.shapes import Capsule, Cylinder, Solid, Sphere

@@ -10,9 +10,9 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import is_attainable, unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.viewer.frame import Frame

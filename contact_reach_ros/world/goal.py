@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array, checked_array
 from contact_reach_ros.arm.inverse_kinematics import unreachable
-from contact_reach_ros.arrays import Array, checked_array
 from contact_reach_ros.errors import InputError
 
 HOLD, POSE, FREE = ORIENTATIONS = ("hold", "pose", "free")

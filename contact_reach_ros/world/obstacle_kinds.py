@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arrays import Array
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import SceneError, SettingsError
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.obstacle import Material, Obstacle

@@ -14,9 +14,8 @@ from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaterni
 from contact_reach_ros.arm.mjcf import build_mjcf, numbers
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.arms import load_arm
+from contact_reach_ros.arms import arm_in, load_arm
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.parameter_files import arm_in
 
 MASS, CENTER, TENSOR, TIP = TOOL.mass, TOOL.center, TOOL.inertia, TOOL.flange_to_tip
 G = 9.81

@@ -12,16 +12,14 @@ from arm_simulation import ARM
 from urdf_texts import AXES, LIMIT, ball, joint, link, odd_arm, written
 
 from contact_reach_ros.arm.arm import Arm, Inertia
-from contact_reach_ros.arm.arm_file import read_arm_file
-from contact_reach_ros.arm.arm_options import ArmOptions
 from contact_reach_ros.arm.assumptions import defaults
 from contact_reach_ros.arm.capsule_fit import frame_about
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.table import arm_of_table, table_of, table_text
+from contact_reach_ros.arm.table import ArmOptions, arm_of_table, table_of, table_text
 from contact_reach_ros.arm.urdf import build_urdf
-from contact_reach_ros.arm.urdf_reader import read_arm
+from contact_reach_ros.arm.urdf_reader import read_arm, read_arm_file
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.transfer.model import arm_model
 

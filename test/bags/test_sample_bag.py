@@ -9,7 +9,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.plans import RecordedPlans
 from contact_reach_ros.resources import share_directory
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 SAMPLE = share_directory() / "bags" / "sample"
 

@@ -22,6 +22,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.errors import Verdict
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import pieces_between, reference_at
@@ -33,7 +34,6 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.simulation.drive import WatchdogSettings
 from contact_reach_ros.simulation.plant import Actuation
-from contact_reach_ros.stop_reasons import Verdict
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres

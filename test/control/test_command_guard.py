@@ -13,10 +13,9 @@ from contact_reach_ros.control.command_guard import CommandGuard, Phase
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.errors import InputError, SettingsError, StopCode
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.settings import WatchdogSettings
-from contact_reach_ros.stop_reasons import StopCode
 
 GRAVITY = RobotModel(ARM).gravity_at(HOME)
 FLOATING = AdapterSettings(gravity_compensation=False)

@@ -14,8 +14,7 @@ from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.errors import InputError, Verdict
 
 SETTINGS = UNWATCHED
 RAMP_TICKS = round(1000 * SETTINGS.impedance.reference_ramp)

@@ -11,8 +11,7 @@ from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.timing import PAUSE
 
 SETTINGS = UNWATCHED

@@ -8,12 +8,11 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.stop_reasons import StopCode, StopReason, Verdict
 from contact_reach_ros.world.scene import Scene
 
 SETTINGS = SupervisionSettings()

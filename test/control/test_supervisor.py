@@ -10,8 +10,7 @@ from arm_simulation import ARM, HOME, REST
 
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.errors import InputError, Verdict
 
 SETTINGS = SupervisionSettings()
 LIMITS = np.array(ARM.velocity_limits)

@@ -14,8 +14,7 @@ from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.stop_reasons import Verdict
+from contact_reach_ros.errors import InputError, SettingsError, Verdict
 
 SETTINGS = UNWATCHED
 GRAVITY = RobotModel(ARM).gravity_at(HOME)

@@ -7,7 +7,7 @@ import pytest
 
 import contact_reach_ros as cr
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.stop_reasons import StopCode
+from contact_reach_ros.errors import StopCode
 
 ARM = cr.load_arm("iiwa14")
 NEAR = [0.5, 0.2, 0.3]

@@ -14,9 +14,9 @@ from contact_reach_ros.identification.identify import BOTH, LINKS, identify
 from contact_reach_ros.identification.output import describe, write
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
-from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import parameters_in
+from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
+from contact_reach_ros.settings import parameters_in
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import MismatchSettings
 

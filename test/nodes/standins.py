@@ -22,7 +22,7 @@ from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
 from contact_reach_ros.simulation.plant import Actuation
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS
 
 ARGUMENTS = {
     "effort": ["watchdog.enabled:=false"],

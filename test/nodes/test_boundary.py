@@ -15,13 +15,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.ros.boundary import INTERNAL, Boundary
-from contact_reach_ros.stop_reasons import StopCode
 
 
 @contextmanager

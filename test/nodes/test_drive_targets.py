@@ -16,9 +16,8 @@ from test_adapter import Bench
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.adapter_settings import FrankaSettings, LbrSettings
 from contact_reach_ros.drives import effort, franka, lbr
-from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.stop_reasons import StopCode
-from contact_reach_ros.units import NANOSECONDS
+from contact_reach_ros.errors import InputError, SettingsError, StopCode
+from contact_reach_ros.timing import NANOSECONDS
 
 ARM = load_arm("iiwa14")
 MS = NANOSECONDS // 1000

@@ -10,8 +10,8 @@ from stack_helpers import environment, module, parameter_file, running, wait_for
 
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.identification.command import run_identification
-from contact_reach_ros.parameter_check import check_parameters
-from contact_reach_ros.parameter_files import parameters_in
+from contact_reach_ros.presets import check_parameters
+from contact_reach_ros.settings import parameters_in
 
 READY = "all nodes are active"
 PAYLOAD = 0.5

@@ -5,10 +5,10 @@ from rclpy.serialization import deserialize_message
 from stack_helpers import ros
 from std_msgs.msg import Int64MultiArray
 
+from contact_reach_ros.errors import requested
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.observer import ObserverNode
-from contact_reach_ros.stop_reasons import requested
 
 
 @pytest.fixture(params=[ControllerNode, ObserverNode])

@@ -6,9 +6,9 @@ from setting_rows import setting_row
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup import bringup
 from contact_reach_ros.messages import topics
-from contact_reach_ros.node_settings import SECTIONS
-from contact_reach_ros.parameter_files import ROBOT, full_name
+from contact_reach_ros.presets import SECTIONS
 from contact_reach_ros.resources import share_directory
+from contact_reach_ros.settings import ROBOT, full_name
 
 NODES = {**SECTIONS, "bringup": bringup.SECTIONS}
 

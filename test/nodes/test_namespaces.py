@@ -9,7 +9,7 @@ from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, pr
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bringup.bringup import _remappings
-from contact_reach_ros.parameter_files import namespace_arguments
+from contact_reach_ros.settings import namespace_arguments
 
 NAMES = ("left", "right")
 READY = "all nodes are active"

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from contact_reach_ros.arm.joint_state import JointState as ArmState
 from contact_reach_ros.arms import iiwa14
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -29,7 +29,6 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.ros.graph import UNKNOWN_NODE, _has_strangers
 from contact_reach_ros.ros.interfaces import ALONE
 from contact_reach_ros.ros.qos import qos_profile
-from contact_reach_ros.stop_reasons import StopCode
 from contact_reach_ros.world.spheres import Spheres
 
 REFERENCES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)

@@ -8,13 +8,12 @@ from arm_simulation import ARM, HOME, REST, TICK_NS
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.observer.settings import COMMANDED, CommandedSettings, MomentumSettings, ObserverSettings
 from contact_reach_ros.observer.sight import TAKEN_OVER
-from contact_reach_ros.stop_reasons import StopCode
 from contact_reach_ros.timing import GAPS_IN_A_ROW
 
 BUDGET = ContactBudget().resolve(ARM)

@@ -6,11 +6,11 @@ from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings, TorqueCheck
 from contact_reach_ros.observer.settings import COMMANDED, MEASURED, ObserverSettings
-from contact_reach_ros.stop_reasons import StopCode
 
 SETTINGS = PlausibilitySettings()
 THRESHOLDS = ContactBudget().resolve(ARM).contact_thresholds

@@ -7,7 +7,7 @@ import yaml
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.node_settings import SECTIONS as DECLARED
+from contact_reach_ros.presets import SECTIONS as DECLARED
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute_controller, reexecute_observer
 from contact_reach_ros.reexecution.plans import RecordedPlans

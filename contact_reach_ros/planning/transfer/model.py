@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import SELF_PAIRS, TIP_SITE, VELOCITY_LIMITS, build_mjcf
-from contact_reach_ros.arrays import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.resources import KeptFile
