@@ -14,7 +14,7 @@ import threading
 from functools import partial
 from types import FrameType
 
-from contact_reach_ros.settings import NODES
+from contact_reach_ros.settings import NODES, declared_parameters
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _watcher: threading.Thread | None = None
@@ -58,13 +58,12 @@ def _run(module: str) -> None:
 
 def _help(node: str) -> str:
     """How a node is started, and its parameters with accepted values and meaning."""
-    from contact_reach_ros.arms import known_parameters, load_arm
-    from contact_reach_ros.presets import SECTIONS
-    from contact_reach_ros.settings import declared_parameters
-
-    listed = declared_parameters if node == "bringup" else known_parameters
+    # By name, as nodes are: those that import this module load less than the settings of all.
+    sections = importlib.import_module("contact_reach_ros.presets").SECTIONS[node]
+    arms = importlib.import_module("contact_reach_ros.arms")
+    listed = declared_parameters if node == "bringup" else arms.known_parameters
     lines = [f"usage: {node} [--ros-args [-p NAME:=VALUE ...] [--params-file FILE]], see msg_docs/{node}.md", ""]
-    for name, entry in listed(SECTIONS[node], load_arm()).items():
+    for name, entry in listed(sections, arms.load_arm()).items():
         lines.append(f"  {name} ({entry.accepts}): {entry.description}")
     return "\n".join(lines)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Callable, Sequence
-from types import NoneType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -156,21 +155,11 @@ class Stack:
         Raises
         ------
         SettingsError
-            If an argument has the wrong type, the simulated robot cannot have the period, settings are given beside a
-            planner that has its own, or planner and controller have different gains.
+            If the simulated robot cannot have the period, settings are given beside a planner that has its own, or
+            planner and controller have different gains.
         InputError
             If the robot has no joint state at the start.
         """
-        _check_type("scene", scene, Scene)
-        _check_type("planning", planning, PlanningSettings, NoneType)
-        _check_type("replanning", replanning, ReplanningSettings, NoneType)
-        _check_type("controller", controller, ControllerSettings, Controller, NoneType)
-        _check_type("observer", observer, ObserverSettings, Observer, NoneType)
-        _check_type("unexpected_contact", unexpected_contact, UnexpectedContactSettings, NoneType)
-        _check_type("budget", budget, ContactBudget, NoneType)
-        if not (planner is None or hasattr(planner, "plan")):
-            raise SettingsError(f"planner is of type {type(planner).__name__}; expected Planner or PlanningCore")
-        _check_type("robot", robot, Robot, NoneType)
         if isinstance(planner, Planner) and (planning or replanning or unexpected_contact):
             raise SettingsError("planner is a Planner with settings of its own; expected no others beside it")
         self.scene = scene
@@ -496,9 +485,3 @@ def make_planner(
         core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver)
     reaction = ContactReaction(arm, unexpected_contact or UnexpectedContactSettings())
     return Planner(arm, core, reaction, replanning or ReplanningSettings(), task=gains.task)
-
-
-def _check_type(name: str, value: object, *kinds: type) -> None:
-    if not isinstance(value, kinds):
-        expected = " or ".join(kind.__name__ for kind in kinds if kind is not NoneType)
-        raise SettingsError(f"{name} is of type {type(value).__name__}; expected {expected}")

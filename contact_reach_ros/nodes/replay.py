@@ -19,7 +19,8 @@ from contact_reach_ros.nodes.bag_publisher import BagPublisher
 from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
 from contact_reach_ros.ros.interfaces import REPLAY
-from contact_reach_ros.ros.process import initialise, without_ros_arguments
+from contact_reach_ros.ros.parameters import without_ros_arguments
+from contact_reach_ros.ros.process import initialise
 from contact_reach_ros.timing import NANOSECONDS
 
 BAD_INPUT = 2

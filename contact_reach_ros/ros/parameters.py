@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,9 +102,6 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     SettingsError
         Naming file and key, or the argument, and what is accepted.
     """
-    foreign = remove_ros_args(list(arguments))[1:]
-    if foreign:
-        raise SettingsError(f"{' '.join(foreign)}: unknown arguments; expected --ros-args -p NAME:=VALUE, see --help")
     arm = checked_arm(early_value(arguments, node_name, ROBOT), f"parameter {ROBOT.name} of {node_name}")
     known = known_parameters(sections, arm)
     for option, value in itertools.pairwise(arguments):
@@ -113,7 +111,25 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
             owner, _, key = value.partition(":=")[0].rpartition(":")
             if owner in ("", node_name):
                 check_name(known, key, f"argument {option} {value}")
+    foreign = without_ros_arguments(arguments)[1:]
+    if foreign:
+        raise SettingsError(f"{' '.join(foreign)}: unknown arguments; expected --ros-args -p NAME:=VALUE, see --help")
     return arm
+
+
+def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a command line that are not ROS's; raises `SettingsError` if ROS does not understand its own."""
+    with refusing(arguments):
+        return list(remove_ros_args(list(arguments)))
+
+
+@contextlib.contextmanager
+def refusing(arguments: Sequence[str]) -> Iterator[None]:
+    """Raise `SettingsError` if ROS does not understand a command line."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
 
 def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, arm: Arm) -> dict[str, Any]:

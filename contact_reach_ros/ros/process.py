@@ -17,13 +17,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
-from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.discovery import choose_discovery
 from contact_reach_ros.ros.managed_node import ManagedNode
-from contact_reach_ros.ros.parameters import check_arguments
+from contact_reach_ros.ros.parameters import check_arguments, refusing
 from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, isolated_cpus, take_priority, use_cpus
 
 
@@ -75,22 +74,8 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
         How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment sets it.
     """
     choose_discovery(discovery)
-    with _refusing(arguments):
+    with refusing(arguments):
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-
-
-def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments that are not ROS's; raises as `initialise`."""
-    with _refusing(arguments):
-        return list(remove_ros_args(list(arguments)))
-
-
-@contextlib.contextmanager
-def _refusing(arguments: Sequence[str]) -> Iterator[None]:
-    try:
-        yield
-    except RuntimeError as error:
-        raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
 
 def in_namespace(namespace: str) -> list[str]:

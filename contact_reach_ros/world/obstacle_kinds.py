@@ -15,12 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.errors import SceneError, SettingsError
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.obstacle import Material, Obstacle
-
-_STEP = 0.001
-"""Step of the simulation, s."""
 
 
 def _limit(default: float, meaning: str, maximum: float = 0.2) -> float:
@@ -53,32 +49,9 @@ class ObstacleSettings(Settings, ABC):
     def material(self) -> Material:
         """Material of its spheres and edges."""
 
-    @property
-    def stiffness_on_sphere(self) -> float:
-        """Stiffness of all springs and the contact that act on one sphere, N/m."""
-        return self.material.stiffness + self.material.contact_stiffness
-
     @abstractmethod
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The obstacles around `center` (3,), m, base frame."""
-
-    def check(self) -> None:
-        """Refuse springs and contact that are unstable in a simulation in steps of 1 ms.
-
-        Semi-implicit Euler steps are stable up to 4 m / dt²; half of it leaves room for hardening and mismatch. Raises
-        `SceneError` if they are too stiff; the message gives the greatest stiffness.
-        """
-        mass, stiffness = self.material.mass, self.stiffness_on_sphere
-        limit = 2.0 * mass / _STEP**2
-        if stiffness > limit:
-            raise SceneError(
-                f"{self.KIND}: springs and contact of {stiffness:g} N/m in all on {mass:g} kg; the simulation in steps "
-                f"of 1 ms is stable up to {limit:g} N/m: use softer foam or more mass"
-            )
-
-    def _check_overlaps(self, least: float, greatest: float) -> None:
-        if least > greatest:
-            raise SettingsError(f"{self.KIND}: min_overlap = {least:g}: expected at most max_overlap = {greatest:g} m")
 
 
 @dataclass(frozen=True)
@@ -107,11 +80,6 @@ class BallSettings(ObstacleSettings):
         """The ball at `center` (3,), m."""
         return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.zeros(1, bool)),)
 
-    def check(self) -> None:
-        """Refuse overlaps in the wrong order, and foam too stiff for the mass."""
-        self._check_overlaps(self.min_overlap, self.max_overlap)
-        super().check()
-
 
 @dataclass(frozen=True)
 class MeshSettings(ObstacleSettings):
@@ -136,12 +104,6 @@ class MeshSettings(ObstacleSettings):
             self.node_mass, 0.0, self.damping, self.contact_stiffness, self.friction, edge_stiffness=self.edge_stiffness
         )
 
-    @property
-    def stiffness_on_sphere(self) -> float:
-        """An upper bound, N/m: the eigenvalues of the mesh are at most twice one node's edges (Gershgorin)."""
-        edges = sum(min(number - 1, 2) for number in self.nodes)
-        return 2.0 * edges * self.edge_stiffness + super().stiffness_on_sphere
-
     def points(self, center: Array) -> Array:
         """Centres of the nodes (N, 3), m, z counting fastest, of a box around `center` (3,)."""
         extents = 0.5 * np.array(self.size) - self.node_radius
@@ -159,16 +121,6 @@ class MeshSettings(ObstacleSettings):
         mask = np.zeros(self.nodes, bool)
         mask[:, :, number] = True
         return mask.ravel()
-
-    def check(self) -> None:
-        """Refuse nodes that overlap, and springs too stiff for the nodes' mass; raises `SceneError`."""
-        super().check()
-        for axis, size, count in zip("xyz", self.size, self.nodes, strict=True):
-            if (size - 2.0 * self.node_radius) / (count - 1) < 2.0 * self.node_radius - 1e-9:
-                raise SceneError(
-                    f"{self.KIND}: {count} nodes of radius {self.node_radius:g} m along {axis} do not fit side by side "
-                    f"into {size:g} m: use fewer or smaller nodes"
-                )
 
     def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
         fixed = self.level(fixed_level)
@@ -246,11 +198,6 @@ class WallSettings(MeshSettings):
         lower = self._body("the lower wall", self.points(center - offset), 0)
         upper = self._body("the upper wall", self.points(center + offset), -1)
         return lower, dataclasses.replace(upper, id=1)
-
-    def check(self) -> None:
-        """Refuse overlaps in the wrong order, and meshes that cannot be simulated."""
-        self._check_overlaps(self.min_overlap, self.max_overlap)
-        super().check()
 
 
 KINDS: dict[str, type[ObstacleSettings]] = {kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings)}

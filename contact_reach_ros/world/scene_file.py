@@ -25,6 +25,8 @@ from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 _MOST_SPHERES, _MOST_FREE = 300, 200
 """Greatest numbers of a scene's spheres, and of those that can move; with more, the simulation would not keep its step
 of 1 ms: at these limits a step takes up to 0.35 ms in contact."""
+_STEP = 0.001
+"""Step of the simulation, s."""
 _ENDINGS = (".yaml", ".yml")
 
 
@@ -144,9 +146,9 @@ def matching_scene_names() -> list[str]:
     return [name for name in scene_names() if read_scene(name).mismatch == NO_MISMATCH]
 
 
-def scene_file(name: str) -> Path:
-    """Path of a scene by its name, or by its path; it may not exist."""
-    return _find(name, Path())
+def scene_file(name: str, folder: Path = Path()) -> Path:
+    """Path of a scene by its name, or by its path, which may be relative to `folder`; it may not exist."""
+    return folder / name if name.endswith(_ENDINGS) else _package_directory() / f"{name}.yaml"
 
 
 def read_scene(name: str) -> SceneFile:
@@ -177,18 +179,34 @@ def read_scene(name: str) -> SceneFile:
     return scene
 
 
+def check_stable(obstacle: Obstacle) -> None:
+    """Refuse springs and contact that are unstable in a simulation in steps of 1 ms.
+
+    Semi-implicit Euler steps are stable up to 4 m / dt²; half of it leaves room for hardening and mismatch. The
+    eigenvalues of a mesh are at most twice the stiffness of all edges of one node (Gershgorin).
+
+    Raises
+    ------
+    SceneError
+        If they are too stiff; the message gives the greatest stiffness.
+    """
+    material, edges = obstacle.material, np.bincount(obstacle.edges.ravel(), minlength=1).max()
+    stiffness = 2.0 * edges * material.edge_stiffness + material.stiffness + material.contact_stiffness
+    limit = 2.0 * material.mass / _STEP**2
+    if stiffness > limit:
+        raise SceneError(
+            f"{obstacle.kind}: springs and contact of {stiffness:g} N/m in all on {material.mass:g} kg; the simulation "
+            f"in steps of 1 ms is stable up to {limit:g} N/m: use softer foam or more mass"
+        )
+
+
 def _package_directory() -> Path:
     return share_directory() / "config" / "scenes"
 
 
-def _find(name: str, folder: Path) -> Path:
-    """Path of a scene by its name, or by its path, which may be relative to `folder`."""
-    return folder / name if name.endswith(_ENDINGS) else _package_directory() / f"{name}.yaml"
-
-
 def _existing(name: str, folder: Path, what: str) -> Path:
-    """As `_find`; raises `SceneError` if there is no such file, and `what` begins the message."""
-    file = _find(name, folder)
+    """As `scene_file`; raises `SceneError` if there is no such file, and `what` begins the message."""
+    file = scene_file(name, folder)
     # Not Path.is_file, which raises for a name that is too long.
     if os.path.isfile(file):
         return file
@@ -267,9 +285,9 @@ def _check(scene: SceneFile) -> None:
     target = scene.target
     if any(low > high for low, high in zip(target.minimum, target.maximum, strict=True)):
         raise SettingsError(f"target: minimum = {target.minimum}: expected at most maximum = {target.maximum}")
-    for section in scene.obstacles:
-        section.check()
     everything = anywhere(scene)
+    for obstacle in everything:
+        check_stable(obstacle)
     identifiers = [obstacle.id for obstacle in everything]
     if len(set(identifiers)) < len(identifiers):
         raise SettingsError(

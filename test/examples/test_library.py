@@ -65,12 +65,6 @@ def test_unknown_arm_lists_those_there_are():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scene": "ball"}, "scene is of type str; expected Scene"),
-        ({"planning": {"population": 3}}, "planning is of type dict; expected PlanningSettings"),
-        ({"controller": cr.ImpedanceSettings()}, "expected ControllerSettings or Controller"),
-        ({"observer": cr.ContactBudget()}, "expected ObserverSettings or Observer"),
-        ({"planner": cr.PlanningSettings()}, "planner is of type PlanningSettings; expected Planner or PlanningCore"),
-        ({"robot": "iiwa14"}, "robot is of type str; expected Robot"),
         ({"seed": 1.5}, "seed = 1.5: expected an integer"),
         ({"period": 0.0015}, "period = 1.5 ms: the simulated robot has a whole number of milliseconds"),
     ],

@@ -43,13 +43,11 @@ def test_help_lists_all_parameters(node, nothing_starts, monkeypatch, capsys):
 
 @pytest.mark.parametrize("arguments", ["--speed 3", "--scene=wall", "seed:=3 --ros-args -p seed:=1"])
 def test_arguments_that_are_not_for_ros_are_refused(arguments, capsys):
-    for code in (
-        run(RecorderNode, Role.BACKGROUND, ["recorder", *arguments.split()]),
-        bringup.run_bringup(["bringup", *arguments.split()]),
-    ):
-        assert code == 2
-        printed = capsys.readouterr().err
-        assert arguments.split(" --ros-args")[0] in printed and "expected --ros-args -p NAME:=VALUE" in printed
+    assert run(RecorderNode, Role.BACKGROUND, ["recorder", *arguments.split()]) == 2
+    assert bringup.run_bringup(["bringup", *arguments.split()]) == 2
+    refusal = f"{arguments.split(' --ros-args')[0]}: unknown arguments; expected --ros-args -p NAME:=VALUE"
+    printed = capsys.readouterr().err
+    assert f"recorder: {refusal}" in printed and f"bringup: {refusal}" in printed
 
 
 def test_what_launch_files_pass_is_accepted(tmp_path):
