@@ -2,11 +2,9 @@
 
 import os
 import subprocess
-from pathlib import Path
 
 import pytest
 import rclpy
-from contact_reach_ros.ros.node_processes import node_processes
 from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, running, wait_for
 
@@ -57,7 +55,6 @@ def test_a_robots_driver_of_any_name_is_found_where_one_is_to_be_started(node, o
 
 
 def test_beside_a_stack_nothing_is_started(tmp_path):
-    """A process of the package is found without discovery."""
     env = environment()
     domain = int(env["ROS_DOMAIN_ID"])
     with running(module("nodes.observer"), env, tmp_path / "observer.txt"):
@@ -85,32 +82,3 @@ def test_wrong_parameters_are_named_before_anything_starts(tmp_path):
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr == f"contact-reach: {file}: unknown node 'plannner'; did you mean 'planner'?\n"
     assert os.listdir(tmp_path) == ["own.yaml"]
-
-
-def fake_process(proc: Path, number: int, arguments: list[str], domain: str) -> None:
-    folder = proc / str(number)
-    folder.mkdir()
-    (folder / "cmdline").write_bytes("\0".join([*arguments, ""]).encode())
-    (folder / "environ").write_bytes(f"HOME=/\0ROS_DOMAIN_ID={domain}\0".encode())
-
-
-def test_processes_are_those_of_the_node_and_the_domain(tmp_path):
-    fake_process(tmp_path, 1, ["python", "-m", "contact_reach_ros.nodes.planner", "--ros-args"], "7")
-    fake_process(tmp_path, 2, ["python", "-m", "contact_reach_ros.nodes.planner"], "8")
-    fake_process(tmp_path, 3, ["/usr/bin/python3", "/ws/lib/contact_reach_ros/controller"], "7")
-    fake_process(tmp_path, 4, ["vim", "planner.py", "planner"], "7")
-    fake_process(tmp_path, 5, ["python", "-m", "contact_reach_ros.bringup.bringup"], "7")
-    fake_process(tmp_path, 6, ["/venv/bin/python", "/venv/bin/viewer"], "7")
-    fake_process(tmp_path, 7, ["python", "-m", "contact_reach_ros.cli", "demo"], "7")
-    user = (tmp_path / "1").stat().st_uid
-    assert node_processes("7", tmp_path, user) == {1: "planner", 3: "controller", 5: "bringup", 6: "viewer"}
-    assert node_processes("8", tmp_path, user) == {2: "planner"}
-    assert node_processes("7", tmp_path, user + 1) == {}
-
-
-def test_processes_of_one_namespace_can_be_chosen(tmp_path):
-    fake_process(tmp_path, 1, ["python", "-m", "contact_reach_ros.nodes.planner", "--ros-args"], "7")
-    fake_process(tmp_path, 2, ["python", "-m", "contact_reach_ros.nodes.driver", "-r", "__ns:=/left"], "7")
-    assert node_processes("7", tmp_path, namespace="/") == {1: "planner"}
-    assert node_processes("7", tmp_path, namespace="/left") == {2: "driver"}
-    assert len(node_processes("7", tmp_path)) == 2
