@@ -41,7 +41,7 @@ def test_help_lists_all_parameters(node, nothing_starts, monkeypatch, capsys):
     assert ("autostart" in page) == (node != "bringup")
 
 
-@pytest.mark.parametrize("arguments", ["--speed 3", "--scene=wall", "seed:=3 --ros-args -p seed:=1"])
+@pytest.mark.parametrize("arguments", ["--speed 3", "--scene=wall", "seed:=3 --ros-args -p lockstep:=true"])
 def test_arguments_that_are_not_for_ros_are_refused(arguments, capsys):
     assert run(RecorderNode, Role.BACKGROUND, ["recorder", *arguments.split()]) == 2
     assert bringup.run_bringup(["bringup", *arguments.split()]) == 2

@@ -67,6 +67,7 @@ def test_own_file_replaces_what_it_names(file):
         ("ball: {stiffness: soft}", "ball: stiffness = 'soft': expected a number"),
         ("target: {minimum: [0, 0]}", "target: minimum = [0, 0]: expected a list of 3 values"),
         ("target: {minimum: [0.3, 0, 0], maximum: [0.2, 1, 1]}", "target: minimum = (0.3, 0.0, 0.0): expected at most"),
+        ("ball: {min_overlap: 0.1}", "ball: min_overlap = 0.1: expected at most max_overlap = 0.05 m"),
         ("", "holds NoneType"),
         ("target: {", "not valid YAML"),
     ],
