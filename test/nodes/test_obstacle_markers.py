@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM, HOME, numbered
 from rclpy.serialization import deserialize_message, serialize_message
 from serialized_helpers import garbage
 from std_msgs.msg import ColorRGBA
@@ -15,7 +15,6 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
-from contact_reach_ros.world.obstacle import numbered
 from contact_reach_ros.world.obstacle_kinds import BallSettings, WallSettings
 from contact_reach_ros.world.rigid import Block, Plane
 from contact_reach_ros.world.scene import Scene
