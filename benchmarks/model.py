@@ -17,7 +17,6 @@ from typing import Any
 import jax
 import numpy as np
 import pinocchio as pin
-from contact_reach_ros.planning.action_space import ReferenceSpace
 
 from benchmarks.output import command_line, given, percentiles, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
@@ -27,6 +26,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant

@@ -15,7 +15,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from contact_reach_ros.planning.action_space import ReferenceSpace, scaled_cost
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -27,6 +26,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.drawing.palette import BLACK, BLUE, SKY_BLUE
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver import make_solver
@@ -200,7 +200,7 @@ def bench_solver(
     space = ReferenceSpace(load_arm(), settings, ImpedanceSettings())
     report: Report = {}
     for name, found in states_of(scenes, states, settings):
-        report[name] = run_race(scaled_cost(space), len(space.bounds), settings, found, seconds)
+        report[name] = run_race(space.cost, len(space.bounds), settings, found, seconds)
     names = list(report)
     print(race_table(report, names))
     if plot is not None:
