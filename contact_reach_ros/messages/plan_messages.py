@@ -10,8 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from numpy.typing import NDArray
-from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 from trajectory_msgs.msg import (
     JointTrajectory,
     JointTrajectoryPoint,
@@ -75,11 +74,11 @@ def to_statistics(plan: Plan, values: Mapping[str, Any], name: str, arm: Arm) ->
     return DiagnosticArray(header=_header(plan.effect_ns, arm), status=[to_status(name, plan.stop_reason, values)])
 
 
-def to_request(parts: Mapping[str, NDArray[np.float32]]) -> Float32MultiArray:
+def to_request(parts: Mapping[str, Array]) -> Float64MultiArray:
     """The parts of `plan_request` one after the other; the dimensions name them."""
-    message = Float32MultiArray()
+    message = Float64MultiArray()
     message.layout.dim = [MultiArrayDimension(label=name, size=part.size) for name, part in parts.items()]
-    message.data = array.array("f", np.concatenate([part.ravel() for part in parts.values()]).tobytes())
+    message.data = array.array("d", np.concatenate([part.ravel() for part in parts.values()]).tobytes())
     return message
 
 

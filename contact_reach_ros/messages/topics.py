@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from nav_msgs.msg import Path
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float32MultiArray, Float64MultiArray, Header, Int64MultiArray, String
+from std_msgs.msg import Float64MultiArray, Header, Int64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -100,7 +100,7 @@ SETTINGS = Topic("settings", DiagnosticStatus, LATCHED_EVENTS)
 CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_BATCHES)
 OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_BATCHES)
 PLAN_STATISTICS = Topic("plan/statistics", DiagnosticArray)
-PLAN_REQUEST = Topic("plan/request", Float32MultiArray)
+PLAN_REQUEST = Topic("plan/request", Float64MultiArray)
 LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, called="promises")
 
 ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
@@ -48,10 +47,10 @@ def quaternion(message: Any) -> Array:
     return np.array([message.x, message.y, message.z, message.w])
 
 
-def split_array(message: Any) -> dict[str, NDArray[np.float32]]:
-    """The parts of a Float32MultiArray whose dimensions name parts one after the other; empty if they do not fit."""
+def split_array(message: Any) -> dict[str, Array]:
+    """The parts of a Float64MultiArray whose dimensions name parts one after the other; empty if they do not fit."""
     sizes = [dimension.size for dimension in message.layout.dim]
-    data = np.asarray(message.data, dtype=np.float32)
+    data = np.asarray(message.data, dtype=float)
     if not sizes or sum(sizes) != len(data):
         return {}
     names = [dimension.label for dimension in message.layout.dim]

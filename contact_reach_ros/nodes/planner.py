@@ -243,7 +243,8 @@ class PlannerNode(ManagedNode):
         }
         self._statistics.publish(to_statistics(plan, values, NAME, self.arm))
         # An arm that jumped made the planner forget what it had.
-        self._requests.publish(to_request(request_parts(plan.number, request, memory if since_reset else None)))
+        start = memory if since_reset else None
+        self._requests.publish(to_request(request_parts(plan.number, request, start, core.memory.best)))
 
     def _report_detour(self) -> None:
         """Log a detour that begins: the arm moves away from its goal."""

@@ -22,8 +22,8 @@ class Memory(NamedTuple):
     """What the last plan was made for."""
     best: np.ndarray
     """(N,) the last plan as a point of the solver's box."""
-    state: State
-    """State of the solver at the end of its search."""
+    state: State | None
+    """State of the solver at the end of its search; None to search anew around `best`."""
     approach: Approach
     """Progress towards the goal."""
     detour: Detour | None

@@ -128,7 +128,7 @@ class RecedingHorizonPlanner:
         predicted = self._predictor.predict(q, v, obstacles, pieces)
         problem = self._problem(*predicted, request, self._bodies(q, ()), self._before(hold), detour)
         jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
-        step = self._solver.warm_up(problem, self.fresh_state)
+        step = self._solver.warm_up(problem, self._solver.init(np.zeros(self.size), self._spread))
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
         if 0.0 < self._settings.deadline < step:
             raise SettingsError(
@@ -153,15 +153,6 @@ class RecedingHorizonPlanner:
     def size(self) -> int:
         """Number of variables that the solver searches."""
         return len(self._space.bounds)
-
-    @property
-    def fresh_state(self) -> State:
-        """The solver's state at the start of a fresh search; all its states have the same fields and shapes."""
-        return self._solver.init(np.zeros(self.size), self._spread)
-
-    def limit_steps(self, steps: int | None) -> None:
-        """Take at most `steps` solver steps in each plan from now on; None for as many as the settings allow."""
-        self._solver.max_steps = self._settings.max_steps if steps is None else steps
 
     def plan(self, request: Request) -> Plan:
         """Make a plan.

@@ -1,7 +1,8 @@
-"""Re-execution of the planner: any plan of a bag solved again, the same within tolerances on any machine.
+"""Re-execution of the planner: any plan of a bag made again, the same within tolerances on any machine.
 
-The bag has what each plan was made for and started from. Processors round differently, and a search with other rounding
-may choose other candidates that are as good: costs and references are compared within tolerances.
+The bag has what each plan was made for and started from, and the solution that the solver found. Prediction, obstacles,
+transfer model and cost are computed again with this solution, and compared. Then the solver searches again, from where
+it started: with other rounding, or without what it had learned before, it finds another solution that is about as good.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,24 +23,31 @@ from contact_reach_ros.messages.plan_request import Parts, read_memory, read_req
 from contact_reach_ros.messages.references import pose_knots, posture_knots
 from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.solver import make_solver
+from contact_reach_ros.planning.solver.solver import Solution, Solver
+from contact_reach_ros.planning.warm_start import FloatArray
 from contact_reach_ros.reexecution.inputs import OBSTACLES, RecordedInputs
 from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
 from contact_reach_ros.world.spheres import Spheres
 
-TOLERANCES = {"cost": 1e-4, "positions": 2e-4, "rotations": 4e-3, "postures": 4e-3}
-"""Of the cost, relative, and of the references, m and rad: 2 % of γ."""
+TOLERANCES = {"cost": 1e-4, "positions": 1e-5, "rotations": 1e-4, "postures": 1e-4, "search": 0.1}
+"""Of the cost, relative, and of the references, m and rad, with the recorded solution; and by how much the solution of
+the search may be worse, relative to the cost."""
+
+_LEAST_COST = 0.1
+"""Relative differences are of this cost at least: near the goal it is the rounding of a few positions."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ReexecutedPlan:
-    """A plan solved again.
+    """A plan made again.
 
     Attributes
     ----------
     plan
-        The re-executed plan.
+        The plan of the new search.
     statistics
         The recorded ones, by the keys of plan/statistics.
     differences
@@ -55,6 +63,32 @@ class ReexecutedPlan:
     differences: Mapping[str, float]
     exceeded: str
     seconds: float
+
+
+class _RecordedSolution:
+    """Stands in for a solver: its searches end at once, with the recorded solution."""
+
+    max_steps = 1
+
+    def __init__(self, *_: Any) -> None:
+        self.best = np.zeros(0)
+
+    def reseed(self, seed: int) -> None:
+        """There is no chance."""
+
+    def init(self, mean: FloatArray, spread: FloatArray) -> None:
+        """Nothing is learned."""
+
+    def shift(self, state: None, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float) -> None:
+        """Nothing was learned."""
+
+    def solve(self, problem: Problem, state: None, start_cost: float, number: int, until: float = 0.0) -> Solution:
+        """The recorded solution."""
+        return Solution(self.best, 0.0, state, 1, "max_steps", 0, (0.0,))
+
+    def warm_up(self, problem: Problem, state: None) -> float:
+        """There is nothing to compile."""
+        return 0.0
 
 
 class RecordedPlans:
@@ -109,43 +143,39 @@ class RecordedPlans:
                 f"{known[-1]}"
             )
         began = time.perf_counter()
-        statistics = self.statistics[number]
-        planning = self._settings["planning"]
-        planner = self._make_planner(changes.apply("planner", self._settings)) if changes else self._planner
-        steps = int(statistics["steps"])
-        request, recorded = self._request(number), self._requests[number]
-        try:
-            ramp_s = self._settings["impedance"].reference_ramp
-            memory = read_memory(recorded, request, planner.fresh_state, planning.knot_duration, ramp_s)
-        except (KeyError, ValueError) as error:
-            if not changes:
-                raise BagError(f"bag '{self._path}': plan {number} started from another solver: {error}") from error
-            memory = None
-        planner.memory = memory
-        # With changed settings the search ends by its own rule, unless the clock ended it.
-        planner.limit_steps(None if changes and statistics["stop reason"] != "deadline" else steps)
+        statistics, parts = self.statistics[number], self._requests[number]
+        request = read_request(parts, int(statistics["state ns"]), self._effects[number])
+        request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
+        knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
+        memory = read_memory(parts, request, knot_duration_s, ramp_s)
+        settings = changes.apply("planner", self._settings) if changes else self._settings
+        planner = self._make_planner(settings) if changes else self._searcher
+        planner.memory = memory if memory is None or len(memory.best) == planner.size else None
         plan = planner.plan(request)
-        differences = {} if changes else self._differences(plan, number)
+        differences: dict[str, float] = {}
+        if not changes:
+            evaluator, solution = self._evaluator
+            evaluator.memory, solution.best = memory, parts["found"]
+            differences = self._differences(evaluator.plan(request), plan, number)
         return ReexecutedPlan(plan, statistics, differences, _exceeded(differences), time.perf_counter() - began)
 
     @functools.cached_property
-    def _planner(self) -> RecedingHorizonPlanner:
-        """Takes as many steps as were recorded, since rounding may decide whether the last one still counts."""
-        planning = dataclasses.replace(self._settings["planning"], stagnation_tolerance=0.0)
-        return self._make_planner(self._settings | {"planning": planning})
+    def _searcher(self) -> RecedingHorizonPlanner:
+        return self._make_planner(self._settings)
 
-    def _make_planner(self, settings: Mapping[str, Any]) -> RecedingHorizonPlanner:
-        # The recorded number of steps stands for the deadline.
+    @functools.cached_property
+    def _evaluator(self) -> tuple[RecedingHorizonPlanner, _RecordedSolution]:
+        solution = _RecordedSolution()
+        return self._make_planner(self._settings, lambda *_: solution), solution
+
+    def _make_planner(
+        self, settings: Mapping[str, Any], solver: Callable[..., Solver[Any]] = make_solver
+    ) -> RecedingHorizonPlanner:
+        # Results must not depend on how fast the machine is.
         planning = dataclasses.replace(settings["planning"], deadline=0.0)
         force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres
         reach = settings["supervision"].max_position_error
-        return RecedingHorizonPlanner(self._arm, planning, settings["impedance"], force, capacity, reach)
-
-    def _request(self, number: int) -> Request:
-        """What a plan was made for."""
-        statistics = self.statistics[number]
-        request = read_request(self._requests[number], (int(statistics["state ns"]), self._effects[number]))
-        return request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
+        return RecedingHorizonPlanner(self._arm, planning, settings["impedance"], force, capacity, reach, solver)
 
     def _obstacles(self, number: int, sent_ns: int) -> Spheres:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""
@@ -161,10 +191,11 @@ class RecordedPlans:
             raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
         return spheres
 
-    def _differences(self, plan: Plan, number: int) -> dict[str, float]:
-        """Differences from the recorded plan, as `ReexecutedPlan.differences`."""
+    def _differences(self, plan: Plan, searched: Plan, number: int) -> dict[str, float]:
+        """Differences of the plan with the recorded solution and of the new search, by the names of `TOLERANCES`."""
         cost, effect_ns = float(self.statistics[number]["cost"]), self._effects[number]
-        found = {"cost": abs(plan.cost - cost) / max(abs(cost), 1e-9)}
+        scale = max(abs(cost), _LEAST_COST)
+        found = {"cost": abs(plan.cost - cost) / scale, "search": max(searched.cost - cost, 0.0) / scale}
         for message in self._inputs.messages("reference/pose"):
             if nanoseconds(message.header.stamp) == effect_ns:
                 poses = pose_knots(message)

@@ -40,7 +40,7 @@ TYPES = {
     "/clock": "rosgraph_msgs/msg/Clock",
     "/lockstep/horizon": "std_msgs/msg/Header",
     "/plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
-    "/plan/request": "std_msgs/msg/Float32MultiArray",
+    "/plan/request": "std_msgs/msg/Float64MultiArray",
     "/settings": "diagnostic_msgs/msg/DiagnosticStatus",
     "/intake/controller": "std_msgs/msg/Int64MultiArray",
     "/intake/observer": "std_msgs/msg/Int64MultiArray",

@@ -3,7 +3,6 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import yaml
 
@@ -48,11 +47,10 @@ class TestSolved:
             found = plans.solve(number)
             assert not found.exceeded, (number, found.exceeded)
             assert set(found.differences) == set(TOLERANCES)
-            assert found.plan.steps == int(found.statistics["steps"])
 
-    @pytest.mark.parametrize("part", ["q", "goal", "best", "solver mean", "trajectory 0"])
+    @pytest.mark.parametrize("part", ["q", "goal", "best", "found", "trajectory 0"])
     def test_each_part_of_the_record_matters(self, plans: RecordedPlans, monkeypatch, part: str) -> None:
-        changed = plans._requests[PLAN] | {part: plans._requests[PLAN][part] + np.float32(0.05)}
+        changed = plans._requests[PLAN] | {part: plans._requests[PLAN][part] + 0.05}
         monkeypatch.setitem(plans._requests, PLAN, changed)
         assert plans.solve(PLAN).exceeded
 

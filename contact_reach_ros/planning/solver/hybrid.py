@@ -153,24 +153,6 @@ class HybridSolver(Generic[ProblemT]):
             times.append(time.perf_counter() - begin)
         return min(times[1:])
 
-    def parts(self, problem: ProblemT, state: Distribution) -> dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]:
-        """Functions of one step with a line search, in their order, and arguments that they get; for measuring them."""
-        draw, search = (self._seed, 0, 0), _search_from(state, 0.0)
-        sample = jax.jit(self._draw_sample)(search.distribution, draw)
-        evaluate = jax.jit(self._cost)
-        costs = evaluate(problem, sample.repaired)
-        elite = jax.jit(self._select_elite)(search.distribution, sample, costs, None)
-        points = jax.jit(self._points_on_line)(problem, elite.mean, (*draw, 0))
-        conclusion = (search, sample, elite, points, evaluate(problem, points))
-        return {
-            "sample": (self._draw_sample, (search.distribution, draw)),
-            "candidates": (self._cost, (problem, sample.repaired)),
-            "select": (self._select_elite, (search.distribution, sample, costs, None)),
-            "gradient": (self._points_on_line, (problem, elite.mean, (*draw, 0))),
-            "line search": (self._cost, (problem, points)),
-            "update": (self._update_search, conclusion),
-        }
-
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
         sample = self._draw_sample(search.distribution, draw)

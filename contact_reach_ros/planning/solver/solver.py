@@ -1,7 +1,7 @@
 """The contract between the planner and a solver.
 
-A solver searches the box [-1, 1]ⁿ. Its state, a NamedTuple of arrays, means nothing to the planner, which keeps it from
-one plan to the next, has the solver shift it in time, and records it in bags by the names of its fields.
+A solver searches the box [-1, 1]ⁿ. Its state means nothing to the planner, which keeps it from one plan to the next and
+has the solver shift it in time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CostFunction = Callable[[ProblemT, jax.Array], jax.Array]
 """Costs (B,) of candidates (n, B) for a problem, which is any tree of arrays."""
 
 State = Any
-"""A NamedTuple of arrays, of numpy or on the device, in single precision or integers up to 2²⁴."""
+"""Whatever the solver learns, as arrays of numpy or on the device."""
 
 
 @dataclass(frozen=True, eq=False)
