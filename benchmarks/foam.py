@@ -13,12 +13,12 @@ import numpy as np
 import scipy.optimize
 
 from benchmarks.output import command_line, given, run_command, write_report
+from benchmarks.press import press_in_model, press_in_plant
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import InputError, SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Plant
-from contact_reach_ros.simulation.press import press_in_model, press_in_plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.obstacle_kinds import WallSettings

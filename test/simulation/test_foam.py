@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION
 
+from benchmarks.press import press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.obstacles import Foam
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.press import press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle_kinds import BallSettings, WallSettings

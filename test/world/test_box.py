@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, IDEAL_SENSORS
 
+from benchmarks.press import press_in_model, press_in_plant
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.press import press_in_model, press_in_plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import MAX_SPHERES, obstacle_spheres, rest_positions, sphere_capacity
