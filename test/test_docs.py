@@ -29,7 +29,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes import replay
 from contact_reach_ros.presets import SECTIONS
 from contact_reach_ros.ros.interfaces import INTERFACES
-from contact_reach_ros.ros.parameters import check_arguments
+from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
 
 COMMANDS = commands()
 PARSER = _parser()
@@ -42,7 +42,7 @@ TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTIL
 
 def check_node(name, arguments):
     if name == "replay":
-        replay.make_parser().parse_args(arguments)
+        replay.make_parser().parse_args(without_ros_arguments([name, *arguments])[1:])
     else:
         assert arguments[:1] in ([], ["--ros-args"]), arguments
         check_arguments([name, *arguments], name, {**SECTIONS, "bringup": BRINGUP}[name])
