@@ -11,7 +11,7 @@ SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
 EXTRAS := benchmarks$(comma)$(if $(SOURCED),test,ros$(comma)test)
 STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
-# Some tests need a browser, OpenGL without a display, or a compiler. $(call SYSTEM,is it there?,package,tests) installs what is
+# Some tests need a browser or a compiler. $(call SYSTEM,is it there?,package,tests) installs what is
 # missing through the system's package manager where that may be used without a password.
 define SYSTEM
 { $(1); } >/dev/null 2>&1 || { \
@@ -25,7 +25,6 @@ define SYSTEM
 endef
 CHROMIUM := command -v chromium || command -v chromium-browser || command -v google-chrome
 COMPILER := command -v g++ && $(BIN)/python -c 'import os, sysconfig; os.stat(sysconfig.get_path("include") + "/Python.h")'
-OPENGL := $(BIN)/python -c 'from benchmarks.offscreen import find_backend; find_backend()'
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo bench test lint build clean
@@ -45,7 +44,6 @@ bench: $(STAMP) ## run a benchmark, as NAME=table1; without NAME, list them
 
 test: $(STAMP) ## run the tests; with ARGS=test also those that take minutes
 	@$(call SYSTEM,$(CHROMIUM),chromium,the tests of the viewer's page)
-	@$(call SYSTEM,$(OPENGL),libosmesa6,the tests that render pictures)
 	@$(call SYSTEM,$(COMPILER),g++ python3-dev,the tests with the messages of real drivers)
 ifeq ($(strip $(ARGS)),)
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder --quick

@@ -14,9 +14,8 @@ from benchmarks.baselines.methods import METHODS
 from benchmarks.claims import interval_text
 from benchmarks.clutter_scenes import FIRST_HELD_OUT, clutter_name, clutter_scene
 from benchmarks.grid import Cell, Record, Setup
-from benchmarks.grid_run import Running, finish, run_grid
-from benchmarks.output import Report, command_line, command_of, given, run_command, table
-from benchmarks.pictures import plot_clutter
+from benchmarks.grid_run import run_grid
+from benchmarks.output import Report, command_line, command_of, given, run_command, table, write_report
 from benchmarks.statistics import Estimate, estimate, share
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
@@ -72,33 +71,27 @@ class Clutter:
 
     @property
     def cells(self) -> list[Cell]:
-        """All episodes, scene by scene, so that an unfinished run has whole scenes."""
+        """All episodes, scene by scene."""
         return [Cell(clutter_name(seed), "hold", method, seed) for seed in self.seeds for method in self.methods]
 
-    def evaluate(self, report: Report) -> None:
-        """Add the summary of those scenes that every method has run in."""
-        found: dict[str, list[Record]] = {}
-        for entry in report["episodes"]:
-            found.setdefault(entry["scene"], []).append(entry)
-        whole = [entry for entries in found.values() if len(entries) == len(self.methods) for entry in entries]
-        report.update(summary(whole, self.methods))
 
-
-def bench_clutter(bench: Clutter, running: Running, setup: Setup | None = None) -> Report:
-    """Run the episodes, print the table in Markdown, and write JSON.
+def bench_clutter(
+    bench: Clutter, file: Path | None = None, workers: int | None = None, setup: Setup | None = None
+) -> Report:
+    """Run the episodes on `workers` processes, print the table in Markdown, and write JSON to `file`.
 
     Raises
     ------
     SettingsError
-        If the preset is unknown, or the run to be resumed has other settings.
+        If the preset is unknown, or there is not at least one process.
     """
     setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, timeout=bench.timeout)
     arm = load_arm(setup.arm)
     scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in bench.seeds}
     description = {"command": command_of("clutter", bench), "seeds": [bench.seeds[0], bench.seeds[-1]]}
-    report = run_grid("clutter", description, setup, scenes, bench.cells, running)
-    bench.evaluate(report)
-    finish(report, running.file)
+    report = run_grid("clutter", description, setup, scenes, bench.cells, workers)
+    report.update(summary(report["episodes"], bench.methods))
+    write_report(report, file)
     print(clutter_table(report))
     return report
 
@@ -200,12 +193,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: eight)")
     parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
     options = given(parser, arguments)
-    plot, running = options.pop("plot", None), Running.of(options)
-    report = bench_clutter(Clutter(**options), running)
-    if plot is not None:
-        plot_clutter(report, plot)
+    file, workers = options.pop("file", None), options.pop("workers", None)
+    bench_clutter(Clutter(**options), file, workers)
 
 
 if __name__ == "__main__":

@@ -113,8 +113,8 @@ def write_report(report: Mapping[str, Any], file: Path | None) -> None:
     new.replace(file)
 
 
-def read_report(file: Path, bench: str) -> dict[str, Any]:
-    """Read the report of a run of a benchmark.
+def read_report(file: Path, bench: str = "") -> dict[str, Any]:
+    """Read the report of a run of a benchmark, of any if it is not named.
 
     Raises
     ------
@@ -129,6 +129,6 @@ def read_report(file: Path, bench: str) -> dict[str, Any]:
         ) from error
     except ValueError as error:
         raise SettingsError(f"{file}: not JSON ({error}); expected that of a finished run") from error
-    if not isinstance(report, dict) or report.get("bench") != bench:
-        raise SettingsError(f"{file}: not a result of benchmark {bench}")
+    if not isinstance(report, dict) or "bench" not in report or (bench and report["bench"] != bench):
+        raise SettingsError(f"{file}: not the result of {f'benchmark {bench}' if bench else 'a benchmark'}")
     return report

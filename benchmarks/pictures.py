@@ -1,4 +1,8 @@
-"""Pictures of the tables: each method's success, time and force with its interval."""
+"""Pictures of benchmarks that have run, from their JSON.
+
+`python -m benchmarks.pictures clutter.json clutter.png` draws a run of clutter, setting, fig5 or solver, and `python -m
+benchmarks.pictures shipped.json hinge.json linear.json table1.png` runs of table1 with several presets.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +10,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks import paper
 from benchmarks.claims import Results
-from benchmarks.output import Report
+from benchmarks.output import Report, command_line, read_report, run_command
+from benchmarks.solver import LABELS, POINTS
 from benchmarks.statistics import Estimate, estimate
-from contact_reach_ros.drawing.palette import BLUE, GREEN, ORANGE, VERMILION
+from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+from contact_reach_ros.errors import SettingsError
 
 _OURS, _OTHER = BLUE, "#aaaaaa"
-_COLOURS = (BLUE, VERMILION, GREEN, ORANGE)
+_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, BLACK)
 
 
-def plot_clutter(report: Report, file: Path) -> None:
-    """Draw how often each method settles and how hard it presses, with intervals of 95 %, for the file `file`."""
+def plot_clutter(report: Report) -> Figure:
+    """How often each method settles and how hard it presses, with intervals of 95 %."""
     names = list(report["methods"])[::-1]
     figure = Figure((9.0, 1.2 + 0.35 * len(names)), layout="constrained")
     success, force, against = figure.subplots(1, 3, sharey=True)
@@ -37,11 +44,11 @@ def plot_clutter(report: Report, file: Path) -> None:
     against.set_xlabel("the same less the method's,\nwhere both settle, N")
     success.set_yticks(range(len(names)), names)
     figure.suptitle(f"{report['scenes']} random scenes; bars: 95 %")
-    FigureCanvasAgg(figure).print_png(file)
+    return figure
 
 
-def plot_table1(reports: Sequence[Report], file: Path) -> None:
-    """Draw time and peak force of each method in each scene, for runs with different presets and for the paper."""
+def plot_table1(reports: Sequence[Report]) -> Figure:
+    """Time and peak force of each method in each scene, for runs with different presets and for the paper."""
     scenes = list(dict.fromkeys(scene for report in reports for scene in report["grid"]["scenes"]))
     figure = Figure((9.0, 0.6 + 2.4 * len(scenes)), layout="constrained")
     grid = figure.subplots(len(scenes), 2, squeeze=False)
@@ -63,11 +70,11 @@ def plot_table1(reports: Sequence[Report], file: Path) -> None:
             axes.set_xlim(left=0.0)
         line[0].set_yticks(range(len(names)), names, fontsize=7)
         line[1].set_yticks(range(len(names)), [""] * len(names))
-    FigureCanvasAgg(figure).print_png(file)
+    return figure
 
 
-def plot_setting(report: Report, file: Path) -> None:
-    """Draw peak force and settling time over the values, evenly spaced, one row of charts for each scene."""
+def plot_setting(report: Report) -> Figure:
+    """Peak force and settling time over the values, evenly spaced, one row of charts for each scene."""
     figure = Figure((9.0, 1.0 + 2.6 * len(report["scenes"])), layout="constrained")
     grid = figure.subplots(len(report["scenes"]), 2, squeeze=False)
     for (scene, rows), line in zip(report["scenes"].items(), grid, strict=True):
@@ -92,7 +99,46 @@ def plot_setting(report: Report, file: Path) -> None:
             axes.set_ylim(bottom=0.0)
             axes.grid(alpha=0.3)
         line[0].legend()
-    FigureCanvasAgg(figure).print_png(file)
+    return figure
+
+
+def plot_fig5(report: Report) -> Figure:
+    """The force on the body that is pressed hardest, over time, and the permitted one."""
+    figure = Figure((9.0, 3.5), layout="constrained")
+    axes = figure.subplots()
+    for (method, found), colour in zip(report["methods"].items(), _COLOURS, strict=False):
+        profile = found["profile_N"]
+        time = report["tick_s"] * np.arange(1, len(profile) + 1)
+        axes.plot(time, profile, color=colour, label=f"{method}: {found['outcome']}")
+    permitted = report["permitted_force_N"]
+    axes.axhline(permitted, color=GREY, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
+    axes.set(xlabel="time since the goal, s", ylabel="force on the most loaded body, N")
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=0.0)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    return figure
+
+
+def plot_solver(report: Report) -> Figure:
+    """The excess cost of each solver over time with its interval, one row of charts for each scene."""
+    scenes = report["scenes"]
+    figure = Figure((10.0, 3.6 * len(scenes)), layout="constrained")
+    starts = {"cold": "from standing still", "warm": "from the plan before"}
+    grid = figure.subplots(len(scenes), 2, sharex=True, sharey=True, squeeze=False)
+    for (scene, race), row in zip(scenes.items(), grid, strict=True):
+        milliseconds = 1e3 * np.linspace(0.0, race["seconds"], POINTS)
+        for axes, (start, title) in zip(row, starts.items(), strict=True):
+            for (name, label), colour in zip(LABELS.items(), _COLOURS, strict=False):
+                curve = race[start][name]["curve"]
+                axes.plot(milliseconds, [1e3 * entry["mean"] for entry in curve], color=colour, label=label)
+                low, high = 1e3 * np.array([entry["ci95"] for entry in curve]).T
+                axes.fill_between(milliseconds, low, high, color=colour, alpha=0.15, linewidth=0.0)
+            axes.set(title=f"{scene}, {title}", xlabel="time, ms", yscale="log")
+            axes.grid(alpha=0.3)
+        row[0].set_ylabel("cost above the least found, × 10⁻³")
+    grid[0, -1].legend(fontsize="small")
+    return figure
 
 
 def _published(scene: str, method: str, name: str) -> Estimate:
@@ -117,3 +163,34 @@ def _bars(axes: Axes, found: Sequence[Estimate], names: Sequence[str]) -> None:
         if one.mean == one.mean and one.low == one.low:
             axes.plot([one.low, one.high], [place, place], color="black", linewidth=1.2)
     axes.grid(axis="x", alpha=0.3)
+
+
+PICTURES = {"clutter": plot_clutter, "setting": plot_setting, "fig5": plot_fig5, "solver": plot_solver}
+"""Of one report, by benchmark; `plot_table1` takes several."""
+
+
+def draw(reports: Sequence[Report]) -> Figure:
+    """The picture of a benchmark's report, or of several of table1; raises `SettingsError` if there is none."""
+    bench = reports[0]["bench"]
+    if bench == "table1":
+        return plot_table1(reports)
+    if bench not in PICTURES:
+        raise SettingsError(f"'{bench}' has no picture; expected a run of table1, {', '.join(PICTURES)}")
+    if len(reports) > 1:
+        raise SettingsError(f"{len(reports)} runs of {bench}: expected one; only runs of table1 are drawn together")
+    return PICTURES[bench](reports[0])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = command_line(__doc__)
+    parser.add_argument("reports", nargs="+", type=Path, metavar="JSON", help="what `--json` wrote")
+    parser.add_argument("picture", type=Path, metavar="PNG", help="to write")
+    options = parser.parse_args(arguments)
+    first = read_report(options.reports[0])
+    figure = draw([first, *(read_report(file, first["bench"]) for file in options.reports[1:])])
+    FigureCanvasAgg(figure).print_png(options.picture)
+
+
+if __name__ == "__main__":
+    run_command(main)

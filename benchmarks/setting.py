@@ -13,10 +13,9 @@ import numpy as np
 import yaml
 
 from benchmarks.grid import Cell, Record, Setup
-from benchmarks.grid_run import Running, finish, run_grid
-from benchmarks.output import Report, command_line, command_of, given, run_command, table
+from benchmarks.grid_run import run_grid
+from benchmarks.output import Report, command_line, command_of, given, run_command, table, write_report
 from benchmarks.paper import METHOD
-from benchmarks.pictures import plot_setting
 from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
@@ -78,7 +77,7 @@ class Sweep:
 
     @property
     def cells(self) -> list[Cell]:
-        """All episodes, target by target, so that an unfinished run compares values on the same targets."""
+        """All episodes, target by target."""
         targets = range(self.seed, self.seed + self.targets)
         scenes = [read_scene(name).name for name in self.scenes]
         every = itertools.product(targets, scenes, self.methods, map(str, self.values))
@@ -101,26 +100,22 @@ class Sweep:
             capacity=self.spheres,
         )
 
-    def evaluate(self, report: Report) -> None:
-        """Add the rows of the table to a report with episodes."""
-        report["scenes"] = summary(report["episodes"], self.values)
 
-
-def bench_setting(sweep: Sweep, running: Running) -> Report:
-    """Run episodes, print a table in Markdown and write JSON.
+def bench_setting(sweep: Sweep, file: Path | None = None, workers: int | None = None) -> Report:
+    """Run episodes on `workers` processes, print a table in Markdown and write JSON to `file`.
 
     Raises
     ------
     SettingsError
-        As `Sweep`, or if the run to be resumed has other settings.
+        As `Sweep`, or if there is not at least one process.
     """
     variants = sweep.variants
     scenes = {scene.name: scene for scene in map(read_scene, sweep.scenes)}
     description = {"command": command_of("setting", sweep), "setting": sweep.name, "targets": sweep.targets}
     setup = next(iter(variants.values()))
-    report = run_grid("setting", description, setup, scenes, sweep.cells, running, variants=variants)
-    sweep.evaluate(report)
-    finish(report, running.file)
+    report = run_grid("setting", description, setup, scenes, sweep.cells, workers, variants=variants)
+    report["scenes"] = summary(report["episodes"], sweep.values)
+    write_report(report, file)
     print(setting_table(report))
     return report
 
@@ -207,12 +202,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--others", nargs="+", metavar="NAME=VALUE", help="other settings, the same for each value")
     parser.add_argument("--spheres", type=int, help="that plans look at (default: as many as the scene has)")
     parser.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
     options = given(parser, arguments)
-    plot, running = options.pop("plot", None), Running.of(options)
-    report = bench_setting(Sweep(**options), running)
-    if plot is not None:
-        plot_setting(report, plot)
+    file, workers = options.pop("file", None), options.pop("workers", None)
+    bench_setting(Sweep(**options), file, workers)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,9 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
@@ -24,7 +21,6 @@ from benchmarks.statistics import estimate
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.drawing.palette import BLACK, BLUE, SKY_BLUE
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.objectives import ReferenceSpace
 from contact_reach_ros.planning.problem import Problem
@@ -41,12 +37,8 @@ POINTS = 51
 """Of each curve."""
 
 
-LABELS = {
-    "hybrid": ("hybrid, Algorithm 1", BLUE),
-    "cma": ("plain CMA-ES", SKY_BLUE),
-    "gradient": ("ten gradient steps each", BLACK),
-}
-"""Names and colours of the solvers in tables and plots."""
+LABELS = {"hybrid": "hybrid, Algorithm 1", "cma": "plain CMA-ES", "gradient": "ten gradient steps each"}
+"""Names of the solvers in tables and pictures."""
 
 
 def run_race(
@@ -125,52 +117,27 @@ def excess(curves: Sequence[Array], least: Sequence[float], step: float, instant
     return np.array([curve[np.minimum(taken, len(curve) - 1)] - low for curve, low in zip(curves, least, strict=True)])
 
 
-def race_table(report: Report, scenes: Sequence[str]) -> str:
+def race_table(races: dict[str, Report]) -> str:
     """A table in Markdown: mean excess cost at the instants; and at the middle one less that of Algorithm 1."""
     middle = len(INSTANTS) // 2
     rows = []
-    for scene in scenes:
+    for scene, report in races.items():
         for start in ("cold", "warm"):
-            for name, (label, _) in LABELS.items():
-                entry = report[scene][start][name]
+            for name, label in LABELS.items():
+                entry = report[start][name]
                 low, high = entry["over_hybrid"][middle]["ci95"]
                 beside = "" if name == "hybrid" else f"{1e3 * low:+.1f} to {1e3 * high:+.1f}"
                 at = [f"{1e3 * found['mean']:.1f}" for found in entry["at"]]
-                rows.append([scene, start, label, f"{report[scene]['step_ms'][name]:.2f}", *at, beside])
+                rows.append([scene, start, label, f"{report['step_ms'][name]:.2f}", *at, beside])
     times = [f"after {1e3 * instant:.0f} ms" for instant in INSTANTS]
     beside = f"more than Algorithm 1 {times[middle]} (95 %)"
     return table(["scene", "start", "solver", "step, ms", *times, beside], rows)
-
-
-def plot_race(report: Report, scenes: Sequence[str], file: Path) -> None:
-    """Draw the curves with their intervals, one row for each scene."""
-    figure = Figure(figsize=(10.0, 3.6 * len(scenes)), layout="constrained")
-    FigureCanvasAgg(figure)
-    starts = {"cold": "from standing still", "warm": "from the plan before"}
-    grid = figure.subplots(len(scenes), 2, sharex=True, sharey=True, squeeze=False)
-    for row, scene in zip(grid, scenes, strict=True):
-        milliseconds = 1e3 * np.linspace(0.0, report[scene]["seconds"], POINTS)
-        for axes, (start, title) in zip(row, starts.items(), strict=True):
-            for name, (label, colour) in LABELS.items():
-                curve: list[dict[str, Any]] = report[scene][start][name]["curve"]
-                axes.plot(milliseconds, [1e3 * entry["mean"] for entry in curve], color=colour, label=label)
-                low, high = 1e3 * np.array([entry["ci95"] for entry in curve]).T
-                axes.fill_between(milliseconds, low, high, color=colour, alpha=0.15, linewidth=0.0)
-            axes.set_title(f"{scene}, {title}")
-            axes.set_yscale("log")
-            axes.grid(alpha=0.3)
-        row[0].set_ylabel("cost above the least found, × 10⁻³")
-    for axes in grid[-1]:
-        axes.set_xlabel("time, ms")
-    grid[0, -1].legend(fontsize="small")
-    figure.savefig(file, dpi=110)
 
 
 def bench_solver(
     scenes: Sequence[str] = ("ball", "wall"),
     states: int = 40,
     seconds: float = 0.1,
-    plot: Path | None = None,
     file: Path | None = None,
     settings: PlanningSettings | None = None,
 ) -> Report:
@@ -184,8 +151,6 @@ def bench_solver(
         In each scene, each with random numbers of its own; at least 2.
     seconds
         For each search.
-    plot
-        File for a picture of the costs over time.
     settings
         Of the planner; the paper's budget by default.
 
@@ -198,14 +163,12 @@ def bench_solver(
         raise InputError(f"seconds = {seconds:g}: expected 0.001 to 60")
     settings = dataclasses.replace(settings or PlanningSettings(), deadline=0.0)
     space = ReferenceSpace(load_arm(), settings, ImpedanceSettings())
-    report: Report = {}
-    for name, found in states_of(scenes, states, settings):
-        report[name] = run_race(space.cost, len(space.bounds), settings, found, seconds)
-    names = list(report)
-    print(race_table(report, names))
-    if plot is not None:
-        plot_race(report, names, plot)
-    report["machine"] = machine()
+    races = {
+        name: run_race(space.cost, len(space.bounds), settings, found, seconds)
+        for name, found in states_of(scenes, states, settings)
+    }
+    print(race_table(races))
+    report: Report = {"bench": "solver", "machine": machine(), "scenes": races}
     write_report(report, file)
     return report
 
@@ -229,7 +192,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: ball wall)")
     parser.add_argument("--states", type=int, help="to start from in each scene (default: 40)")
     parser.add_argument("--seconds", type=float, help="for each search (default: 0.1)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the costs over time")
     bench_solver(**given(parser, arguments))
 
 

@@ -11,9 +11,8 @@ from typing import Any
 from benchmarks.baselines.methods import METHODS
 from benchmarks.claims import Results, claims
 from benchmarks.grid import GOALS, Cell, Setup
-from benchmarks.grid_run import Running, finish, run_grid
-from benchmarks.output import Report, command_line, command_of, given, read_report, run_command
-from benchmarks.pictures import plot_table1
+from benchmarks.grid_run import run_grid
+from benchmarks.output import Report, command_line, command_of, given, run_command, write_report
 from benchmarks.table1_report import tables
 from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.settings import TASK_ROWS
@@ -88,23 +87,21 @@ class Table1:
 
     @property
     def cells(self) -> list[Cell]:
-        """All episodes, target by target, so that an unfinished run compares methods on the same targets."""
+        """All episodes, target by target."""
         targets = range(self.seed, self.seed + self.targets)
         every = itertools.product(targets, range(self.repeats), self.scene_files, self.goals, self.methods)
         return [Cell(scene, goal, method, target, repeat) for target, repeat, scene, goal, method in every]
 
-    def evaluate(self, report: Report) -> None:
-        """Add the claims to a report with episodes."""
-        report["claims"] = claims(Results(report["episodes"]), list(self.scene_files), self.goals)
 
-
-def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) -> Report:
-    """Run the episodes, print tables and claims in Markdown, and write JSON.
+def bench_table1(
+    bench: Table1, file: Path | None = None, workers: int | None = None, setup: Setup | None = None
+) -> Report:
+    """Run the episodes on `workers` processes, print tables and claims in Markdown, and write JSON to `file`.
 
     Raises
     ------
     SettingsError
-        If the preset is unknown, or the run to be resumed has other settings.
+        If the preset is unknown, or there is not at least one process.
     SceneError
         If a scene cannot be made.
     """
@@ -122,9 +119,9 @@ def bench_table1(bench: Table1, running: Running, setup: Setup | None = None) ->
             "seed": bench.seed,
         },
     }
-    report = run_grid("table1", description, setup, scenes, bench.cells, running, bench.latency)
-    bench.evaluate(report)
-    finish(report, running.file)
+    report = run_grid("table1", description, setup, scenes, bench.cells, workers, bench.latency)
+    report["claims"] = claims(Results(report["episodes"]), list(scenes), bench.goals)
+    write_report(report, file)
     print(tables(report))
     return report
 
@@ -143,14 +140,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, help="of the first target (default: 0)")
     parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 20, or 60)")
     parser.add_argument("--latency", type=float, metavar="SECONDS", help="time of a plan (default: the preset's)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the table")
-    parser.add_argument("--beside", type=Path, nargs="+", metavar="FILE", help="also draw these runs of other presets")
     options = given(parser, arguments)
-    plot, beside = options.pop("plot", None), options.pop("beside", ())
-    running = Running.of(options)
-    report = bench_table1(Table1(**options), running)
-    if plot is not None:
-        plot_table1([report, *(read_report(file, "table1") for file in beside)], plot)
+    file, workers = options.pop("file", None), options.pop("workers", None)
+    bench_table1(Table1(**options), file, workers)
 
 
 if __name__ == "__main__":

@@ -38,10 +38,6 @@ class BagError(ContactReachError):
     """A bag cannot be written or read."""
 
 
-class RenderingError(ContactReachError):
-    """A picture cannot be rendered: for example, OpenGL does not work on this machine."""
-
-
 class StopCode(Enum):
     """Causes of a stop. The values are an interface: bags and `safety_state` carry them."""
 

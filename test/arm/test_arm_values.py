@@ -2,10 +2,7 @@
 
 import copy
 import dataclasses
-import os
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -63,17 +60,6 @@ def test_default_thresholds_are_settings_and_make_no_other_arm():
     assert dataclasses.replace(ARM, defaults={}) == ARM
 
 
-def test_an_arm_equals_nothing_else():
-    assert ARM not in (ARM.digest, ARM.name, None, SIX_AXIS)
-
-
-def test_the_digest_is_the_same_in_every_process():
-    code = "from contact_reach_ros.arms import load_arm; print(load_arm().digest)"
-    environment = {**os.environ, "PYTHONHASHSEED": "1"}
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert found.stdout.strip() == ARM.digest
-
-
 @pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
 def test_arrays_have_a_value_for_each_joint_and_cannot_be_changed(arm):
     for values in (arm.lower, arm.upper, arm.velocity_limits, arm.torque_limits):
@@ -83,17 +69,6 @@ def test_arrays_have_a_value_for_each_joint_and_cannot_be_changed(arm):
     assert len(arm.joint_names) == len(arm.link_names) == len(arm.home) == arm.n
     assert (arm.lower < arm.upper).all()
     assert ((arm.lower <= arm.home) & (arm.home <= arm.upper)).all()
-
-
-@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
-def test_contact_links_are_those_with_capsules_once_each_from_base_to_tip(arm):
-    with_capsules = {arm.link_names[capsule.link - 1] for capsule in arm.capsules}
-    assert arm.contact_links == tuple(name for name in arm.link_names if name in with_capsules)
-
-
-def test_defaults_that_an_arm_does_not_list_are_zero():
-    assert ARM.default("torque_thresholds") == ARM.defaults["torque_thresholds"]
-    assert ARM.default("viscous_friction") == (0.0,) * ARM.n
 
 
 class TestLoadArm:
@@ -126,8 +101,3 @@ class TestLoadArm:
         np.testing.assert_allclose(tip_positions(arm, home), tip_positions(SIX_AXIS, home), rtol=0, atol=1e-9)
         with pytest.raises(SettingsError, match=r"none.urdf: cannot be read"):
             load_arm(str(tmp_path / "none.urdf"))
-
-
-def test_the_arrays_agree_with_the_joints():
-    np.testing.assert_array_equal(ARM.upper, [joint.upper for joint in ARM.joints])
-    np.testing.assert_array_equal(ARM.torque_limits, [joint.torque_limit for joint in ARM.joints])

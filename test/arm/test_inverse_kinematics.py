@@ -56,7 +56,3 @@ def test_of_one_axis_the_rotation_about_it_is_free():
     along_x = [rotations[-1][:, 0] @ ROTATIONS[-1][:, 0] for rotations, _ in poses]
     assert min(along_x) < -0.9
     assert max(along_x) > 0.9
-
-
-def test_out_of_reach_there_are_none():
-    assert len(solve_ik(ARM, np.array([1.5, 0.0, 0.3]), None, seeds(50), 0.1)) == 0

@@ -32,13 +32,6 @@ def test_quaternions_give_rotations(quaternion):
     np.testing.assert_allclose(rotation, rotation_from_quaternion(-3.0 * np.array(quaternion)), rtol=0, atol=1e-12)
 
 
-@given(st.floats(-3, 3))
-def test_rotation_about_an_axis_is_that_of_its_quaternion(angle):
-    quaternion = (np.cos(angle / 2), 0, np.sin(angle / 2), 0)
-    expected = rotation_from_quaternion(quaternion)
-    np.testing.assert_allclose(rotation_about((0, 1, 0), angle), expected, rtol=0, atol=1e-12)
-
-
 def test_both_descriptions_have_the_same_flange():
     for q in random_states(1000)[0]:
         rotations, origins = link_frames(ARM, q)
@@ -103,16 +96,7 @@ def test_inertias_are_possible(inertia_set):
         assert principal[2] <= principal[0] + principal[1]
 
 
-def test_converted_inertias_keep_the_masses():
-    masses = [inertia.mass for inertia in ARM.inertias("alternative")]
-    assert masses == [inertia.mass for inertia in iiwa14.ALIGNED_INERTIAS]
-
-
 def test_joints_are_found_by_name():
     assert [ARM.joint_index(name) for name in ARM.joint_names] == list(range(ARM.n))
     with pytest.raises(SettingsError, match=r"'lbr_A8'.*lbr_A1, .*lbr_A7"):
         ARM.joint_index("lbr_A8")
-
-
-def test_home_is_within_the_limits():
-    assert (np.abs(HOME) < ARM.upper).all()

@@ -8,7 +8,6 @@ import pytest
 from arm_simulation import ARM, HOME, REST, random_states
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import SettingsError
 
 STEP = 1e-6
 
@@ -52,13 +51,6 @@ def test_gravity_is_the_bias_at_rest(model):
         np.testing.assert_allclose(model.gravity_at(q), at_rest, rtol=0, atol=1e-11)
 
 
-def test_mass_matrix_is_symmetric_and_positive_definite(model):
-    for q, v in zip(*random_states(100), strict=True):
-        model.update(q, v)
-        np.testing.assert_array_equal(model.mass_matrix, model.mass_matrix.T)
-        assert np.linalg.eigvalsh(model.mass_matrix)[0] >= ARM.joints[0].armature
-
-
 def test_smallest_mobility_is_the_least_acceleration_along_a_unit_wrench(model):
     random = np.random.default_rng(0)
     for q, v in zip(*random_states(10), strict=True):
@@ -82,16 +74,6 @@ def test_coriolis_matrix_gives_bias_and_derivative_of_the_mass_matrix(model):
         coriolis = model.coriolis_matrix(q, v)
         np.testing.assert_allclose(coriolis @ v + model.gravity, model.bias, rtol=0, atol=1e-11)
         np.testing.assert_allclose(coriolis + coriolis.T, (ahead - behind) / (2 * STEP), rtol=0, atol=1e-7)
-
-
-def test_parts_alone_are_those_of_the_whole_update(model):
-    parts = RobotModel(ARM)
-    for q, v in zip(*random_states(20), strict=True):
-        model.update(q, v)
-        parts.update_dynamics(q)
-        np.testing.assert_allclose(parts.mass_matrix, model.mass_matrix, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(parts.gravity, model.gravity, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(parts.jacobian_at(q), model.jacobian, rtol=0, atol=1e-12)
 
 
 def test_looking_elsewhere_leaves_the_attributes_alone(model):
@@ -124,8 +106,3 @@ def test_gravity_torques_of_the_inertia_sets_differ_as_documented():
     largest, rms = np.abs(difference).max(axis=0), np.sqrt(np.mean(difference**2, axis=0))
     np.testing.assert_allclose(largest[[1, 3]], [10.8, 5.3], atol=0.3)
     np.testing.assert_allclose(rms[[1, 3]], [6.4, 2.8], atol=0.3)
-
-
-def test_unknown_inertia_set_lists_the_known_ones():
-    with pytest.raises(SettingsError, match=r"'light'.*nominal, alternative"):
-        RobotModel(ARM, "light")

@@ -5,9 +5,8 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
-from arm_simulation import ARM, HOME, TOOL, WITH_TOOL, random_states
+from arm_simulation import ARM, TOOL, WITH_TOOL, random_states
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaternion, tensor_matrix
@@ -58,22 +57,6 @@ def test_weight_and_inertia_are_those_of_a_body_fixed_to_the_flange(bare):
         np.testing.assert_allclose(composed.bias, data.qfrc_bias, rtol=0, atol=1e-9)
 
 
-def test_every_inertia_set_carries_it():
-    arm = ARM.with_tool(TOOL)
-    for name in ARM.inertia_sets:
-        difference = RobotModel(arm, name).gravity_at(HOME) - RobotModel(ARM, name).gravity_at(HOME)
-        model = RobotModel(ARM, name).pinocchio
-        data = model.createData()
-        pin.forwardKinematics(model, data, HOME)
-        flange = pin.updateFramePlacement(model, data, model.getFrameId(ARM.tip_frame))
-        lever = flange.translation + flange.rotation @ CENTER
-        expected = [
-            MASS * G * np.cross(data.oMi[joint].rotation[:, 2], lever - data.oMi[joint].translation)[2]
-            for joint in range(1, ARM.n + 1)
-        ]
-        np.testing.assert_allclose(difference, expected, atol=1e-9)
-
-
 def test_a_tool_on_a_tool_is_one_whose_values_are_composed():
     first, second = Tool(mass=1.0, flange_to_tip=(0.0, 0.0, 0.1, 0.0, 0.5, 0.0)), Tool(mass=1.0, center=(0.0, 0.0, 0.1))
     both = ARM.with_tool(first).with_tool(second)
@@ -100,10 +83,6 @@ def test_a_radius_gives_it_a_capsule_from_flange_to_tip():
     assert ARM.with_tool(Tool(mass=1.0)).capsules == ARM.capsules
 
 
-def test_a_longer_arm_reaches_farther():
-    assert ARM.with_tool(Tool(flange_to_tip=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))).reach == pytest.approx(ARM.reach + 0.2)
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -124,14 +103,3 @@ def test_a_longer_arm_reaches_farther():
 def test_what_is_no_tool_is_refused_with_what_was_expected(values, message):
     with pytest.raises(SettingsError, match=re.escape(message)):
         Tool(**values)
-
-
-def test_a_rod_and_a_point_are_bodies():
-    assert Tool(mass=1.0, inertia=(0.01, 0.01, 0.0, 0.0, 0.0, 0.0)).mass == Tool(mass=1.0).mass
-
-
-def test_the_file_is_named_in_which_a_value_is_wrong():
-    with pytest.raises(SettingsError, match=r"own\.yaml.*tool: mass = -1"):
-        arm_in({"tool.mass": -1}, "own.yaml")
-    with pytest.raises(SettingsError, match=r"own\.yaml: Tool\.inertia"):
-        arm_in({"tool.mass": 1.0, "tool.inertia": [0.01, 0.01, 0.05, 0.0, 0.0, 0.0]}, "own.yaml")

@@ -36,15 +36,6 @@ def test_urdf_agrees_with_mjcf(arm, inertia_set):
             np.testing.assert_allclose(data.oMf[frame].rotation, rotation, rtol=0, atol=1e-9)
 
 
-def test_limits_and_names_are_those_of_the_table():
-    model = pin.buildModelFromXML(build_urdf(ARM))
-    assert list(model.names)[1:] == list(ARM.joint_names)
-    np.testing.assert_allclose(model.upperPositionLimit, ARM.upper)
-    np.testing.assert_allclose(model.lowerPositionLimit, -np.array(ARM.upper))
-    np.testing.assert_allclose(model.velocityLimit, ARM.velocity_limits)
-    np.testing.assert_allclose(model.effortLimit, ARM.torque_limits)
-
-
 def test_collision_shapes_are_the_capsules():
     robot = ElementTree.fromstring(build_urdf(ARM))
     capsules = {ARM.link_names[capsule.link - 1]: capsule for capsule in ARM.capsules}

@@ -1,13 +1,11 @@
 """Random faults: whatever goes wrong, torques and contact forces stay within their bounds."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from benchmarks import faults
 from benchmarks.episode_result import EpisodeResult
 from benchmarks.fault_checks import (
     BOUNDS,
@@ -20,7 +18,6 @@ from benchmarks.fault_checks import (
 from benchmarks.fault_draws import DRAWS, random_faults
 from benchmarks.faults import fault_setup, run_with_faults, summary, text_of
 from contact_reach_ros.control.settings import LimitSettings
-from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.faults import (
     Friction,
@@ -58,7 +55,6 @@ NEAREST = {
 }
 """Seeds and faults of the episodes that came nearest to a bound; 1700 was beyond, when a joint sank unnoticed, and
 1470, when plans led the hand onto the floor."""
-UNTOLD = {"scene": "free", "planner": "small", "rate": 200, "faults": "push"}
 
 
 def result(ticks: int = 1000, **changes) -> EpisodeResult:
@@ -151,17 +147,6 @@ def test_summary_counts_ends_and_violations_and_lists_the_seeds_nearest_to_each_
     assert [near["seed"] for near in report["bounds"]["torque"]["nearest"]] == [2, 1, 3]
     assert report["bounds"]["joint speed"]["nearest"][0] == {"seed": 2, "share": 0.7}
     assert "| torque | 1 | 2 (1.100), 1 (0.900), 3 (0.500) |" in text_of(report)
-
-
-def test_bench_runs_its_seeds_on_workers_and_writes_them_in_order(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(faults, "run_each", lambda run, seeds, *workers: map(run, reversed(seeds)))
-    monkeypatch.setattr(faults, "run_with_faults", lambda seed, setup: record(seed) | UNTOLD)
-    faults.bench_faults(3, 5, file=tmp_path / "faults.json")
-    written = json.loads((tmp_path / "faults.json").read_text())
-    assert [each["seed"] for each in written["records"]] == [5, 6, 7]
-    assert "3 episodes: stopped 3" in capsys.readouterr().out
-    with pytest.raises(SettingsError, match="--episodes 0"):
-        faults.bench_faults(0)
 
 
 @pytest.mark.parametrize("seed", [1470, *(pytest.param(seed, marks=pytest.mark.slow) for seed in list(NEAREST)[1:])])

@@ -28,16 +28,6 @@ def test_report_holds_every_node(tmp_path, monkeypatch, capsys):
     assert "ratio" in capsys.readouterr().out
 
 
-def test_nodes_lie_in_the_lattice_and_can_move():
-    scene = make_scene(read_scene("wall"), ARM, 0)
-    shape = scene.obstacles[-1].lattice
-    nodes = foam._surface_nodes(scene)
-    assert len(set(nodes)) == len(nodes)
-    for node in nodes:
-        assert all(0 <= place < count for place, count in zip(node, shape, strict=True))
-        assert node[2] < shape[2] - 1
-
-
 def test_scene_without_walls_is_refused():
     with pytest.raises(SceneError, match="scene 'ball' has no walls"):
         foam.bench_foam("ball", 0, 10.0, False, None)
@@ -79,21 +69,3 @@ class TestFit:
     def test_stiffness_of_foam_that_does_not_harden_is_found(self, foam_scale):
         scene = dataclasses.replace(walls_of(hardening=0.0), foam_scale=foam_scale)
         assert foam.fit_scale(scene, 10.0, pressed(scene)) == pytest.approx(foam_scale, rel=0.02)
-
-    def test_stiffness_in_use_does_not_matter_to_it(self):
-        scene = walls_of(hardening=1.0)
-        scales = [foam.fit_scale(start, 10.0, pressed(start)) for start in (scene, in_use(scene, 3.0))]
-        assert scales[0] == pytest.approx(scales[1], rel=1e-3)
-
-    def test_command_prints_the_line_that_makes_them_agree(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(foam, "_surface_nodes", lambda _: [(0, 5, 0), (0, 0, 0)])
-        hard, fitted, report = tmp_path / "hard.yaml", tmp_path / "fitted.yaml", tmp_path / "report.json"
-        hard.write_text("base: wall\nwall: {hardening: 5.0}\n")
-        bench(foam, "--scene", hard, "--fit")
-        line = capsys.readouterr().out.splitlines()[-1]
-        fitted.write_text(f"base: hard.yaml\nwall:\n{line}\n")
-        bench(foam, "--scene", fitted, "--fit", "--json", report)
-        assert "agrees within 20 %" in capsys.readouterr().out
-        fit = json.loads(report.read_text())["fit"]
-        assert fit["in_use"] == pytest.approx(fit["fitted"], rel=0.01)
-        assert fit["error"] < 0.2

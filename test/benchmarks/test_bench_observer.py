@@ -1,7 +1,6 @@
 """The observer bench reports what it measured."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -80,15 +79,6 @@ def test_onsets_are_debounced_and_merged():
     assert all(counts[scale] == (2 if scale < 3.0 else 0) for scale in observer_trials.SCALES)
 
 
-def test_push_that_is_not_seen_is_missed():
-    unseen = observer_trials.Push(math.nan, False, None, np.zeros(100))
-    seen = observer_trials.Push(0.004, False, True, np.full(100, 2.0))
-    summary = observer._pushed([unseen, seen, seen])
-    assert summary["missed_contacts"] == 1
-    assert summary["detection_latency_ms"]["p50"] == pytest.approx(4.0)
-    assert summary["link_right_share"] == 1.0
-
-
 def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(observer, "PUSHES", 3)
     file = tmp_path / "rates.json"
@@ -101,8 +91,3 @@ def test_rates_are_compared_with_and_without_mismatch(tmp_path, monkeypatch, cap
             period_ms = 1000.0 / float(hertz)
             assert 2 * period_ms <= case["detection_latency_ms"]["p50"] <= case["detection_latency_ms"]["p95"] <= 50.0
             assert case["missed_contacts"] == case["false_stops_per_hour"] == 0
-
-
-def test_rates_that_cannot_be_simulated_are_refused(capsys):
-    assert bench(observer, "--rate", "300") == 2
-    assert "rate = 300 Hz: expected one of 100, 125, 200" in capsys.readouterr().err

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.claims import Results, claims, interval_text, plus_minus
+from benchmarks.claims import Results, claims, plus_minus
 from benchmarks.grid import Cell, failed
 
 
@@ -60,17 +60,6 @@ def test_four_times_the_force_is_a_difference_that_zeros_do_not_make_infinite():
     assert not claim(nothing, FORCE)["met"], "two methods that touch nothing show nothing"
 
 
-def test_a_mean_beyond_the_bound_is_not_enough():
-    values = [[0.1], [0.1], [0.1], [0.1], [9.0]]
-    found = claim(forces("contact_reach", [[0.0]] * 5) + forces("reference_posture", values), FORCE)
-    assert found["value"] > 0.0
-    assert found["ci95"][0] > 0.0
-    mixed = forces("contact_reach", [[1.0]] * 12) + forces("reference_posture", 3 * [[3.0], [3.0], [3.0], [30.0]])
-    found = claim(mixed, FORCE)
-    assert found["value"] > 0.0 > found["ci95"][0]
-    assert not found["met"]
-
-
 def test_success_takes_as_many_targets_as_show_it():
     enough = [record("free", target=target, time=3.0, reached=True) for target in range(40)]
     found = claim(enough, "settles at the goal", "free")
@@ -105,8 +94,3 @@ def test_each_claim_pays_for_the_others():
 
 def test_what_was_not_measured_is_no_claim():
     assert claims(Results([]), ["ball", "wall"], ["hold"]) == []
-
-
-def test_intervals_are_text():
-    assert interval_text(1.234, [0.5, 2.0]) == "1.23 [0.50, 2.00]"
-    assert interval_text(1.234, [None, None]) == "1.23"

@@ -68,22 +68,6 @@ def test_references_are_within_the_methods_bounds_of_where_the_arm_is_expected(b
             assert (np.abs(plan.postures[knot] - q) <= SETTINGS.posture_bound + slack).all()
 
 
-def test_the_bounds_are_made_use_of(ball_episode):
-    """Most of the way, one of them is reached: no other method could be led along this path any faster."""
-    _, _, result = ball_episode
-    leads = []
-    for plan in result.plans:
-        rotations, origins = link_frames(ARM, plan.predicted_q[0])
-        turn = Rotation.from_matrix(plan.rotations[0] @ rotations[-1].T).as_rotvec()
-        shares = [
-            np.abs(plan.positions[0] - origins[-1]).max() / SETTINGS.translation_bound,
-            np.abs(turn).max() / SETTINGS.rotation_bound,
-            (np.abs(plan.postures[0] - plan.predicted_q[0]) / (np.array(ARM.velocity_limits) / 8.8)).max(),
-        ]
-        leads.append(max(shares))
-    assert np.median(leads) > 0.95
-
-
 def test_references_stay_on_the_path_and_never_go_back(ball_episode):
     _, planner, result = ball_episode
     corners = planner.path.postures
@@ -95,14 +79,6 @@ def test_references_stay_on_the_path_and_never_go_back(ball_episode):
         places.append(away.argmin())
     assert (np.diff(places) >= -1).all()
     np.testing.assert_allclose(result.plans[-1].postures[-1], corners[-1], rtol=0, atol=1e-6)
-
-
-def test_arm_is_where_it_was_expected(ball_episode):
-    _, _, result = ball_episode
-    for plan in result.plans[1:]:
-        tick = plan.effect_ns // MS - 801
-        if tick < len(result.joints):
-            assert np.abs(result.joints[tick] - plan.predicted_q[0]).max() < 0.02
 
 
 class TestPlanning:

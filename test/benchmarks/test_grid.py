@@ -5,7 +5,6 @@ import itertools
 
 import pytest
 
-from benchmarks import grid
 from benchmarks.grid import (
     DEADLINE_STEPS,
     Cell,
@@ -76,14 +75,6 @@ def test_an_error_is_a_failed_episode_with_its_message():
     assert not record["reached"]
     assert record["failure"].startswith("SettingsError: method 'rrt' is unknown")
     assert cell_of(record) == strange.cell
-
-
-def test_a_method_is_prepared_once(here, monkeypatch):
-    def again(*arguments):
-        raise AssertionError("made again")
-
-    monkeypatch.setattr(grid, "make_method", again)
-    assert [figures(run_cell(task)) for task in tasks()[:1]] == [figures(here[0])]
 
 
 def test_a_preset_is_run_without_the_wall_clock_and_with_the_time_of_its_plans():

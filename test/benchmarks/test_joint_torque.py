@@ -1,7 +1,5 @@
 """Planning joint torques, and applying them without any control law."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -22,14 +20,11 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.errors import Verdict
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.prediction import pieces_between, reference_at
-from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.terms import term_weights
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.simulation.drive import WatchdogSettings
@@ -133,26 +128,6 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
     np.testing.assert_allclose(np.asarray(state.q)[:, 0] - HOME, moved, rtol=0.03, atol=1e-3)
 
 
-def test_standing_still_stops_a_moving_arm(warm_planner):
-    v = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.2, 0.3])
-    space = warm_planner._space
-    problem = Problem(
-        single(HOME[:, None]),
-        single(v[:, None]),
-        None,
-        single(GOAL.position[:, None]),
-        single(GOAL.rotation[:, :, None]),
-        term_weights(SETTINGS),
-        10.0,
-        SETTINGS.joint_limit_margin,
-    )
-    still = warm_planner._still(problem)
-    points = single(np.stack([still, np.zeros_like(still)], axis=1))
-    rollout = jax.jit(lambda points: space.objective.roll_out(problem, space.actions(points, problem)))(points)
-    stopped, coasting = np.moveaxis(np.asarray(rollout.q), 2, 0)
-    assert np.abs(stopped[-1] - stopped[1]).max() < 0.2 * np.abs(coasting[-1] - coasting[1]).max()
-
-
 class TestController:
     @pytest.fixture
     def controller(self) -> TorqueController:
@@ -170,33 +145,6 @@ class TestController:
         np.testing.assert_allclose(torque_at(controller, HOME, REST, 9 * MS), held, rtol=0, atol=0.5)
         for now, torque in ((10, plan.torques[0]), (35, plan.torques[1]), (210, -DAMPING * v)):
             np.testing.assert_allclose(torque_at(controller, HOME, v, now * MS), model.bias + torque, rtol=0, atol=1e-9)
-
-    def test_a_new_plan_takes_over_when_it_takes_effect(self, controller, planner):
-        model = RobotModel(ARM)
-        model.update(HOME, REST)
-        first, second = plan_from(planner), plan_from(planner, effect=60)
-        controller.follow(first.references())
-        controller.follow(second.references())
-        for now, torque in ((59, first.torques[2]), (60, second.torques[0])):
-            np.testing.assert_allclose(
-                torque_at(controller, HOME, REST, now * MS), model.bias + torque, rtol=0, atol=1e-9
-            )
-
-    def test_torques_are_capped_at_the_data_sheets_limits(self, controller, planner):
-        plan = plan_from(planner)
-        controller.follow(dataclasses.replace(plan, torques=np.full_like(plan.torques, 1e4)).references())
-        np.testing.assert_array_equal(torque_at(controller, HOME, REST, MS), LIMITS)
-
-    def test_observer_stops_the_arm(self, controller, planner):
-        controller.follow(plan_from(planner).references())
-        controller.hear(Verdict("lbr_A4: too much"), MS)
-        assert controller.stop_reason == "lbr_A4: too much"
-        v = np.full(ARM.n, 0.05)
-        for tick in range(2, 400):
-            torque = torque_at(controller, HOME, v, tick * MS)
-        model = RobotModel(ARM)
-        model.update(HOME, v)
-        np.testing.assert_allclose(torque, model.bias - DAMPING * v, rtol=0, atol=1e-6)
 
 
 def test_an_episode_gets_nearer_to_its_goal(planner):

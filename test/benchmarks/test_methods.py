@@ -6,7 +6,6 @@ import pytest
 
 from benchmarks.baselines.methods import METHODS, make_method
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
 
 SMALL = PlanningSettings(deadline=0.0, population=16, elite=4, line_search_points=8, max_steps=2)
@@ -28,11 +27,6 @@ def test_methods_differ_in_what_their_names_say_and_in_nothing_else():
     assert settings_of("reference_posture") == dataclasses.replace(ours, null_space="reference_posture")
     assert settings_of("cma_es") == dataclasses.replace(ours, solver="cma")
     assert settings_of("gradient") == dataclasses.replace(ours, solver="gradient")
-
-
-def test_unknown_name_is_refused_with_those_there_are():
-    with pytest.raises(SettingsError, match=r"'rrt' is unknown; expected one of contact_reach, .*cma_es"):
-        make_method(load_arm(), "rrt", 0, 10.0, 0)
 
 
 def test_the_controller_of_reference_posture_takes_a_posture_far_away_and_the_others_do_not():

@@ -47,13 +47,6 @@ def test_a_straight_motion_is_as_long_as_its_displacement():
     assert metrics.end_speed == pytest.approx(0.1)
 
 
-def test_half_a_circle_is_longer_than_its_diameter():
-    angle = np.pi * TIMES / TIMES[-1]
-    circle = START + 0.1 * np.stack([1.0 - np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    metrics = measure(episode(circle), circle[-1], PlanningSettings(), ImpedanceSettings(), 10.0)
-    assert metrics.path_ratio == pytest.approx(np.pi / 2, rel=1e-4)
-
-
 def test_forces_torques_and_impulse():
     forces, torques = np.zeros((2000, 6)), np.zeros((2000, 7))
     forces[100:600, 2], forces[100:600, 3] = 12.0, 4.0
@@ -70,17 +63,6 @@ def test_forces_torques_and_impulse():
     assert metrics.contact_impulse == pytest.approx(12.0 * 0.5 + 5.0 * 0.2)
     assert metrics.over_budget == pytest.approx(0.5)
     assert metrics.max_external_torque == 7.5
-
-
-def test_what_was_stopped_or_out_of_time_has_no_time():
-    stopped = measure(
-        episode(straight(), stop_reason="external torque on A2"), START, PlanningSettings(), ImpedanceSettings(), 10.0
-    )
-    late = measure(episode(straight(), duration=float("nan")), START, PlanningSettings(), ImpedanceSettings(), 10.0)
-    for metrics in (stopped, late):
-        assert not metrics.reached
-        assert metrics.time is metrics.time_ratio is metrics.path_ratio is None
-    assert stopped.stop_reason == "external torque on A2"
 
 
 def test_without_a_first_plan_there_is_nothing_to_measure():

@@ -5,7 +5,7 @@ import json
 import pytest
 from bench_command import bench
 
-from benchmarks import setting
+from benchmarks import pictures, setting
 from benchmarks.setting import Sweep, best
 
 
@@ -24,6 +24,7 @@ def test_slower_planning_makes_the_arm_slower(tmp_path, capsys):
     assert 1.0 < fast["time_ratio"]["mean"] < 0.9 * slow["time_ratio"]["mean"]
     assert fast["largest_force"]["mean"] == 0.0
     assert "| free | contact_reach | 0.04 | 1/1 |" in capsys.readouterr().out
+    assert bench(pictures, file, tmp_path / "report.png") == 0
 
 
 def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench_command import bench
 
-from benchmarks import solver
+from benchmarks import pictures, solver
 from benchmarks.solver import LABELS, bench_solver, excess
 from benchmarks.solver_steps import PRESETS, bench_solver_steps
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -18,9 +18,10 @@ SMALL = PlanningSettings(population=16, elite=4, line_search_points=16, horizon=
 @pytest.fixture(scope="module")
 def race(tmp_path_factory) -> dict:
     folder = tmp_path_factory.mktemp("bench")
-    bench_solver(["free"], 4, 0.03, plot=folder / "race.png", file=folder / "report.json", settings=SMALL)
+    bench_solver(["free"], 4, 0.03, file=folder / "report.json", settings=SMALL)
+    assert bench(pictures, folder / "report.json", folder / "race.png") == 0
     assert (folder / "race.png").stat().st_size > 10_000
-    return json.loads((folder / "report.json").read_text())["free"]
+    return json.loads((folder / "report.json").read_text())["scenes"]["free"]
 
 
 @pytest.mark.slow

@@ -20,10 +20,6 @@ def test_the_same_settings_agree_whatever_else_differs():
     assert disagreement(OWN, {**OWN, "supervision.hold_limit": 1.0, "planning.seed": 3}) == ""
 
 
-def test_what_the_planner_does_not_report_is_not_compared():
-    assert disagreement(OWN, {}) == ""
-
-
 @pytest.mark.parametrize(
     ("name", "value", "own"),
     [

@@ -74,15 +74,6 @@ def test_silence_brings_the_harmless_torque_and_then_a_latched_stop(bench):
     assert bench.tick()[0] is not None
 
 
-def test_a_pause_of_the_guard_itself_is_not_yet_silence_of_the_commands(bench):
-    bench.command()
-    bench.now_ns += 500 * TICK_NS
-    assert bench.tick()[0] is not None
-    assert not bench.guard.stop_reason
-    bench.tick(90)
-    assert bench.guard.stop_reason
-
-
 @pytest.mark.parametrize(
     ("torque", "message"),
     [
@@ -98,13 +89,6 @@ def test_a_command_that_is_none_is_refused_and_counts_as_silence(bench, torque, 
             bench.command(torque)
         bench.tick()
     assert bench.guard.stop_reason
-
-
-def test_nothing_passes_before_the_first_joint_state():
-    bench = Bench()
-    with pytest.raises(InputError, match="no joint state yet"):
-        bench.command()
-    assert bench.guard.phase is Phase.WAITING
 
 
 @pytest.mark.parametrize(
@@ -123,19 +107,6 @@ def test_harmless_torques_damp_and_carry_only_where_they_must(settings, carried)
     np.testing.assert_allclose(torque[0], expected, atol=0.1)
     # By an old velocity it would be driven.
     np.testing.assert_allclose(bench.tick(80, states=False)[-1], carried, atol=1e-9)
-
-
-def test_harmless_torques_begin_where_the_commands_ended(bench):
-    command = GRAVITY + 0.3 * TORQUE_LIMITS
-    bench.command(command)
-    first = bench.tick(21)[-1]
-    assert 0.0 < np.abs(first - command).max() <= 4.0 + 1e-9
-
-
-def test_an_impossible_velocity_leaves_a_finite_torque(bench):
-    bench.command()
-    torque = bench.tick(60, velocity=np.full(7, 1e200))[-1]
-    np.testing.assert_allclose(torque, GRAVITY)
 
 
 @pytest.mark.parametrize("silence", [50, 200])
@@ -172,12 +143,6 @@ def test_a_stop_is_reset_only_at_rest_and_in_sight(bench):
     bench.tick()
     bench.guard.reset(bench.now_ns)
     assert not bench.guard.stop_reason
-
-
-def test_a_stop_before_the_first_command_sends_nothing(bench):
-    bench.guard.stop("button")
-    assert bench.command() is None
-    assert bench.tick(50) == [None] * 50
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,10 @@ import sys
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, ClosedLoop, ideal_plant, offer_plan
+from arm_simulation import ARM, HOME, REST, TICK_NS, offer_plan
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.supervisor import Mode
 
 # In a process of its own, where no test has called a compiled function before.
 TICKS = """
@@ -73,16 +72,3 @@ def test_arrays_of_any_layout_are_taken_and_left_alone() -> None:
         torques.append(controller.tick(*states, TICK_NS, TICK_NS))
     np.testing.assert_array_equal(*torques)
     np.testing.assert_array_equal(strided[:, 1], q)
-
-
-def test_whole_numbers_in_a_plan_are_numbers_too() -> None:
-    loop = ClosedLoop(ideal_plant())
-    held = loop.reference()
-    offer_plan(
-        loop.controller, [Reference(np.array([1, 0, 1]), np.eye(3, dtype=int), held.posture)], 0, (9 * TICK_NS,), 0
-    )
-    loop.finish(0.002)
-    assert loop.controller.mode is Mode.TRACKING
-    # In one tick of the ramp.
-    share = TICK_NS / SECOND_NS / loop.controller.settings.impedance.reference_ramp
-    np.testing.assert_allclose(loop.controller.error[:3], share * (held.position - [1, 0, 1]), rtol=0, atol=1e-6)

@@ -53,12 +53,6 @@ def test_repulsion_pushes_inwards_and_only_the_joint_concerned(joint, side, dept
     assert not np.delete(torque, joint).any()
 
 
-@given(joints, sides, st.floats(0.0, 0.3), st.floats(0.0, 0.3))
-def test_repulsion_grows_with_the_depth(joint, side, depth, further):
-    shallow, deep = (-side * repulsion_at(joint, side, at)[joint] for at in (depth, depth + further))
-    assert deep >= shallow
-
-
 @given(joints, sides, st.floats(-0.01, 0.3), speeds)
 def test_repulsion_is_continuous(joint, side, depth, speed):
     v = speed * np.eye(ARM.n)[joint]
@@ -100,11 +94,6 @@ def test_limiter_keeps_cap_and_rate(first, requests):
         share = (step / np.maximum(np.abs(way), step + 1e-300)).min()
         np.testing.assert_allclose(limited, previous + share * way, rtol=0, atol=1e-9)
         previous = limited
-
-
-def test_the_torque_of_a_weaker_joint_changes_as_much_slower():
-    rates = torque_rates(ARM, LimitSettings(torque_rate=3200.0))
-    np.testing.assert_allclose(rates, 10.0 * TORQUE_LIMITS)
 
 
 def greedy_reference(loop: ClosedLoop, joint: int, side: float) -> Reference:

@@ -170,27 +170,12 @@ class TestVerdicts:
                 return tick
         return None
 
-    def test_alone_it_may_miss_states_for_as_long_as_the_observer_may_be_silent(self, controller, watcher):
-        watcher.verdict = Verdict(self.MISSED, doubt=self.MISSED)
-        longest = round(1000 * SETTINGS.observer_patience)
-        assert self.update_all(controller, range(2, 2 * longest), Verdict()) == 2 + longest + 1
-        assert controller.stop_reason == self.MISSED
-
     def test_the_observer_alone_may_miss_states_for_as_long_as_it_may_be_silent(self, controller):
         longest = round(1000 * SETTINGS.observer_patience)
         missed = Verdict(self.MISSED, doubt=self.MISSED)
         self.update(controller, 2)
         assert self.update_all(controller, range(3, 2 * longest), missed) == 3 + longest + 1
         assert controller.stop_reason == self.MISSED
-
-    @pytest.mark.parametrize("who", ["observer", "own watch"])
-    def test_one_that_sees_again_may_miss_states_again(self, controller, watcher, who):
-        longest, missed = round(1000 * SETTINGS.observer_patience), Verdict(self.MISSED, doubt=self.MISSED)
-        for begin in (2, 2 + longest):
-            for verdict, ticks in ((missed, range(begin, begin + longest - 1)), (Verdict(), [begin + longest - 1])):
-                watcher.verdict = verdict if who == "own watch" else Verdict()
-                heard = verdict if who == "observer" else Verdict()
-                assert self.update_all(controller, ticks, heard) is None
 
     @pytest.mark.parametrize("who", ["observer", "own watch"])
     def test_what_the_states_lack_stops_the_arm_whoever_misses_it(self, controller, watcher, who):
@@ -207,38 +192,6 @@ class TestVerdicts:
         self.update(controller, 2)
         assert self.update_all(controller, range(3, 200), Verdict(self.MISSED, doubt=self.MISSED)) == 3
 
-    def test_without_its_own_watch_an_observer_that_missed_states_stops_the_arm(self, watcher):
-        controller = watched_by(watcher, watch_itself=False)
-        controller.hear(Verdict(), TICK_NS)
-        self.update(controller, 1)
-        assert self.update_all(controller, range(2, 9), Verdict(self.MISSED, doubt=self.MISSED)) == 2
-
-    @pytest.mark.parametrize("verdict", [Verdict(doubt="500 Hz"), Verdict("blind", doubt="blind"), None])
-    def test_where_the_observer_does_not_vouch_its_blindness_stops_the_arm(self, controller, watcher, verdict):
-        self.update(controller, 2)
-        watcher.verdict = Verdict(self.MISSED, doubt=self.MISSED)
-        stopped = self.update_all(controller, range(3, 200), verdict)
-        # An observer that is silent has vouched until it counts as silent.
-        assert stopped <= (4 if verdict is not None else 4 + 1000 * SETTINGS.observer_timeout)
-
-    def test_blind_it_keeps_the_arm_from_being_started(self, watcher):
-        watcher.verdict = Verdict(self.BLIND, doubt=self.BLIND)
-        controller = watched_by(watcher)
-        for tick in range(1, 20):
-            controller.hear(Verdict(), tick * TICK_NS)
-            assert self.update(controller, tick) is None
-
-    def test_pauses_of_the_controller_itself_do_not_make_its_watch_old(self, controller):
-        for tick in (2, 3, 60, 120, 180):
-            self.update(controller, tick)
-        assert not controller.stop_reason
-
-    def test_its_distrust_ends_all_commands(self, controller, watcher):
-        watcher.verdict = Verdict("encoder stuck", "encoder stuck")
-        self.update(controller, 2)
-        assert controller.mode is Mode.SILENT
-        assert self.update(controller, 3) is None
-
     def test_a_reset_releases_it_unless_the_arm_is_pushed(self, controller, watcher):
         self.update(controller, 2)
         watcher.verdict, watcher.is_pushed = Verdict("too much torque"), True
@@ -249,20 +202,6 @@ class TestVerdicts:
         watcher.is_pushed = False
         controller.reset(3 * TICK_NS)
         assert controller.mode is Mode.HOLDING and watcher.resets == 1
-
-    def test_before_the_start_it_latches_nothing(self, watcher):
-        watcher.verdict = Verdict("pushed by hand")
-        controller = watched_by(watcher)
-        controller.hear(Verdict(), TICK_NS)
-        assert [self.update(controller, tick) is None for tick in range(1, 5)] == [True, True, False, False]
-        assert not controller.stop_reason
-
-    @pytest.mark.parametrize("settings", [{"watch_itself": False}, {"require_observer": False}, {"shadow": True}])
-    def test_settings_that_want_none_have_none(self, watcher, settings):
-        controller = watched_by(watcher, **settings)
-        controller.hear(Verdict(), TICK_NS)
-        watcher.verdict = Verdict("too much torque")
-        assert all(self.update(controller, tick) is not None for tick in range(1, 4)) and not controller.stop_reason
 
 
 class Recorder(Watcher):
@@ -311,22 +250,6 @@ class TestRate:
         watcher = self.shown(stamps, [0.0] * 6)
         assert [state.stamp_ns // TICK_NS for state in watcher.states] == [1, 1, 1, 6]
 
-    @pytest.mark.parametrize("times", [2, 3])
-    def test_states_that_come_several_times_change_nothing(self, times):
-        controller = make_controller(True)
-        robot = SimulatedRobot(Scene("watch", ARM, 0, HOME, np.zeros(3)))
-        for tick in range(1, 500):
-            (state,) = robot.read()
-            controller.hear(Verdict(), tick * TICK_NS)
-            torque = controller.update(state, tick * TICK_NS)
-            for _ in range(times):
-                controller.watch(state, torque, tick * TICK_NS)
-            if torque is not None:
-                robot.command(torque, tick * TICK_NS)
-            robot.step(tick * TICK_NS)
-        assert controller.started and not controller.stop_reason
-        assert not controller.supervisor.own_reason and controller.supervisor.own_vouches(500 * TICK_NS)
-
     def test_after_the_clock_was_set_back_states_are_shown_again(self):
         controller, watcher = Controller(ARM, ControllerSettings()), make_observer(period=0.004)
         controller.watch_with(watcher)
@@ -357,12 +280,3 @@ class TestRate:
         for tick in range(37, 46):
             controller.watch(JointState(tick * TICK_NS, HOME, REST, None), None, tick * TICK_NS)
         assert not controller.supervisor.own_reason
-
-    @pytest.mark.parametrize(
-        ("rate", "every"), [(1000.0, 1), (500.0, 2), (400.0, 3), (250.0, 4), (200.0, 5), (100.0, 10)]
-    )
-    def test_its_period_is_a_whole_number_of_states(self, rate, every):
-        controller = Controller(ARM, ControllerSettings(supervision=SupervisionSettings(watch_rate=rate)))
-        assert controller.watch_period == pytest.approx(every / 1000)
-        slow = Controller(ARM, ControllerSettings(supervision=SupervisionSettings(watch_rate=rate)), 0.005)
-        assert slow.watch_period == pytest.approx(max(every, 5) / 1000)

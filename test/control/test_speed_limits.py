@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.control.constants import make_constants, torque_rates
 from contact_reach_ros.control.kernels import (
     Constant,
-    hold_others_back,
     keep_speed,
     null_brake,
     permitted_acceleration,
@@ -49,10 +48,6 @@ class TestSpeedLimiter:
         least, most = -self.permitted(self.CEILING + v), self.permitted(self.CEILING - v)
         return np.where(v > 0.0, np.minimum(least, most), least), np.where(v > 0.0, most, np.maximum(least, most))
 
-    def test_in_the_null_space_slow_joints_are_left_alone(self):
-        assert not null_brake(self.CONSTANTS, 0.4 * VELOCITY_LIMITS, self.MASS).any()
-        assert not null_brake(self.CONSTANTS, -0.4 * VELOCITY_LIMITS, self.MASS).any()
-
     @pytest.mark.parametrize("side", [-1.0, 1.0])
     def test_in_the_null_space_a_fast_joint_is_decelerated_in_proportion_to_its_excess(self, side):
         v = 0.1 * VELOCITY_LIMITS
@@ -61,10 +56,6 @@ class TestSpeedLimiter:
         expected = np.zeros(ARM.n)
         expected[2] = -side * 100.0 * 0.3 * VELOCITY_LIMITS[2]
         np.testing.assert_allclose(braked, expected, rtol=0, atol=1e-9)
-
-    def test_near_the_limit_acceleration_is_in_proportion_to_what_is_left(self):
-        for left in (-0.5, -0.01, 0.0, 0.01):
-            np.testing.assert_allclose(self.permitted(np.full(ARM.n, left)), 100.0 * left, rtol=1e-12)
 
     @pytest.mark.parametrize("left", [0.1, 1.0, 4.0])
     def test_a_permitted_acceleration_can_be_ended_in_time(self, left):
@@ -112,21 +103,6 @@ class TestSpeedLimiter:
         expected = rest.copy()
         expected[joint] = side * max(wanted, -torque_rates(ARM, self.LIMITS)[joint] * 1e-3)
         np.testing.assert_allclose(after, expected, rtol=1e-9)
-
-    @given(st.integers(0, ARM.n - 1), st.floats(-300.0, 300.0), torques, torques)
-    def test_where_that_is_not_enough_the_others_change_less(self, joint, excess, previous, torque):
-        inverse_mass = np.linalg.inv(self.MASS + 0.05)
-        after, acceleration = torque.copy(), inverse_mass @ torque
-        hold_others_back(inverse_mass, joint, excess, acceleration, after, previous)
-        np.testing.assert_allclose(acceleration, inverse_mass @ after, rtol=1e-9, atol=1e-6)
-        assert after[joint] == torque[joint]
-        between = np.sort([previous, torque], axis=0)
-        assert (between[0] - 1e-9 <= after).all() and (after <= between[1] + 1e-9).all()
-        adding = np.sign(excess) * inverse_mass[joint] * (torque - previous)
-        adding[joint] = 0.0
-        assert (after[adding <= 0.0] == torque[adding <= 0.0]).all()
-        removed = np.sign(excess) * (inverse_mass @ (torque - after))[joint]
-        assert removed == pytest.approx(min(abs(excess), adding[adding > 0.0].sum()), rel=1e-6, abs=1e-6)
 
 
 def null_direction(loop: ClosedLoop) -> np.ndarray:
@@ -213,16 +189,4 @@ def test_references_that_jump_about_near_a_singularity_do_not_make_a_joint_too_f
     loop.controller.model.update(loop.q, loop.v)
     assert np.linalg.svd(loop.controller.model.jacobian)[1][-1] < 0.2
     assert fastest_when_references_jump(loop, random, 0.0, 1.0) < 1.0
-    assert "rad/s" not in loop.controller.stop_reason
-
-
-@pytest.mark.parametrize("seed", [140, 229, 245])
-def test_nor_do_they_where_the_other_joints_work_against_the_one_that_brakes(seed):
-    """As near a straight elbow, with a posture that pulls as hard as a plan may ask for."""
-    random = np.random.default_rng(seed)
-    start = random.uniform(-0.7, 0.7, 7) * POSITION_LIMITS
-    if seed % 2 == 0:
-        start[3] = random.uniform(-0.15, 0.15)
-    loop = ClosedLoop(ideal_plant(start))
-    assert fastest_when_references_jump(loop, random, 0.2, 0.6) < 1.0
     assert "rad/s" not in loop.controller.stop_reason

@@ -1,12 +1,10 @@
 """Observer and monitor on the arm that the real controller moves, in lockstep, with friction, noise and mismatch."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from arm_simulation import ARM
 
-from benchmarks.free_motion import START, FreeMotion
+from benchmarks.free_motion import FreeMotion
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
@@ -33,13 +31,6 @@ def test_free_motion_is_neither_contact_nor_collision(mismatch):
     # The arm did move, and was watched.
     assert np.abs(motion.observer.momentum.residual).max() > 0.0
     assert np.linalg.norm(motion.state.q - motion.plant.scene.start) > 0.3
-
-
-def test_unknown_weight_is_found_when_the_arm_is_handed_over():
-    motion = run(FreeMotion(ARM, dataclasses.replace(NO_MISMATCH, payload=4.0), 0, BUDGET), START)
-    assert "at hand-over the external torque on lbr_A2" in motion.monitor.stop_reason
-    assert "payload" in motion.monitor.stop_reason
-    assert motion.observer.momentum.known_for <= BUDGET.handover_time
 
 
 def test_push_is_a_contact_that_ends_with_it():

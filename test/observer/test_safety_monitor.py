@@ -61,12 +61,6 @@ def test_short_peaks_are_ignored(monitor):
     assert monitor.stopped
 
 
-def test_peaks_of_different_joints_count_together(monitor):
-    for joint in range(SETTINGS.debounce):
-        push(monitor, residual(joint, 1.5), 1)
-    assert monitor.stopped
-
-
 def test_stop_is_latched_and_the_first_reason_kept(monitor):
     push(monitor, residual(2, 2.0))
     reason = monitor.stop_reason
@@ -75,25 +69,6 @@ def test_stop_is_latched_and_the_first_reason_kept(monitor):
     monitor.stop("another")
     assert monitor.stop_reason == reason
     assert monitor.stops == 1
-
-
-def test_residual_that_is_not_a_number_stops_the_arm_and_stays(monitor):
-    push(monitor, np.full(ARM.n, math.nan))
-    assert monitor.stopped
-    with pytest.raises(InputError, match="external torque on lbr_A1 is nan"):
-        monitor.reset()
-    assert monitor.stopped
-
-
-def test_reset_of_a_free_arm_at_rest(monitor):
-    push(monitor, residual(2, 2.0))
-    push(monitor, residual(2, 0.9 * SETTINGS.reset_share), 1)
-    monitor.reset()
-    assert not monitor.stopped
-    push(monitor, residual(2, 2.0), SETTINGS.debounce - 1)
-    assert not monitor.stopped
-    push(monitor, residual(2, 2.0), 1)
-    assert monitor.stops == 2
 
 
 def test_reset_of_a_moving_arm_is_refused(monitor):
@@ -163,19 +138,6 @@ class TestContact:
         assert not monitor.stopped
         assert monitor.contacts == 1
 
-    def test_threshold_grows_with_speed(self, monitor):
-        torque = 1.1 * self.thresholds * np.eye(ARM.n)[1]
-        push(monitor, torque, 10, v=np.array([0, 0.5, 0, 0, 0, 0, 0]))
-        assert not monitor.in_contact
-        push(monitor, torque, 10, v=np.array([0.5, 0, 0, 0, 0, 0, 0]))
-        assert monitor.in_contact
-
-    def test_one_state_alone_is_no_contact(self, monitor):
-        for _ in range(10):
-            push(monitor, 3.0 * self.thresholds, SETTINGS.contact_debounce - 1)
-            push(monitor, REST, 1)
-        assert monitor.contacts == 0
-
     def test_contact_ends_only_well_below_the_threshold_and_after_a_while(self, monitor):
         push(monitor, 1.5 * self.thresholds, 5)
         push(monitor, 0.8 * self.thresholds, 2 * SETTINGS.release_debounce)
@@ -185,13 +147,6 @@ class TestContact:
         push(monitor, REST, 1)
         assert monitor.level is SafetyLevel.FREE
         assert monitor.contacts == 1
-
-    def test_touching_for_a_moment_keeps_the_contact(self, monitor):
-        push(monitor, 1.5 * self.thresholds, 5)
-        for _ in range(5):
-            push(monitor, REST, SETTINGS.release_debounce - 1)
-            push(monitor, 0.8 * self.thresholds, 1)
-        assert monitor.in_contact
 
     def test_error_of_the_model_that_changes_slowly_is_no_contact(self, monitor):
         weight = np.array([0.0, 7.0, 3.0, 4.0, 1.0, 0.5, 0.0])
@@ -204,10 +159,6 @@ class TestContact:
     def test_torque_that_grows_slowly_at_rest_is_one(self, monitor):
         for share in np.linspace(0.0, 1.0, 20000):
             monitor.update(1.5 * share * self.thresholds, HOME, REST)
-        assert monitor.in_contact
-
-    def test_contact_is_remembered_for_longer_than_the_mean_takes(self, monitor):
-        push(monitor, 2.0 * self.thresholds, 2 * SETTINGS.mean_time)
         assert monitor.in_contact
 
     def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
@@ -232,12 +183,6 @@ class TestContact:
         assert monitor.level is SafetyLevel.FREE
         assert monitor.stops == 1
 
-    def test_residual_that_is_not_a_number_leaves_no_trace(self, monitor):
-        push(monitor, np.full(ARM.n, math.nan), 2)
-        push(monitor, REST, SETTINGS.release_debounce)
-        assert monitor.level is SafetyLevel.FREE
-        assert np.isfinite(monitor.sudden).all()
-
 
 class TestHandOver:
     """While the arm is handed over, weight that the model does not know stops it, and nothing else is told."""
@@ -261,20 +206,10 @@ class TestHandOver:
         # No compliant stop: the model that is wrong would have to carry the arm.
         assert monitor.distrust == monitor.stop_reason
 
-    def test_the_same_torque_later_does_not(self):
-        assert not self.hand_over(self.weight, 1.0, begin=self.budget.handover_time).stopped
-
     def test_less_weight_does_not_and_is_no_contact_either(self):
         monitor = self.hand_over(0.8 * self.weight, 1.0)
         assert not monitor.stopped
         assert monitor.contacts == 0
-
-    def test_short_peaks_are_ignored(self):
-        assert not self.hand_over(self.weight, 1e-3 * (SETTINGS.handover_debounce - 1)).stopped
-
-    def test_collision_stops_at_once(self):
-        monitor = self.hand_over(1.1 * THRESHOLDS, 1e-3 * SETTINGS.debounce)
-        assert monitor.stop_reason.startswith("external torque on ")
 
 
 PERIODS = (0.001, 0.002, 0.005, 0.01)
@@ -304,17 +239,6 @@ class TestOtherRates:
         monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
         self.check(self.states(monitor, 1.1 * THRESHOLDS, "stopped"), debounce, period)
 
-    def test_of_a_contact_and_its_end(self, period):
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
-        touch = 1.5 * np.array(self.budget.contact_thresholds)
-        self.check(self.states(monitor, touch, "in_contact"), SETTINGS.contact_debounce, period)
-        self.check(self.states(monitor, REST, "in_contact"), SETTINGS.release_debounce, period)
-
-    def test_of_the_hand_over(self, period):
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
-        weight = 1.1 * np.array(self.budget.handover_thresholds)[1] * np.eye(ARM.n)[1]
-        self.check(self.states(monitor, weight, "stopped", known_for=0.0), SETTINGS.handover_debounce, period)
-
     def test_the_slow_mean_follows_in_as_long(self, period):
         monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
         torque = 0.9 * np.array(self.budget.contact_thresholds)
@@ -322,25 +246,3 @@ class TestOtherRates:
             monitor.update(torque, HOME + 0.05 * state, REST)
         assert not monitor.in_contact
         np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
-
-
-class TestModelError:
-    """The slow mean of the external torque is what the model lacks, unless something touches the arm."""
-
-    def test_it_follows_a_torque_that_stays_within_the_hand_overs_limits(self):
-        monitor = SafetyMonitor(ARM, SafetySettings(), BUDGET)
-        for tick in range(5000):
-            monitor.update(np.where(np.arange(ARM.n) == 1, 2.0, 0.0), HOME, REST, 1e-3 * tick)
-        np.testing.assert_allclose(monitor.model_error, [0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-3)
-        for tick in range(300):
-            monitor.update(np.full(ARM.n, 100.0), HOME, REST, 1e-3 * tick)
-        assert (np.array(monitor.model_error) <= BUDGET.handover_thresholds).all()
-
-    def test_a_contact_is_none_of_it_however_long_it_lasts(self):
-        monitor = SafetyMonitor(ARM, SafetySettings(), BUDGET)
-        for _ in range(1000):
-            monitor.update(REST, HOME, REST)
-        for _ in range(1000):
-            monitor.update(np.where(np.arange(ARM.n) == 1, 6.0, 0.0), HOME, REST)
-        assert monitor.in_contact
-        np.testing.assert_allclose(monitor.model_error, 0.0, atol=0.05)
