@@ -83,7 +83,7 @@ def bench_clutter(
     Raises
     ------
     SettingsError
-        If the preset is unknown, or there is not at least one process.
+        If the preset is unknown.
     """
     setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, timeout=bench.timeout)
     arm = load_arm(setup.arm)

@@ -23,9 +23,9 @@ from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
 from contact_reach_ros.simulation.faults import AnyFault, Fault, Late, WrongPlans
-from contact_reach_ros.simulation.plant import TICK, Plant
+from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings, WatchdogSettings
+from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import FREE, HOLD, REST_SPEED, Goal
@@ -87,8 +87,6 @@ class EpisodeOptions:
     faults: tuple[Fault, ...] = ()
     budget: ContactBudget = field(default_factory=ContactBudget)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
-    sensors: SensorSettings = field(default_factory=SensorSettings)
-    joints: JointSettings = field(default_factory=JointSettings)
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
     unexpected_contact: UnexpectedContactSettings = field(default_factory=UnexpectedContactSettings)
 
@@ -116,11 +114,9 @@ class _EpisodeStack(Stack):
         period = 1.0 / options.rate
         robot = _EpisodeRobot(
             scene,
-            options.sensors,
-            options.joints,
-            options.watchdog,
-            options.faults,
-            options.noise_seed,
+            watchdog=options.watchdog,
+            faults=options.faults,
+            noise_seed=options.noise_seed,
             period=period,
         )
         method.planner.reset()
@@ -177,12 +173,7 @@ class _EpisodeStack(Stack):
         return super()._follow(plan)
 
 
-def run_episode(
-    scene: Scene,
-    method: Method,
-    options: EpisodeOptions,
-    watch: Callable[[int, Plant], None] | None = None,
-) -> EpisodeResult:
+def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> EpisodeResult:
     """Run one episode until the goal is reached, the arm is stopped or the time is over.
 
     Parameters
@@ -193,8 +184,6 @@ def run_episode(
         With room for the scene's obstacles; it forgets what it did before.
     options
         Everything else.
-    watch
-        Called after each tick with its number and the plant.
 
     Raises
     ------
@@ -216,8 +205,6 @@ def run_episode(
 
     def after_tick() -> None:
         nonlocal duration, settled, at_rest, has_ended, end_tick
-        if watch is not None:
-            watch(plant.steps - 1, plant)
         if has_goal and not stack.failure:
             positions.append(plant.tip_position)
             joints.append(plant.data.qpos[: scene.arm.n].copy())

@@ -42,8 +42,6 @@ def run_grid(
 
     Raises
     ------
-    SettingsError
-        If there is not at least one process.
     SceneError
         If a scene cannot be made.
     """

@@ -40,8 +40,13 @@ def command_line(description: str | None, spread: bool = False) -> argparse.Argu
 
 
 def given(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> dict[str, Any]:
-    """The options that are given, with tuples for lists; the defaults are those of what takes them."""
+    """The options that are given, with tuples for lists; the defaults are those of what takes them.
+
+    Raises `SettingsError` if --workers asks for no process.
+    """
     options = vars(parser.parse_args(arguments))
+    if options.get("workers", 1) < 1:
+        raise SettingsError(f"--workers {options['workers']}: expected at least 1")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in options.items()}
 
 

@@ -107,7 +107,7 @@ def bench_setting(sweep: Sweep, file: Path | None = None, workers: int | None = 
     Raises
     ------
     SettingsError
-        As `Sweep`, or if there is not at least one process.
+        As `Sweep`.
     """
     variants = sweep.variants
     scenes = {scene.name: scene for scene in map(read_scene, sweep.scenes)}

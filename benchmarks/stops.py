@@ -87,7 +87,7 @@ def bench_stops(
     Raises
     ------
     SettingsError
-        If there is not at least one posture and worker.
+        If there is not at least one posture.
     """
     if postures < 1:
         raise SettingsError(f"--postures {postures}: expected at least 1")

@@ -101,7 +101,7 @@ def bench_table1(
     Raises
     ------
     SettingsError
-        If the preset is unknown, or there is not at least one process.
+        If the preset is unknown.
     SceneError
         If a scene cannot be made.
     """

@@ -11,7 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from contact_reach_ros.bringup.children import end_with_parent
-from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.errors import ContactReachError
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
@@ -20,17 +20,13 @@ ResultT = TypeVar("ResultT")
 def run_each(
     function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT], count: int | None = None
 ) -> Iterator[ResultT]:
-    """Run tasks on `count` processes, by default one per core; yields the results as they come.
+    """Run tasks on `count` processes, at least one and by default one per core; yields the results as they come.
 
     Raises
     ------
-    SettingsError
-        If there is not at least one process.
     ContactReachError
         If a process dies, as where memory runs out. Any error of a task is raised as it is.
     """
-    if count is not None and count < 1:
-        raise SettingsError(f"--workers {count}: expected at least 1")
     # Spawned, since JAX's threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(count or os.cpu_count(), context, _begin)

@@ -20,13 +20,9 @@ from benchmarks.faults import fault_setup, run_with_faults, summary, text_of
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.faults import (
-    Friction,
-    Late,
-    Lost,
     Payload,
     Push,
     RivalCommands,
-    Silent,
     UnknownObstacle,
     WrongClock,
     WrongPlans,
@@ -39,18 +35,6 @@ NEAREST = {
         WrongClock(step=-5.033, at=0.843, duration=0.02),
     ],
     1700: [RivalCommands(-5.5, at=1.678), Payload(4.46, at=0.841)],
-    123: [
-        Late("commands", 0.0578, at=0.229),
-        WrongPlans((-0.03, -0.008, 0.071), stretch=0.34, at=0.877, duration=0.059),
-        Silent("observer", at=0.902, duration=0.059),
-    ],
-    156: [RivalCommands(at=0.87)],
-    320: [Late("commands", 0.0297, at=0.257), Friction(7.53, at=0.718, duration=0.091)],
-    334: [
-        UnknownObstacle((0.529, 0.106, 0.149), stiffness=18257.0, duration=1.036),
-        Lost("states", share=0.37, at=0.761, duration=0.108),
-        Late("states", 0.0232, at=1.044),
-    ],
     378: [UnknownObstacle((0.439, -0.163, 0.094), stiffness=12874.0)],
 }
 """Seeds and faults of the episodes that came nearest to a bound; 1700 was beyond, when a joint sank unnoticed, and
@@ -126,13 +110,12 @@ class TestChecks:
         assert not self.violated(joints=3 * joints, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0))])
 
 
-class TestSchedules:
-    def test_every_kind_is_drawn(self):
-        scene = make_scene(read_scene("free"), ARM, 0)
-        drawn = [random_faults(scene, seed) for seed in range(200)]
-        assert len({type(fault) for faults in drawn for fault in faults}) == len(DRAWS)
-        assert {len(faults) for faults in drawn} == {1, 2, 3}
-        assert random_faults(scene, 5) == drawn[5]
+def test_every_kind_is_drawn():
+    scene = make_scene(read_scene("free"), ARM, 0)
+    drawn = [random_faults(scene, seed) for seed in range(200)]
+    assert len({type(fault) for faults in drawn for fault in faults}) == len(DRAWS)
+    assert {len(faults) for faults in drawn} == {1, 2, 3}
+    assert random_faults(scene, 5) == drawn[5]
 
 
 def record(seed: int, end: str = "stopped", **used: float) -> dict:

@@ -10,7 +10,6 @@ from benchmarks import observer, observer_trials
 from benchmarks.free_motion import START, FreeMotion
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
 
@@ -30,17 +29,6 @@ def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
     assert np.all(np.diff(report["roc"]["seen_share"]) <= 0.0)
     assert report["roc"]["seen_share"][0] == 1.0
     assert "6 pushes of 50 N at mid-arm" in capsys.readouterr().out
-
-
-def test_pushes_are_seen_from_commands_through_gears_with_ten_times_the_friction():
-    settings, mismatch = ObserverSettings(torque_source=COMMANDED), MismatchSettings(friction_scale=10.0)
-    arm, budget = load_arm(), ContactBudget()
-    pushes = observer_trials.push_often(arm, 60.0, 2, budget, mismatch=mismatch, settings=settings)
-    assert all(push.latency < 0.1 for push in pushes)
-    least = observer_trials.least_push(pushes, 60.0)
-    assert 5.0 < least["p50"] <= least["p95"] < 60.0
-    free = observer_trials.move_freely(arm, mismatch, 0.05, budget, settings=settings)
-    assert (free.stops, free.contacts) == ([], 0)
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan", "inf"])

@@ -97,10 +97,3 @@ def test_start_in_contact_is_refused_with_the_depth():
     _, ends = capsule_segments(ARM, HOME)
     with pytest.raises(PlanningError, match=r"the arm is \d+\.\d mm deep in an obstacle .* withdraw"):
         ClearanceChecker(ARM, spheres_at(ends[2][None]), 0.02, 0.02, HOME)
-
-
-def test_without_obstacles_everything_is_free():
-    checker = ClearanceChecker(ARM, Spheres.none(), 0.02, 0.02, HOME)
-    assert checker.free(postures(0, 3)).all()
-    assert checker.motion_free(-LIMITS, LIMITS)
-    assert np.isinf(checker.distances(postures(0, 3))).all()

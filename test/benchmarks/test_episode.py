@@ -3,50 +3,32 @@
 import numpy as np
 import pytest
 from arm_simulation import ARM
-from plans import make_plan
 
 from benchmarks.baselines.method import Method
+from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
-from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.world.obstacle_kinds import BallSettings
-from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 
-class StraightPlanner:
-    """Leads the arm along its free path, whatever stands in the way, and keeps the spheres it was shown."""
+class WatchingPlanner(ScriptedPlanner):
+    """Keeps the spheres it was shown."""
 
     def __init__(self, scene):
-        self.model = RobotModel(ARM)
-        self.path = free_path(self.model, scene.start, scene.target)
-        self.positions = np.array([self.model.tip_pose(q)[0] for q in self.path])
+        super().__init__(scene)
         self.spheres = []
-        self.number = 0
-
-    def reset(self):
-        self.number = 0
 
     def plan(self, request):
         self.spheres.append(request.spheres)
-        self.number += 1
-        nearest = np.linalg.norm(self.positions - self.model.tip_pose(request.q)[0], axis=1).argmin()
-        knots = self.path[np.minimum(nearest + 6 * np.arange(1, 4), len(self.path) - 1)]
-        poses = [self.model.tip_pose(knot) for knot in knots]
-        positions, rotations = (np.array(parts) for parts in zip(*poses, strict=True))
-        return make_plan(positions, rotations, knots, number=self.number, effect_ns=request.effect_ns)
+        return super().plan(request)
 
 
 @pytest.fixture(scope="module")
 def episode():
     scene = make_scene(read_scene("wall"), ARM, 0)
-    planner = StraightPlanner(scene)
+    planner = WatchingPlanner(scene)
     options = EpisodeOptions(period=0.1, settle=0.6, timeout=6.0)
     return scene, planner, run_episode(scene, Method(planner, ControllerSettings()), options)
 
@@ -74,7 +56,7 @@ def test_the_noise_has_a_seed_of_its_own(episode):
 
     def joints(noise_seed):
         options = EpisodeOptions(period=0.1, settle=0.6, timeout=0.2, noise_seed=noise_seed)
-        result = run_episode(scene, Method(StraightPlanner(scene), ControllerSettings()), options)
+        result = run_episode(scene, Method(ScriptedPlanner(scene), ControllerSettings()), options)
         return result.joints
 
     # Without one it is the scene's, 0.
@@ -88,7 +70,7 @@ def test_an_episode_until_rest_goes_on_until_the_tip_has_stayed_there_slowly():
 
     def run(until_settled):
         options = EpisodeOptions(settle=0.6, timeout=9.0, success=0.02, until_settled=until_settled)
-        return run_episode(scene, Method(StraightPlanner(scene), ControllerSettings()), options)
+        return run_episode(scene, Method(ScriptedPlanner(scene), ControllerSettings()), options)
 
     passing, resting = run(False), run(True)
     assert passing.reached
@@ -108,7 +90,7 @@ def test_an_arm_that_stays_where_it_is_is_lost_and_one_that_moves_is_not():
     scene = make_scene(read_scene("free"), ARM, 1)
 
     def ticks(patience, goes):
-        planner = StraightPlanner(scene)
+        planner = ScriptedPlanner(scene)
         if not goes:
             planner.path = planner.path[:1]
         # Nothing is near enough to be a goal that is reached.
@@ -119,24 +101,3 @@ def test_an_arm_that_stays_where_it_is_is_lost_and_one_that_moves_is_not():
 
     assert ticks(0.5, goes=False) == pytest.approx(500, abs=2)
     assert ticks(0.5, goes=True) == ticks(0.0, goes=False) == 2500
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("patience", [0.0, 0.5])
-def test_permitted_contact_does_not_keep_the_arm_from_its_goal(patience):
-    """The goal is 3 cm inside a ball of foam that the weight of contact alone would not let the hand press."""
-    q = np.array(ARM.home)
-    position, rotation = RobotModel(ARM).tip_pose(q)
-    ahead = rotation[:, 2]
-    ball = BallSettings(radius=0.1, stiffness=150.0).at(position + 0.175 * ahead)
-    scene = Scene("foam", ARM, 0, q, position + 0.06 * ahead, obstacles=ball)
-    settings = PlanningSettings(deadline=0.0, population=64, elite=16, line_search_points=64, contact_patience=patience)
-    planner = RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), permitted_force=10.0, capacity=1)
-    result = run_episode(scene, Method(planner, ControllerSettings()), EpisodeOptions(timeout=4.0))
-    assert result.reached == (patience > 0.0)
-    assert not result.stop_reason
-    assert result.contact_forces.max() < 10.0
-    if patience:
-        assert result.contact_forces.max() > 2.0
-    else:
-        assert result.distances[-1] > 0.02

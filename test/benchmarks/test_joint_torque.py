@@ -1,6 +1,5 @@
 """Planning joint torques, and applying them without any control law."""
 
-import jax
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, ideal_plant
@@ -22,7 +21,6 @@ from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.objectives import make_objective
 from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.prediction import pieces_between, reference_at
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer import pipeline
@@ -74,40 +72,6 @@ def test_torques_are_within_the_bounds_and_one_for_each_step(planner):
     assert (bounds <= LIMITS).all()
     distances = np.linalg.norm(plan.predicted_positions - GOAL.position, axis=1)
     assert distances[-1] < distances[0] - 0.01
-
-
-def test_each_torque_holds_for_its_part_of_the_plan(planner):
-    plan = plan_from(planner, effect=40)
-    assert reference_at([plan], 40 * MS) is None
-    for index, torque in enumerate(plan.torques):
-        for instant in (40 * MS + index * 25 * MS + 1, 40 * MS + (index + 1) * 25 * MS):
-            np.testing.assert_array_equal(plan.in_force(instant).torque, torque)
-    assert plan.in_force((40 + 200) * MS + 1) is None
-    assert plan.changes_ns[0] == plan.effect_ns and plan.changes_ns[-1] == plan.effect_ns + 200 * MS
-
-
-def test_plan_starts_from_the_state_predicted_under_the_torques_in_force(planner):
-    first = plan_from(planner)
-    second = plan_from(planner, HOME, REST, 0, 100)
-    np.testing.assert_allclose(second.predicted_q[0], first.predicted_q[1], rtol=0, atol=1e-5)
-    planner.reset()
-    np.testing.assert_allclose(plan_from(planner, HOME, REST, 0, 100).predicted_q[0], HOME, rtol=0, atol=1e-5)
-
-
-def test_where_the_plan_has_run_out_the_joints_are_damped(planner):
-    plan = plan_from(planner)
-    hold = HeldTorque(REST, DAMPING)
-    pieces = pieces_between([plan], hold, 190 * MS, 240 * MS, 0.025)
-    assert [piece.held is hold for piece in pieces] == [False, True, True]
-    v = np.array([0.3, -0.2, 0.1, 0.2, 0.5, -0.5, 0.8])
-    system = make_objective(ARM, SETTINGS, GAINS).system
-    state = pipeline.init(system, single(HOME[:, None]), single(v[:, None]))
-    damped = torque_step(system, state, jax.tree.map(lambda values: single(values[:, None]), hold))
-    speeds = np.asarray(damped.qd)[:, 0]
-    model = RobotModel(ARM)
-    model.update(HOME, v)
-    assert speeds @ model.mass_matrix @ speeds < v @ model.mass_matrix @ v
-    assert np.abs(speeds).max() < np.abs(v).max()
 
 
 def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():

@@ -27,12 +27,3 @@ def test_methods_differ_in_what_their_names_say_and_in_nothing_else():
     assert settings_of("reference_posture") == dataclasses.replace(ours, null_space="reference_posture")
     assert settings_of("cma_es") == dataclasses.replace(ours, solver="cma")
     assert settings_of("gradient") == dataclasses.replace(ours, solver="gradient")
-
-
-def test_the_controller_of_reference_posture_takes_a_posture_far_away_and_the_others_do_not():
-    limits = {
-        name: make_method(load_arm(), name, 0, 10.0, 0, SMALL).settings.supervision.max_posture_error
-        for name in ("contact_reach", "reference_posture")
-    }
-    far = max(abs(angle) for angle in load_arm().home)
-    assert limits["contact_reach"] < far < limits["reference_posture"]

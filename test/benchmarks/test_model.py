@@ -170,12 +170,6 @@ def test_contact_forces_agree_with_the_simulation_s_own_contacts(pushed):
 
 
 @pytest.mark.slow
-def test_more_substeps_follow_contact_more_closely(pushed):
-    fine, coarse = (force_errors(pushed, SETTINGS.substeps - fewer) for fewer in (0, 2))
-    assert np.percentile(np.abs(fine), 90) < 0.7 * np.percentile(np.abs(coarse), 90)
-
-
-@pytest.mark.slow
 def test_brax_and_mujoco_agree_with_the_plans(tmp_path, capsys):
     file = tmp_path / "report.json"
     bench_model(["generalized"], ("ball",), plans=4, file=file, settings=FEW)

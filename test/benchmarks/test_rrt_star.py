@@ -44,13 +44,6 @@ def test_path_around_a_ball_keeps_clear_and_ends_at_the_goal(seed):
     assert path.length >= np.linalg.norm(path.postures[-1] - path.postures[0]) - 1e-9
 
 
-def test_without_obstacles_the_path_is_straight_to_the_nearest_goal():
-    start, goal, _ = problem_of(make_scene(read_scene("free"), ARM, 0))
-    path = find_path(ARM, start, goal, Spheres.none(), QUICK, 0)
-    assert path.length == pytest.approx(np.linalg.norm(path.postures[-1] - start), abs=1e-6)
-    assert path.length < 1.5
-
-
 @pytest.mark.parametrize(("seed", "orientation"), [(0, "held"), (1, "free"), (2, "free"), (3, "held")])
 def test_wall_scene_has_no_collision_free_path_and_without_walls_it_has(seed, orientation):
     """With no clearance asked for at all: among thousands of postures at the goal none is free, or none is reached."""
@@ -68,19 +61,3 @@ def test_goals_without_a_path_to_them_are_told_apart_from_goals_that_do_not_exis
     problem = problem_of(make_scene(read_scene("ball"), ARM, 5))
     with pytest.raises(PlanningError, match=r"no collision-free path to any of \d+ goal postures after 4 iterations"):
         find_path(ARM, *problem, dataclasses.replace(QUICK, iterations=2), 0)
-
-
-def test_missing_ompl_is_named_with_what_to_install(monkeypatch):
-    import builtins
-
-    real = builtins.__import__
-
-    def without_ompl(name, *args, **kwargs):
-        if name.split(".")[0] == "ompl":
-            raise ImportError("No module named 'ompl'")
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without_ompl)
-    problem = problem_of(make_scene(read_scene("free"), ARM, 0))
-    with pytest.raises(PlanningError, match=r"pip install .*\[baselines\]"):
-        find_path(ARM, *problem, QUICK, 0)

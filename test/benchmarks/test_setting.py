@@ -36,13 +36,6 @@ def test_each_target_has_random_numbers_of_its_own_and_the_same_for_each_value()
     assert [setup.latency("contact_reach") for setup in sweep.variants.values()] == [0.04, 0.1]
 
 
-def test_gains_reach_the_controller():
-    sweep = Sweep("null_stiffness", (10.0, 60.0), others=("max_steps=2",))
-    gains = [setup.controller.impedance.null_stiffness for setup in sweep.variants.values()]
-    assert gains == [10.0, 60.0]
-    assert {setup.planning.max_steps for setup in sweep.variants.values()} == {2}
-
-
 def row(value, reached, ratio, force):
     return {
         "value": value,

@@ -82,15 +82,6 @@ class TestStart:
         ramp = SETTINGS.supervision.start_ramp
         np.testing.assert_allclose(pulls, np.arange(400) * 1e-3 / ramp * pulls[-1] / (0.399 / ramp), atol=1e-9)
 
-    def test_what_the_observer_reports_counts_from_the_first_state_on(self):
-        bench = Bench()
-        bench.controller.hear(Verdict("pushed"), 0)
-        bench.now_ns = SECOND_NS
-        bench.tick()
-        assert bench.controller.mode is Mode.HOLDING
-        bench.controller.hear(Verdict("pushed"), bench.now_ns)
-        assert bench.controller.stop_reason == "pushed"
-
 
 class TestPlans:
     def test_plan_is_tracked_from_its_stamp_to_its_last_knot(self, bench):
@@ -176,16 +167,6 @@ class TestObserver:
 
 
 class TestReset:
-    def test_reset_while_the_observer_is_stopped_is_refused(self, bench):
-        bench.controller.hear(Verdict("pushed"), bench.now_ns)
-        bench.tick(count=10)
-        with pytest.raises(InputError, match=r"observer is stopped \(pushed\): reset the observer first"):
-            bench.reset()
-        assert bench.controller.mode is Mode.STOPPED
-        bench.controller.hear(Verdict(), bench.now_ns)
-        bench.reset()
-        assert bench.controller.mode is Mode.HOLDING
-
     def test_reset_while_the_observer_is_silent_is_refused(self, bench):
         bench.controller.hear(Verdict(), bench.now_ns)
         bench.tick(count=100)

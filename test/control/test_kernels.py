@@ -3,12 +3,7 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, TICK_NS, offer_plan
-
-from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.references import Reference
 
 # In a process of its own, where no test has called a compiled function before.
 TICKS = """
@@ -54,21 +49,3 @@ def test_no_tick_compiles_anything(kept: bool) -> None:
     before, after, where = run(TICKS if kept else NOWHERE + TICKS)
     assert before == after != "0"
     assert (where != "None") == kept
-
-
-def test_arrays_of_any_layout_are_taken_and_left_alone() -> None:
-    plain, odd = (Controller(ARM, ControllerSettings()) for _ in range(2))
-    q, v = HOME + 0.1, np.linspace(-0.2, 0.2, 7)
-    position, rotation = plain.model.tip_pose(HOME)
-    reference = Reference(position + 0.01, rotation, HOME)
-    strided = np.zeros((7, 4))
-    strided[:, 1], strided[:, 2] = q, v
-    strided.flags.writeable = False
-    torques = []
-    for controller, states in ((plain, (q, v)), (odd, (strided[:, 1], strided[:, 2]))):
-        controller.start(HOME, REST, 0)
-        turned = Reference(reference.position, np.asfortranarray(reference.rotation), reference.posture)
-        offer_plan(controller, [reference if controller is plain else turned], 0, (10 * TICK_NS,), 0)
-        torques.append(controller.tick(*states, TICK_NS, TICK_NS))
-    np.testing.assert_array_equal(*torques)
-    np.testing.assert_array_equal(strided[:, 1], q)

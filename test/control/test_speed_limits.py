@@ -57,18 +57,6 @@ class TestSpeedLimiter:
         expected[2] = -side * 100.0 * 0.3 * VELOCITY_LIMITS[2]
         np.testing.assert_allclose(braked, expected, rtol=0, atol=1e-9)
 
-    @pytest.mark.parametrize("left", [0.1, 1.0, 4.0])
-    def test_a_permitted_acceleration_can_be_ended_in_time(self, left):
-        """With what a joint's own torque can do at its greatest rate, and the others' doing nothing."""
-        jerk = torque_rates(ARM, self.LIMITS) * np.diag(self.INVERSE)
-        left = np.full(ARM.n, left)
-        acceleration = self.permitted(left)
-        for _ in range(20000):
-            acceleration = np.maximum(self.permitted(left), acceleration - 1e-4 * jerk)
-            np.testing.assert_allclose(acceleration, self.permitted(left), rtol=1e-9)
-            left = left - 1e-4 * acceleration
-        assert (left > 0.0).all() and (left < 1e-6).all()
-
     @given(speed_shares, torques)
     def test_no_joint_is_driven_beyond_the_limit_and_the_others_accelerate_as_before(self, shares, torque):
         v = shares * VELOCITY_LIMITS
