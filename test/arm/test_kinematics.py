@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, random_states
+from arm_simulation import ARM, random_states
 from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_reach_ros.arm.kinematics import (
     link_frames,
-    rotation_about,
     rotation_from_quaternion,
     tensor_matrix,
 )
@@ -38,25 +37,6 @@ def test_both_descriptions_have_the_same_flange():
         aligned_rotations, aligned_origins = aligned_link_frames(q)
         np.testing.assert_allclose(origins[-1], aligned_origins[-1], rtol=0, atol=1e-14)
         np.testing.assert_allclose(rotations[-1], aligned_rotations[-1], rtol=0, atol=1e-14)
-
-
-def test_link_frames_turn_about_their_own_z_axis():
-    for joint in range(ARM.n):
-        turned = HOME.copy()
-        turned[joint] += 0.3
-        rotations, origins = link_frames(ARM, HOME)
-        turned_rotations, turned_origins = link_frames(ARM, turned)
-        expected = rotations[joint] @ rotation_about((0, 0, 1), 0.3)
-        np.testing.assert_allclose(turned_rotations[joint], expected, rtol=0, atol=1e-14)
-        np.testing.assert_array_equal(turned_origins[joint], origins[joint])
-
-
-def test_shoulder_is_where_the_first_three_axes_meet():
-    for q in random_states(20)[0]:
-        rotations, origins = link_frames(ARM, q)
-        for rotation, origin in list(zip(rotations, origins, strict=True))[:3]:
-            offset = np.array(ARM.shoulder) - origin
-            np.testing.assert_allclose(np.cross(offset, rotation[:, 2]), 0, atol=1e-14)
 
 
 def aligned_energies(q: np.ndarray, v: np.ndarray) -> tuple[float, float]:

@@ -96,13 +96,3 @@ def test_tip_pose_outlives_the_call(model):
     for (position, rotation), (position_before, rotation_before) in zip(poses, copies, strict=True):
         np.testing.assert_array_equal(position, position_before)
         np.testing.assert_array_equal(rotation, rotation_before)
-
-
-def test_gravity_torques_of_the_inertia_sets_differ_as_documented():
-    # From the data sheet's comparison of both sets: up to 10.8 Nm on A2 and 5.3 Nm on A4, rms 6.4 and 2.8 Nm.
-    nominal, alternative = RobotModel(ARM, "nominal"), RobotModel(ARM, "alternative")
-    positions = random_states(5000)[0]
-    difference = np.array([nominal.gravity_at(q) - alternative.gravity_at(q) for q in positions])
-    largest, rms = np.abs(difference).max(axis=0), np.sqrt(np.mean(difference**2, axis=0))
-    np.testing.assert_allclose(largest[[1, 3]], [10.8, 5.3], atol=0.3)
-    np.testing.assert_allclose(rms[[1, 3]], [6.4, 2.8], atol=0.3)

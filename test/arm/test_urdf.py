@@ -1,7 +1,5 @@
 """The URDF describes the same robot as the MJCF."""
 
-from xml.etree import ElementTree
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -34,33 +32,6 @@ def test_urdf_agrees_with_mjcf(arm, inertia_set):
         for frame, rotation, origin in zip(frames, *link_frames(arm, q), strict=True):
             np.testing.assert_allclose(data.oMf[frame].translation, origin, rtol=0, atol=1e-9)
             np.testing.assert_allclose(data.oMf[frame].rotation, rotation, rtol=0, atol=1e-9)
-
-
-def test_collision_shapes_are_the_capsules():
-    robot = ElementTree.fromstring(build_urdf(ARM))
-    capsules = {ARM.link_names[capsule.link - 1]: capsule for capsule in ARM.capsules}
-    capsules[ARM.base_frame] = ARM.base_capsule
-    for link in robot.findall("link"):
-        shapes = link.findall("collision")
-        if link.get("name") not in capsules:
-            assert not shapes
-            continue
-        capsule = capsules[link.get("name")]
-        ends = []
-        for shape in shapes:
-            origin = shape.find("origin")
-            position = np.array(origin.get("xyz").split(), float)
-            cylinder = shape.find("geometry/cylinder")
-            if cylinder is None:
-                assert float(shape.find("geometry/sphere").get("radius")) == capsule.radius
-                ends.append(position)
-            else:
-                assert float(cylinder.get("radius")) == capsule.radius
-                axis = rotation_from_angles(*map(float, origin.get("rpy").split()))[:, 2]
-                half = 0.5 * float(cylinder.get("length")) * axis
-                np.testing.assert_allclose(position - half, capsule.start, atol=1e-12)
-                np.testing.assert_allclose(position + half, capsule.end, atol=1e-12)
-        np.testing.assert_array_equal(ends, [capsule.start, capsule.end])
 
 
 angles = st.floats(-3.1, 3.1)

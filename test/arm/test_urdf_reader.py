@@ -13,8 +13,7 @@ from urdf_texts import ball, joint, link, odd_arm, written
 
 from contact_reach_ros.arm.arm import Arm, Inertia
 from contact_reach_ros.arm.capsule_fit import frame_about
-from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
+from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.table import ArmOptions, arm_of_table, table_of, table_text
 from contact_reach_ros.arm.urdf import build_urdf
@@ -66,35 +65,6 @@ def test_controllers_model_is_the_one_that_pinocchio_reads(odd):
             (ours.jacobian, turned),
         ):
             np.testing.assert_allclose(mine, other, rtol=0, atol=1e-9)
-
-
-def test_simulation_has_the_controllers_model(odd):
-    arm, _ = odd
-    ours, model = RobotModel(arm), mujoco.MjModel.from_xml_string(build_mjcf(arm))
-    data, mass = mujoco.MjData(model), np.empty((arm.n, arm.n))
-    linear, angular = np.empty((3, arm.n)), np.empty((3, arm.n))
-    for q, v in states(arm):
-        ours.update(q, v)
-        data.qpos, data.qvel = q, v
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, mass)
-        mujoco.mj_jacSite(model, data, linear, angular, 0)
-        for mine, other in (
-            (ours.position, data.site(TIP_SITE).xpos),
-            (ours.rotation.ravel(), data.site(TIP_SITE).xmat),
-            (ours.mass_matrix, mass),
-            (ours.bias, data.qfrc_bias),
-            (ours.jacobian, np.vstack([linear, angular])),
-        ):
-            np.testing.assert_allclose(mine, other, rtol=0, atol=1e-9)
-
-
-def test_assumed_home_is_within_the_limits_and_the_reach(odd):
-    arm, _ = odd
-    assert ((arm.lower < arm.home) & (arm.home < arm.upper)).all()
-    _, origins = link_frames_of_many(arm, np.random.default_rng(1).uniform(arm.lower, arm.upper, (20000, arm.n)))
-    farthest = np.linalg.norm(origins[-1].T - arm.shoulder, axis=1).max()
-    assert 0.9 * farthest <= arm.reach < 1.02 * farthest
 
 
 def test_a_table_holds_all_of_an_arm(odd, tmp_path):

@@ -157,11 +157,6 @@ def test_settings_that_harm_are_refused(values, message):
         AdapterSettings(**values)
 
 
-def test_commands_that_come_more_seldom_than_silence_is_noticed_are_refused():
-    with pytest.raises(SettingsError, match=r"at least two periods of the joint states, 0\.04 s"):
-        CommandGuard(ARM, AdapterSettings(), period=0.02)
-
-
 def displacement_after_silence(is_guarded):
     """How far the joints move, rad, in half a second after a moving controller ended; their speed then, rad/s."""
     plant = ideal_plant()

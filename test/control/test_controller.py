@@ -220,12 +220,6 @@ class TestTorques:
         assert shares.max() <= 1 + 1e-9
         assert (shares.max(axis=0) > 0.99).all()
 
-    def test_late_tick_does_not_make_up_for_missed_ones(self, bench):
-        before = bench.tick()
-        bench.now_ns += 50 * TICK_NS
-        after = bench.tick(v=np.full(ARM.n, 1.0))
-        assert (np.abs(after - before) <= STEP * (1 + 1e-9)).all()
-
     def test_cap_is_the_declared_share(self):
         settings = dataclasses.replace(UNWATCHED, limits=LimitSettings(torque_share=0.3))
         bench = Bench(settings).start()

@@ -246,21 +246,6 @@ class TestRate:
         # A command acts from its state to the next.
         assert [torque[0] for torque in watcher.commands] == [2.5, 6.5, 10.5]
 
-    def test_after_the_clock_was_set_back_states_are_shown_again(self):
-        controller, watcher = Controller(ARM, ControllerSettings()), make_observer(period=0.004)
-        controller.watch_with(watcher)
-        for tick in [*range(1000, 1020), *range(20)]:
-            controller.watch(JointState(tick * TICK_NS, HOME, REST, REST), None, tick * TICK_NS)
-        assert watcher.momentum.updated_ns == 17 * TICK_NS
-
-    @pytest.mark.parametrize("torque", [None, np.nan])
-    def test_the_mean_is_that_of_known_torques_and_exact_for_equal_ones(self, torque):
-        torques = [1.0, torque, torque, torque, torque, 0.1, torque, 0.1, 0.1]
-        watcher = self.shown([tick * TICK_NS for tick in range(1, 10)], torques)
-        _, unknown, known = [state.torque for state in watcher.states]
-        assert unknown is None if torque is None else np.isnan(unknown).all()
-        assert (known == 0.1).all()
-
     def test_gaps_are_noticed_as_at_the_full_rate(self):
         """4 ms are the nominal time between the states that the watcher is shown."""
         watcher = Recorder()

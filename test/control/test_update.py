@@ -1,7 +1,5 @@
 """States come in order or not, the controller starts with the first, and answers each once."""
 
-import math
-
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, references_of
@@ -72,19 +70,6 @@ def test_after_a_clock_was_set_back_states_are_answered_again(holding):
     assert holding.mode is Mode.HOLDING
 
 
-def test_time_in_which_the_controller_was_inactive_does_not_excuse_the_observer():
-    """Reports that waited meanwhile are heard when it is active again."""
-    controller = Controller(ARM, ControllerSettings())
-    controller.hear(Verdict(), TICK_NS)
-    update(controller, state(1))
-    controller.activate()
-    controller.hear(Verdict(), 60_000 * TICK_NS)
-    ticks = range(60_000, 60_200)
-    stops = [tick for tick in ticks if update(controller, state(tick)) is not None and controller.stop_reason]
-    assert stops[0] - ticks[0] == 1 + round(1000 * controller.settings.supervision.observer_timeout)
-    assert controller.stop_reason.startswith("observer silent for ")
-
-
 class TestNotYet:
     """Others command the arm, so nothing is commanded yet."""
 
@@ -137,23 +122,6 @@ class TestReset:
         assert (holding.mode, holding.stop_reason) == (Mode.HOLDING, "")
         update(holding, state(60, elsewhere))
         np.testing.assert_allclose(holding.error, 0, atol=1e-9)
-
-    def test_the_state_of_an_arm_that_moves_is_the_last_that_was_answered(self, holding):
-        holding.stop("test")
-        update(holding, state(10, v=np.full(ARM.n, 0.3)))
-        with pytest.raises(InputError, match="joint_states"):
-            update(holding, state(11, v=np.full(ARM.n, math.nan)))
-        with pytest.raises(InputError, match=r"moves with 0\.300 rad/s"):
-            holding.reset(12 * TICK_NS)
-        assert holding.stop_reason == "test"
-
-
-def test_it_resumes_from_a_torque_as_if_that_had_been_sent(holding):
-    sent = GRAVITY + 20.0 * STEP
-    holding.resume(sent)
-    torque = update(holding, state(10))
-    assert (np.abs(torque - sent) <= STEP * (1 + 1e-9)).all()
-    assert np.abs(torque - sent).max() > 0.0
 
 
 class TestVouching:
