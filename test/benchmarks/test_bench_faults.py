@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from arm_simulation import ARM
+from test_metrics import episode
 
 from benchmarks.episode_result import EpisodeResult
 from benchmarks.fault_checks import (
@@ -41,27 +42,14 @@ NEAREST = {
 1470, when plans led the hand onto the floor."""
 
 
-def result(ticks: int = 1000, **changes) -> EpisodeResult:
-    values = {
-        "duration": 1.0,
-        "start_position": np.zeros(3),
-        "positions": np.zeros((ticks, 3)),
-        "joints": np.zeros((ticks, ARM.n)),
-        "link_forces": np.zeros((ticks, len(ARM.contact_links))),
-        "external_torques": np.zeros((ticks, ARM.n)),
-        "distances": np.zeros(ticks),
-        "stop_reason": "",
-        "failure": "",
-        "plans": [],
-        "end_speed": 0.0,
-    }
-    return EpisodeResult(**{**values, **changes})
+def resting(**changes) -> EpisodeResult:
+    return episode(np.zeros((1000, 3)), **{"end_speed": 0.0, **changes})
 
 
 class TestChecks:
     def test_ends(self):
-        assert end_of(result(end_speed=1.0)) is End.REACHED
-        nowhere = result(duration=float("nan"))
+        assert end_of(resting(end_speed=1.0)) is End.REACHED
+        nowhere = resting(duration=float("nan"))
         assert end_of(nowhere) is End.HELD
         assert end_of(dataclasses.replace(nowhere, stop_reason="why")) is End.STOPPED
         assert end_of(dataclasses.replace(nowhere, stop_reason="why", end_speed=0.06)) is End.MOVING
@@ -70,7 +58,7 @@ class TestChecks:
     @staticmethod
     def violated(**changes) -> list[str]:
         faults = changes.pop("faults", [])
-        return violations(bounds_used(result(**changes), LimitSettings(), ARM, faults))
+        return violations(bounds_used(resting(**changes), LimitSettings(), ARM, faults))
 
     def test_torques(self):
         cap = 0.9 * np.array(ARM.torque_limits)
@@ -105,7 +93,7 @@ class TestChecks:
     def test_speed(self):
         joints = np.zeros((1000, ARM.n))
         joints[:, 5] = 0.001 * ARM.velocity_limits[5] * np.arange(1000) / 2
-        assert speed_share(result(joints=joints), ARM) == pytest.approx(0.5)
+        assert speed_share(resting(joints=joints), ARM) == pytest.approx(0.5)
         assert self.violated(joints=3 * joints) == ["joint speed: 1.20 times what is permitted"]
         assert not self.violated(joints=3 * joints, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0))])
 

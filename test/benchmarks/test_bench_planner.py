@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from bench_command import bench
 
 from benchmarks import planner
 from benchmarks.paper import JOINT_TORQUE, METHOD
@@ -27,12 +26,3 @@ def test_torques_and_references_are_planned_in_closed_loops(tmp_path, monkeypatc
     assert found["torque_planning_ratio"] == pytest.approx(found[JOINT_TORQUE]["plan_ms"] / found[METHOD]["plan_ms"])
     assert {episode["target"] for episode in report["episodes"]} == {3}
     assert f"| free | {METHOD} |" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["--scenes", "nowhere"], "nowhere"), (["--targets", "0"], "--targets 0: expected at least 1")],
-)
-def test_what_cannot_be_run_is_refused(capsys, arguments, message):
-    assert bench(planner, *arguments) == 2
-    assert message in capsys.readouterr().err

@@ -80,17 +80,3 @@ def test_collision_free_paths_of_both_kinds_are_compared_in_time():
     assert found["ball: time of collision_free, less 2.6 times the method's"]["value"] == pytest.approx(4.0 - 7.8)
     assert not found["ball: time of collision_free, less 2.6 times the method's"]["met"]
     assert found["ball: time of rrt_star, less 2.6 times the method's"]["met"]
-
-
-def test_each_claim_pays_for_the_others():
-    random = np.random.default_rng(0)
-    ours, theirs = random.uniform(0, 1, (12, 1)), random.uniform(2, 9, (12, 1))
-    episodes = forces("contact_reach", ours) + forces("reference_posture", theirs)
-    alone = claim(episodes, FORCE)
-    many = claim(episodes + forces("contact_reach", ours, "ball"), FORCE)
-    assert alone["ci95"] == many["ci95"]
-    assert alone["ci_corrected"][0] < alone["ci95"][0]
-
-
-def test_what_was_not_measured_is_no_claim():
-    assert claims(Results([]), ["ball", "wall"], ["hold"]) == []

@@ -51,20 +51,6 @@ def test_pushing_through_is_felt(episode):
     assert not result.contact_forces[:100].any()
 
 
-def test_the_noise_has_a_seed_of_its_own(episode):
-    scene, _, _ = episode
-
-    def joints(noise_seed):
-        options = EpisodeOptions(period=0.1, settle=0.6, timeout=0.2, noise_seed=noise_seed)
-        result = run_episode(scene, Method(ScriptedPlanner(scene), ControllerSettings()), options)
-        return result.joints
-
-    # Without one it is the scene's, 0.
-    np.testing.assert_array_equal(joints(None), joints(0))
-    assert not np.array_equal(joints(0), joints(1))
-    np.testing.assert_allclose(joints(0), joints(1), atol=1e-2)
-
-
 def test_an_episode_until_rest_goes_on_until_the_tip_has_stayed_there_slowly():
     scene = make_scene(read_scene("free"), ARM, 1)
 

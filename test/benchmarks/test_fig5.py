@@ -40,14 +40,6 @@ def test_profiles_are_those_of_the_episodes_and_can_be_drawn(tmp_path, monkeypat
     assert picture.stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--methods", "rrt"], "--methods 'rrt' is unknown; expected one of contact_reach"),
-        (["--seed", "-1"], "--seed -1: expected at least 0"),
-        (["--latency", "0"], "--latency 0: expected 0.001 to 1 s"),
-    ],
-)
-def test_what_cannot_be_run_is_refused(arguments, message, capsys):
-    assert bench(fig5_module, *arguments) == 2
-    assert message in capsys.readouterr().err
+def test_what_cannot_be_run_is_refused(capsys):
+    assert bench(fig5_module, "--methods", "rrt") == 2
+    assert "--methods 'rrt' is unknown; expected one of contact_reach" in capsys.readouterr().err

@@ -50,15 +50,6 @@ def test_other_processes_and_another_order_give_the_same_to_the_last_bit(here):
     assert {record["failure"] for record in here} == {""}
 
 
-@pytest.mark.slow
-def test_repeats_differ_in_random_numbers_and_not_in_the_target(here):
-    first, second = here[:2]
-    assert (first["repeat"], second["repeat"]) == (0, 1)
-    assert first["end_error"] != second["end_error"]
-    assert first["end_error"] == pytest.approx(second["end_error"], abs=5e-3)
-    assert first["time_ratio"] is None
-
-
 def test_seeds_of_solver_and_noise_depend_on_target_and_repeat():
     seeds = [episode_seeds(target, repeat) for target in range(5) for repeat in range(5)]
     for column in zip(*seeds, strict=True):

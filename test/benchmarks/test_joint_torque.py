@@ -56,10 +56,6 @@ def planner(warm_planner) -> RecedingHorizonPlanner:
     return warm_planner
 
 
-def torque_at(controller, q, v, now_ns):
-    return controller.tick(q, v, now_ns, now_ns)
-
-
 def plan_from(planner, q=HOME, v=REST, state=0, effect=0) -> TorquePlan:
     return planner.plan(Request(q, v, state * MS, effect * MS, GOAL, Spheres.none()))
 
@@ -90,25 +86,6 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
     moved = plant.read().position - HOME
     assert np.abs(moved).max() > 0.01
     np.testing.assert_allclose(np.asarray(state.q)[:, 0] - HOME, moved, rtol=0.03, atol=1e-3)
-
-
-class TestController:
-    @pytest.fixture
-    def controller(self) -> TorqueController:
-        controller = TorqueController(ARM, CONTROLLER)
-        controller.start(HOME, REST, 0)
-        return controller
-
-    def test_planned_torque_and_bias_once_the_plan_is_in_force_and_damping_after_it(self, controller, planner):
-        model = RobotModel(ARM)
-        v = np.full(ARM.n, 0.05)
-        model.update(HOME, v)
-        held = torque_at(controller, HOME, REST, 0)
-        plan = plan_from(planner, effect=10)
-        controller.follow(plan.references())
-        np.testing.assert_allclose(torque_at(controller, HOME, REST, 9 * MS), held, rtol=0, atol=0.5)
-        for now, torque in ((10, plan.torques[0]), (35, plan.torques[1]), (210, -DAMPING * v)):
-            np.testing.assert_allclose(torque_at(controller, HOME, v, now * MS), model.bias + torque, rtol=0, atol=1e-9)
 
 
 def test_an_episode_gets_nearer_to_its_goal(planner):

@@ -59,10 +59,6 @@ def test_every_task_comes_back_with_its_result_or_ends_the_run_with_its_error(ca
     assert capfd.readouterr() == ("", "")
 
 
-def test_libraries_compute_on_one_thread():
-    assert list(run_each(os.getenv, ["OPENBLAS_NUM_THREADS"], 1)) == ["1"]
-
-
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_processes_end_when_their_parent_is_ended(number, tmp_path, capfd):
     program = (
