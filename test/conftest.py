@@ -29,7 +29,7 @@ def pytest_addoption(parser):
     parser.addoption("--write-faults", action="store_true", help="write what test/faults finds to docs/faults.md")
 
 
-LONGEST = ("nodes", "benchmarks", "faults", "examples", "planning", "test")
+LONGEST = ("nodes", "planning", "benchmarks", "net", "faults", "reexecution", "examples", "test")
 """Folders whose tests take minutes, in the order in which they are run."""
 
 

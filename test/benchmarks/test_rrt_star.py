@@ -44,7 +44,7 @@ def test_path_around_a_ball_keeps_clear_and_ends_at_the_goal(seed):
     assert path.length >= np.linalg.norm(path.postures[-1] - path.postures[0]) - 1e-9
 
 
-@pytest.mark.parametrize(("seed", "orientation"), [(0, "held"), (1, "free"), (2, "free"), (3, "held")])
+@pytest.mark.parametrize(("seed", "orientation"), [(0, "held"), (1, "free")])
 def test_wall_scene_has_no_collision_free_path_and_without_walls_it_has(seed, orientation):
     """With no clearance asked for at all: among thousands of postures at the goal none is free, or none is reached."""
     start, goal, spheres = problem_of(make_scene(read_scene("wall"), ARM, seed))

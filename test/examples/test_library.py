@@ -47,7 +47,6 @@ def stack(scene) -> cr.Stack:
         ({"name": "bal"}, "scene 'bal' is unknown; expected one of ball, "),
         ({"arm": "iiwa14"}, "arm = 'iiwa14': expected an Arm, from load_arm"),
         ({"seed": -1}, "seed = -1: expected an integer from 0 on"),
-        ({"target": [0.5, 0.2]}, "goal: position = .*; expected (three|finite) numbers"),
         ({"target": [np.nan, 0.0, 0.0]}, "goal: position = .*; expected (three|finite) numbers"),
         ({"target": [5.0, 0.0, 0.0]}, "the arm reaches 0.85 m"),
     ],
@@ -55,11 +54,6 @@ def stack(scene) -> cr.Stack:
 def test_scenes_that_cannot_be_loaded(arguments, message):
     with pytest.raises(cr.ContactReachError, match=message):
         cr.load_scene(**{"name": "ball", **arguments})
-
-
-def test_unknown_arm_lists_those_there_are():
-    with pytest.raises(cr.ContactReachError, match="arm 'ur5' is unknown; expected one of fr3, iiwa14"):
-        cr.load_arm("ur5")
 
 
 @pytest.mark.parametrize(
@@ -102,14 +96,10 @@ def test_controller_and_observer_of_the_user_are_used(scene):
     [
         ([5.0, 0.0, 0.0], {}, "goal: position is 5.013 m from the shoulder .* the arm reaches 0.85 m"),
         ([0.0, 0.0, 0.2], {}, "goal: position = .* lies inside the base"),
-        ([0.5, 0.2], {}, "expected three numbers x, y, z in m"),
-        ("here", {}, "goal: position = 'here'; expected three numbers"),
         ([np.nan, 0.0, 0.0], {}, "expected finite numbers in m"),
         (NEAR, {"orientation": "up"}, "orientation = 'up'; expected 'hold', 'free' or a unit quaternion"),
-        (NEAR, {"orientation": np.eye(3)}, "expected 'hold', 'free' or a unit quaternion"),
         (NEAR, {"orientation": [0.0, 0.0, 1.0, 1.0]}, "expected a unit quaternion"),
         (NEAR, {"frame": "world"}, "frame 'world' is unknown; expected 'lbr_link_0'"),
-        (NEAR, {"tolerance": -1.0}, "tolerance = -1.0; expected a positive distance"),
     ],
 )
 def test_goals_that_are_refused(stack, position, others, message):

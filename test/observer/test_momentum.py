@@ -179,20 +179,6 @@ def test_steps_of_varying_length_are_taken_as_they_come():
     assert observer.gaps == 0
 
 
-def test_a_push_is_seen_at_200_hz_as_at_1_khz():
-    """Steps of five milliseconds are gaps at 1 kHz, but not for an arm that reports no more often."""
-    observer, gravity = MomentumObserver(SETTINGS, RobotModel(ARM), 0.005), RobotModel(ARM).gravity_at(HOME)
-    push = np.where(np.arange(ARM.n) == 1, 20.0, 0.0)
-    shares = []
-    for step in range(200):
-        residual = observer.update(HOME, REST, gravity - push, step * 5 * TICK_NS)
-        shares.append(residual[1] / push[1])
-    np.testing.assert_allclose(residual, push, rtol=0, atol=1e-3)
-    np.testing.assert_allclose(shares, 1.0 - np.exp(-SETTINGS.gain * 0.005 * np.arange(200)), rtol=0, atol=1e-9)
-    assert observer.gaps == 0
-    assert observer.known_for == pytest.approx(199 * 0.005)
-
-
 class TestInterruptions:
     """A residual of some size, and then a state that cannot be used."""
 
