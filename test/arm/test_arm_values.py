@@ -56,10 +56,6 @@ def test_the_digest_of_the_iiwa_is_that_in_bags():
     assert ARM.digest == "fb09104480dee5b5"
 
 
-def test_default_thresholds_are_settings_and_make_no_other_arm():
-    assert dataclasses.replace(ARM, defaults={}) == ARM
-
-
 @pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
 def test_arrays_have_a_value_for_each_joint_and_cannot_be_changed(arm):
     for values in (arm.lower, arm.upper, arm.velocity_limits, arm.torque_limits):

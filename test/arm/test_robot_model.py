@@ -42,15 +42,6 @@ def test_drift_is_the_derivative_of_the_twist_at_constant_joint_velocity(model):
         np.testing.assert_allclose(model.drift, (ahead - behind) / (2 * STEP), rtol=0, atol=1e-7)
 
 
-def test_gravity_is_the_bias_at_rest(model):
-    for q, v in zip(*random_states(20), strict=True):
-        model.update(q, REST)
-        at_rest = model.bias.copy()
-        model.update(q, v)
-        np.testing.assert_allclose(model.gravity, at_rest, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(model.gravity_at(q), at_rest, rtol=0, atol=1e-11)
-
-
 def test_smallest_mobility_is_the_least_acceleration_along_a_unit_wrench(model):
     random = np.random.default_rng(0)
     for q, v in zip(*random_states(10), strict=True):

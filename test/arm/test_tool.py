@@ -17,7 +17,6 @@ from contact_reach_ros.arms import arm_in, load_arm
 from contact_reach_ros.errors import SettingsError
 
 MASS, CENTER, TENSOR, TIP = TOOL.mass, TOOL.center, TOOL.inertia, TOOL.flange_to_tip
-G = 9.81
 
 
 @pytest.fixture(params=[ARM, WITH_TOOL], ids=["iiwa", "tool"])
@@ -87,15 +86,8 @@ def test_a_radius_gives_it_a_capsule_from_flange_to_tip():
     ("values", "message"),
     [
         ({"mass": -1.0}, "Tool.mass = -1.0: expected a number in [0, 50] kg"),
-        ({"mass": float("nan")}, "Tool.mass = nan: expected a number in [0, 50] kg"),
         ({"inertia": (0.01, 0.01, 0.01, 0.0, 0.0, 0.0)}, "expected zeros, as mass = 0 kg"),
-        ({"center": (0.0, 0.0, 0.1)}, "Tool.center = (0.0, 0.0, 0.1): expected zeros, as mass = 0 kg"),
         ({"mass": 1.0, "inertia": (0.01, 0.01, 0.05, 0.0, 0.0, 0.0)}, "none above the sum of the others"),
-        ({"mass": 1.0, "inertia": (0.01, 0.01, 0.01, 0.02, 0.0, 0.0)}, "none below zero"),
-        (
-            {"mass": 1.0, "inertia": (0.01, 0.01, 0.01)},
-            "Tool.inertia = (0.01, 0.01, 0.01): expected a list of 6 values",
-        ),
         ({"flange_to_tip": (0.0, 0.0, 120.0, 0.0, 0.0, 0.0)}, "Tool.flange_to_tip"),
         ({"radius": 0.02}, "expected 0 where flange_to_tip leads nowhere"),
     ],
