@@ -23,7 +23,7 @@ from contact_reach_ros.planning.transfer.model import arm_model
 
 ODD = ArmOptions(base="stand", tip="tool", fixed={"finger_joint": 0.4})
 FINGER = {"finger_joint": 0.4}
-STATES = 1000
+STATES = 200
 
 
 @pytest.fixture(scope="module")
