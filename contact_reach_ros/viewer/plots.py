@@ -11,13 +11,10 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, ORANGE, VERMILION
+from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, VERMILION
 
 SPAN = 20.0
 """Time span of a plot, s."""
-ROUND_TRIPS = {f"round trip {name}": f"driver/round trip {name} us" for name in ("p50", "p99")}
-"""Quantities that the driver publishes, with their keys in its diagnostics."""
-
 _POINTS = 400
 """Greatest number of points in a curve."""
 _FORCE = 2
@@ -36,10 +33,9 @@ _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 def quantities(joint_names: Sequence[str]) -> tuple[str, ...]:
     """Columns of the plotted tables.
 
-    Time, s; distance to the goal, mm; largest contact force on one link, N; external torque of each joint, Nm; age of
-    the plan, ms; two percentiles of a tick's round trip, µs.
+    Time, s; distance to the goal, mm; largest contact force on one link, N; external torque of each joint, Nm.
     """
-    return ("time", "distance", "force", *joint_names, "plan age", *ROUND_TRIPS)
+    return ("time", "distance", "force", *joint_names)
 
 
 class History:
@@ -98,12 +94,6 @@ def page_plots(joint_names: Sequence[str]) -> tuple[Plot, ...]:
         Plot("Distance to the goal", "mm", (Curve("distance", "flange", BLUE),)),
         Plot("Largest contact force", "N", (Curve("force", "on one link", BLUE),)),
         Plot("External torque", "Nm", tuple(map(Curve, joint_names, joint_names, itertools.cycle(JOINT_COLOURS)))),
-        Plot("Age of the plan", "ms", (Curve("plan age", "since it took effect", BLUE),)),
-        Plot(
-            "Round trip of a tick",
-            "µs",
-            (Curve("round trip p50", "median", BLUE), Curve("round trip p99", "99 of 100 below", ORANGE)),
-        ),
     )
 
 
