@@ -137,7 +137,7 @@ class McapFile:
             return False
         self.schemas, self.channels, self.metadata = summary.schemas, summary.channels, metadata
         self.message_counts.update(counts)
-        self._chunks = [chunk for chunk in chunks if chunk.message_start_time or chunk.message_end_time]
+        self._chunks = [chunk for chunk in chunks if chunk.message_index_offsets or chunk.message_end_time]
         return True
 
     def _scan(self) -> None:

@@ -49,34 +49,13 @@ def test_no_message_comes_before_its_time(rate: float) -> None:
     assert [raw for raw, _ in taker.taken] == messages
     for raw, at_ns in taker.taken:
         assert at_ns - taker.began_ns >= (raw.log_time_ns - START) / rate
-    assert taker.playback.late.count == taker.playback.count == len(messages)
+    assert taker.playback.count == len(messages)
 
 
 def test_message_behind_its_time_is_handed_out_with_the_one_before() -> None:
     taker = Taker(Playback(), [message(at) for at in (0, 20, 5, 21)])
     taker.end()
     assert [raw.log_time_ns - START for raw, _ in taker.taken] == [0, 20 * MS, 5 * MS, 21 * MS]
-
-
-def test_pause_steps_from_tick_to_tick_and_goes_on() -> None:
-    messages = [message(at, topic) for at, topic in ((0, "/x"), (1, "/tick"), (2, "/x"), (3, "/tick"), (500, "/x"))]
-    playback = Playback(ticks=["/tick"], paused=True)
-    taker = Taker(playback, messages)
-    assert playback.step()
-    taker.until(2)
-    assert playback.step()
-    taker.until(4)
-    position = playback.position_ns
-    assert position == START + 3 * MS
-    time.sleep(0.05)
-    assert len(taker.taken) == 4
-    assert playback.position_ns == position
-    resumed_ns = time.monotonic_ns()
-    playback.resume()
-    assert not playback.step()
-    taker.end()
-    # The time of the pause is not made up for.
-    assert taker.taken[-1][1] - resumed_ns >= 497 * MS
 
 
 def test_pause_holds_the_next_message_back() -> None:
@@ -111,7 +90,6 @@ def test_after_a_long_delay_messages_keep_their_distances() -> None:
             time.sleep(0.7)
 
     playback.run([message(0), message(10), message(60)], START, publish)
-    assert playback.stalls == 1
     assert times[2] - times[1] >= 49 * MS
 
 

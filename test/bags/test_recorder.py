@@ -229,7 +229,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
     free = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda _: free)
     rclpy.init(
-        args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]", "-p", "storage.min_free_mb:=1.0"],
+        args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]"],
         domain_id=fresh_domain(),
     )
     try:
@@ -265,11 +265,8 @@ def test_existing_bag_is_refused(recorder: Recorder) -> None:
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("storage.compression:=gzip", "expected one of none, zstd"),
         ("custom_data:=[seed]", "entry 'seed': expected key=value"),
         ("files:=[a=/no/such/file]", "parameter files, entry 'a': /no/such/file cannot be read"),
-        ("storage.min_free_mb:=1e15", "is not begun: "),
-        ("storage.split_s:=-1.0", "storage.split_s"),
         ("topics:=['joint_states:sensor_msgs/msg/JointState']", "is no topic name"),
         ("bag:=5", "bag"),
     ],

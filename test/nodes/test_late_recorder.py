@@ -90,7 +90,7 @@ def test_time_waits_for_a_recorder_that_stands_still(domain, tmp_path):
 
     bag = tmp_path / "bag"
     with ExitStack() as stack:
-        command = [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={bag}", "-p", "lockstep:=true"]
+        command = [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={bag}", "-p", "use_sim_time:=true"]
         recorder = stack.enter_context(running(command, domain, tmp_path / "recorder.log"))
         for name in LOOPS:
             wanted = (*LOCKSTEP, "-p", "waits_for:=recorder") if name == "driver" else LOCKSTEP[:2]
