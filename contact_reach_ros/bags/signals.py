@@ -65,10 +65,6 @@ class Series:
         inside = (self.time >= start) & (self.time <= end)
         return Series(self.time[inside], self.names, self.values[inside])
 
-    def since(self, zero: float) -> Series:
-        """The same series with times that count from `zero`, s."""
-        return Series(self.time - zero, self.names, self.values)
-
 
 @dataclasses.dataclass(frozen=True)
 class SafetyEvent:

@@ -1,6 +1,5 @@
 """Signals of a made-up episode come back out of its bag as they went in."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.intake import IntakeLog, Taken
-from contact_reach_ros.report.summary import first_below
 
 RECEIVED_0 = 1_700_000_000_000_000_000
 STAMP_0 = 50_000_000_000
@@ -221,14 +219,6 @@ def test_refused_goals_are_left_out_and_the_others_at_their_stamp_in_lockstep(tm
     goals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names).goals
     np.testing.assert_array_equal(goals.values, [[0.5, 0.0, 0.0]])
     assert goals.time.tolist() == [0.02]
-
-
-def test_first_below() -> None:
-    time, values = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 5.0, math.nan, 1.0])
-    assert first_below(time, values, 1.0) == 0.0
-    assert first_below(time, values, 1.0, after=0.5) == 3.0
-    assert first_below(time, values, 0.5, after=0.5) is None
-    assert first_below(np.empty(0), np.empty(0), 1.0) is None
 
 
 def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
