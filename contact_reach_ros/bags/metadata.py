@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from contact_reach_ros.bags.topics import CDR, RecordedTopic
+from contact_reach_ros.bags.topics import CDR, RecordedTopic, written_qos
 from contact_reach_ros.errors import BagError
 
 VERSION = 9
@@ -55,7 +55,7 @@ def information(
                     "name": topic.name,
                     "type": topic.type,
                     "serialization_format": CDR,
-                    "offered_qos_profiles": [dataclasses.asdict(qos) for qos in topic.offered_qos],
+                    "offered_qos_profiles": written_qos(topic.offered_qos),
                     "type_description_hash": type_hash,
                 },
                 "message_count": topic.message_count,

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.bags.clock import Clock
-from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, Stamps, read_raw
+from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
 from contact_reach_ros.bags.goals import goal_in, pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds, numbers, read_settings
@@ -29,8 +30,9 @@ _SPARSE = {
     "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
     "settings": "diagnostic_msgs/msg/DiagnosticStatus",
     "intake/controller": "std_msgs/msg/Int64MultiArray",
+    "reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
 }
-"""Types of the topics with few messages, which are decoded one by one."""
+"""Types of the topics with few messages."""
 
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
@@ -173,14 +175,13 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         "effort_controller/commands": Arrays(count),
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",)),
-        "reference/pose": Stamps(),
     }
     sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
     types = {name: bag.topics()[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics()}
     other = {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
     handlers = columns | {name: messages.append for name, messages in sparse.items() if name not in other}
     read_raw(bag, {f"/{name}": handler for name, handler in handlers.items()})
-    state, command, torque, contact, pose = (column.column() for column in columns.values())
+    state, command, torque, contact = (column.column() for column in columns.values())
     clock = Clock(state)
 
     def received(name: str) -> list[tuple[float, Any]]:
@@ -193,6 +194,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
     safety_states = received("safety_state")
     settings = {status.name: read_settings(status) for _, status in received("settings")}
     plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
+    effects = np.array([stamp_in(raw.data) for raw in sparse["reference/pose"]], np.int64)
     in_lockstep = any(values.get("use_sim_time") is True for values in settings.values()) or "/clock" in bag.topics()
     return EpisodeSignals(
         clock,
@@ -206,7 +208,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         safety_states,
         *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
         _diagnostics(received("diagnostics")),
-        (np.sort(pose.stamp_ns[pose.stamp_ns > 0]) - clock.origin_ns) / NANOSECONDS,
+        (np.sort(effects[effects > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
         _answers(command, [message.data for _, message in received("intake/controller")]),

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from contact_reach_ros.bags import metadata as bag_metadata
 from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition
+from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, written_qos
 from contact_reach_ros.errors import BagError
 
 CHUNK_BYTES = 2 * 1024 * 1024
@@ -205,7 +205,7 @@ class BagWriter:
         if schema_id is None:
             schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
             self._schema_ids[topic.type] = schema_id
-        profiles = bag_metadata.dump_yaml([dataclasses.asdict(qos) for qos in topic.offered_qos])
+        profiles = bag_metadata.dump_yaml(written_qos(topic.offered_qos))
         about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
         channel.number = self._writer.register_channel(topic.name, topic.encoding, schema_id, about)
 
