@@ -15,10 +15,6 @@ from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, VERMILION
 
 SPAN = 20.0
 """Time span of a plot, s."""
-_POINTS = 400
-"""Greatest number of points in a curve."""
-_FORCE = 2
-"""Column of the contact force."""
 _HEIGHT = 165
 _AXIS: dict[str, Any] = {
     "size": 28,
@@ -54,22 +50,8 @@ class History:
             self._rows.popleft()
 
     def table(self) -> Array:
-        """The history, thinned out: (n, `quantities`)."""
-        return thinned(np.array(self._rows, float).reshape(-1, 1 + len(self._columns)))
-
-
-def thinned(table: Array) -> Array:
-    """The last of each group of rows of a table, with the largest contact force in the group.
-
-    Every peak of the force is kept, because it is compared with the permitted force.
-    """
-    if len(table) <= _POINTS:
-        return table
-    size = -(-len(table) // _POINTS)
-    starts = np.arange(0, len(table), size)
-    rows = table[np.append(starts[1:], len(table)) - 1].copy()
-    rows[:, _FORCE] = np.fmax.reduceat(table[:, _FORCE], starts)
-    return rows
+        """The history: (n, `quantities`)."""
+        return np.array(self._rows, float).reshape(-1, 1 + len(self._columns))
 
 
 class Curve(NamedTuple):

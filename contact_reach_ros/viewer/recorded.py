@@ -21,12 +21,12 @@ from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
 from contact_reach_ros.viewer.frame import ANY_MATERIAL, Frame, SafetyLevel, SafetyStatus, safety_status
-from contact_reach_ros.viewer.plots import SPAN, thinned
+from contact_reach_ros.viewer.plots import SPAN
 
 _PICTURES, _OBSTACLES = "/plan/markers", "/obstacles"
 """Topics with large messages, which are read from the bag when their moment is shown."""
-_SAMPLES = 0.02
-"""Time between the points of a curve, s: even the fastest plotted quantities are thinned to this rate."""
+_SAMPLES = 0.05
+"""Time between the points of a curve, s: 400 of them over the span of a plot."""
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
 _CONTACT_FORCE = 0.5
@@ -130,7 +130,7 @@ class Recording:
     def table(self, time: float) -> Array:
         """`quantities` over the last `SPAN` seconds before a time, as `History.table`."""
         first, last = np.searchsorted(self._table[:, 0], [time - SPAN, time + _ROUNDING])
-        return thinned(self._table[first:last])
+        return self._table[first:last]
 
     @property
     def first_goal(self) -> float:
