@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
 import time
@@ -11,13 +10,11 @@ from collections.abc import Sequence
 from contextlib import closing
 
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from std_srvs.srv import SetBool
 
-from contact_reach_ros.bags.playback import Playback, read_ahead
+from contact_reach_ros.bags.playback import paced, read_ahead
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.topics import OfferedQos
 from contact_reach_ros.messages import topics
@@ -40,69 +37,55 @@ class BagPublisher:
     Parameters
     ----------
     node
-        Publishes; its executor must not be spun by others.
+        Publishes.
     reader
         The bag.
     chosen
         Topics to publish, with their message classes.
-    options
-        See `make_parser`.
+    rate
+        Recorded time per real time.
     """
 
-    def __init__(self, node: Node, reader: BagReader, chosen: dict[str, type], options: argparse.Namespace) -> None:
-        self._node = node
+    def __init__(self, node: Node, reader: BagReader, chosen: dict[str, type], rate: float) -> None:
         self._reader = reader
-        self._options = options
-        self._playback = Playback(options.rate, options.paused)
+        self._rate = rate
+        self._stopped = threading.Event()
         known = reader.topics()
         self._profiles = {name: publisher_qos(name, known[name].offered_qos) for name in chosen}
         self._publishers: dict[str, Publisher] = {
             name: node.create_publisher(kind, published_name(name), self._profiles[name])
             for name, kind in chosen.items()
         }
-        self._loops = 0
-        node.create_service(SetBool, "~/pause", self._on_pause)
 
     def stop(self) -> None:
         """End `run`; may be called by a signal handler."""
-        self._playback.stop()
+        self._stopped.set()
 
-    def run(self, start_ns: int) -> None:
-        """Publish from a time of the recording on, ns since the epoch, until its end or `stop`.
+    def run(self, start_ns: int, loop: bool) -> None:
+        """Publish from a time of the recording on, ns since the epoch, until its end, or with `loop` until `stop`.
 
         Raises `BagError` if the bag cannot be read.
         """
         sys.setswitchinterval(_SWITCH_S)
-        executor = SingleThreadedExecutor()
-        executor.add_node(self._node)
-        serving = threading.Thread(target=executor.spin, name="services")
-        serving.start()
-        try:
-            # Subscriptions have to be matched before the first message.
-            time.sleep(_MATCHED_S)
-            began = time.monotonic()
-            self._play(start_ns)
-            seconds = time.monotonic() - began
-        finally:
-            executor.shutdown()
-            serving.join()
-        self._report(seconds)
-
-    def _play(self, start_ns: int) -> None:
+        # Subscriptions have to be matched before the first message.
+        self._stopped.wait(_MATCHED_S)
+        began, count, rounds = time.monotonic(), 0, 0
         for message in self._latched_before(start_ns):
             self._publish(message)
-        while self._play_once(start_ns):
-            if not self._options.loop:
-                for publisher in self._publishers.values():
-                    publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
-                return
-            self._loops += 1
-
-    def _play_once(self, start_ns: int) -> bool:
-        """Publish once; returns whether the end was reached."""
-        stored = self._reader.raw_messages(list(self._publishers), start_ns)
-        with closing(read_ahead(stored)) as messages:
-            return self._playback.run(messages, start_ns, self._publish)
+        while not self._stopped.is_set() and (loop or not rounds):
+            stored = self._reader.raw_messages(list(self._publishers), start_ns)
+            with closing(read_ahead(stored)) as messages:
+                for message in paced(messages, start_ns, self._rate, self._stopped):
+                    self._publish(message)
+                    count += 1
+            rounds += 1
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
+        seconds = time.monotonic() - began
+        print(f"{REPLAY}: {count} messages of {len(self._publishers)} topics in {seconds:.1f} s, {rounds} times")
+        for note in self._reader.notes:
+            if note not in self._reader.summary.notes:
+                print(f"{REPLAY}: {note}", file=sys.stderr)
 
     def _publish(self, message: RawMessage) -> None:
         self._publishers[message.topic].publish(message.data)
@@ -120,21 +103,6 @@ class BagPublisher:
                     break
                 kept[message.topic].append(message)
         return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
-
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data:
-            self._playback.pause()
-        else:
-            self._playback.resume()
-        response.success, response.message = True, "paused" if request.data else "playing"
-        return response
-
-    def _report(self, seconds: float) -> None:
-        count, ended = self._playback.count, f", {self._loops + 1} times" if self._loops else ""
-        print(f"{REPLAY}: {count} messages of {len(self._publishers)} topics in {seconds:.1f} s{ended}")
-        for note in self._reader.notes:
-            if note not in self._reader.summary.notes:
-                print(f"{REPLAY}: {note}", file=sys.stderr)
 
 
 def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:

@@ -35,7 +35,6 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="publish these recorded topics only")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
-    parser.add_argument("--paused", action="store_true", help="begin with a pause; see the service ~/pause")
     parser.add_argument("--discovery", default="host", choices=CHOICES, help="who hears it (default: host)")
     return parser
 
@@ -70,10 +69,10 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     initialise(arguments, options.discovery)
     node = Node(REPLAY)
     try:
-        publisher = BagPublisher(node, reader, chosen, options)
+        publisher = BagPublisher(node, reader, chosen, options.rate)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: publisher.stop())
-        publisher.run(start_ns)
+        publisher.run(start_ns, options.loop)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

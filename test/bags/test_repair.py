@@ -7,7 +7,6 @@ from rosbags.rosbag2 import Reader
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.repair import repair_bag
-from contact_reach_ros.errors import BagError
 
 
 def killed(sample: SampleBag, lost_bytes: int) -> None:
@@ -39,14 +38,6 @@ def test_types_are_taken_from_the_bag(sample: SampleBag, monkeypatch: pytest.Mon
     """They need not be installed where a bag is repaired."""
     monkeypatch.setattr("contact_reach_ros.bags.message_types.MessageTypes.definition", None)
     assert repair_bag(sample.directory).topic_count == 5
-
-
-def test_nothing_is_overwritten(sample: SampleBag) -> None:
-    killed(sample, 1000)
-    before = {path.name: path.read_bytes() for path in repair_bag(sample.directory).bag.iterdir()}
-    with pytest.raises(BagError, match="exists and is not overwritten"):
-        repair_bag(sample.directory)
-    assert {path.name: path.read_bytes() for path in sample.directory.with_name("sample_repaired").iterdir()} == before
 
 
 def test_one_file_of_a_bag_is_enough(sample: SampleBag, tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, wait_for
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import SetBool
 
 from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
@@ -26,6 +25,7 @@ PATIENCE = 60.0
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 LATCHED = OfferedQos(depth=3, durability="transient_local")
+BEST = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 BEST_EFFORT = OfferedQos(reliability="best_effort")
 TOPICS = (
     RecordedTopic("/robot_description", "std_msgs/msg/String", (LATCHED,)),
@@ -81,13 +81,6 @@ class Listener:
         self.node.create_subscription(kind, topic, heard.append, qos, raw=True)
         return heard
 
-    def call(self, kind: type, name: str, request: object) -> object:
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(PATIENCE)
-        future = client.call_async(request)
-        wait_for(future.done, PATIENCE, name)
-        return future.result()
-
     def close(self) -> None:
         self._executor.shutdown()
         self._thread.join()
@@ -109,63 +102,37 @@ def listener(env):
 
 def test_bag_is_published_as_it_was_where_no_live_arm_hears_it(tmp_path, env, listener):
     written = make_bag(tmp_path / "bag")
-    deep = QoSProfile(depth=1000)
+    states = listener.hear(JointState, f"/replay{STATES}", QoSProfile(depth=10_000))
+    commands = listener.hear(Float64MultiArray, f"/own{COMMANDS}", BEST)
     latched = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    states = listener.hear(JointState, "/replay/joint_states", deep)
     descriptions = listener.hear(String, "/replay/robot_description", latched)
-    live = listener.hear(JointState, "/joint_states", deep)
-    output = (tmp_path / "output").open("w+")
-    names = ("--topics", "joint_states", "/robot_description")
-    arguments = (tmp_path / "bag", *names, "--paused")
-    process = subprocess.Popen(replay(*arguments), env=env, stdout=output, stderr=output)
+    remapping = ("--ros-args", "-r", f"/replay{COMMANDS}:=/own{COMMANDS}")
+    command = replay(tmp_path / "bag", "--loop", "--rate", 2, *remapping)
+    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
-        published = ("/replay/joint_states", "/replay/robot_description")
-        wait_for(lambda: all(map(listener.node.count_publishers, published)), PATIENCE, "publishers")
-        (offered,) = listener.node.get_publishers_info_by_topic("/replay/robot_description")
-        assert offered.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        wait_for(lambda: len(states) > 3 * TICKS and commands, PATIENCE, "more than two rounds")
         # Not even as a second publisher, for which nodes would stop the arm.
         assert not any(map(listener.node.count_publishers, [topic.name for topic in TOPICS]))
-        assert listener.call(SetBool, "/replay/pause", SetBool.Request(data=False)).message == "playing"
-        assert process.wait(PATIENCE) == 0
-    finally:
-        process.kill()
-        process.wait()
-    assert decoded(states, JointState) == decoded(written["/joint_states"], JointState)
-    assert decoded(descriptions, String) == decoded(written["/robot_description"], String)
-    assert not live
-    output.seek(0)
-    assert f"{TICKS + 1} messages of 2 topics" in output.read()
-
-
-def test_signal_ends_an_endless_replay_cleanly(tmp_path, env, listener):
-    make_bag(tmp_path / "bag")
-    states = listener.hear(JointState, "/replay/joint_states", QoSProfile(depth=1000))
-    arguments = (tmp_path / "bag", "--topics", "joint_states", "--loop", "--rate", 10, "--start", 0.2)
-    process = subprocess.Popen(replay(*arguments), env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    try:
-        wait_for(lambda: len(states) > 2 * TICKS, PATIENCE, "more than two rounds")
+        (offered,) = listener.node.get_publishers_info_by_topic("/replay/robot_description")
+        assert offered.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         process.send_signal(signal.SIGTERM)
         output, _ = process.communicate(timeout=PATIENCE)
     finally:
         process.kill()
     assert process.returncode == 0, output
-    assert "Traceback" not in output
-    assert "times" in output
+    assert "Traceback" not in output and "messages of 3 topics" in output
+    heard = decoded(states, JointState)
+    first = next(row for row, state in enumerate(heard) if state.position[0] == 0.0)
+    assert heard[first : first + TICKS] == decoded(written[STATES], JointState)
+    assert decoded(descriptions[-1:], String) == decoded(written["/robot_description"], String)
 
 
-def test_a_remapping_gives_a_topic_its_recorded_name(tmp_path, env, listener):
-    written = make_bag(tmp_path / "bag")
-    states = listener.hear(JointState, STATES, QoSProfile(depth=1000))
-    remapping = ("--paused", "--ros-args", "-r", f"/replay{STATES}:={STATES}")
-    process = subprocess.Popen(replay(tmp_path / "bag", *remapping), env=env, stderr=subprocess.PIPE, text=True)
-    try:
-        wait_for(lambda: listener.node.count_publishers(STATES), PATIENCE, "a publisher")
-        assert listener.call(SetBool, "/replay/pause", SetBool.Request(data=False)).success
-        _, errors = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0, errors
-    finally:
-        process.kill()
-    assert decoded(states, JointState) == decoded(written[STATES], JointState)
+def test_a_replay_ends_with_the_bag(tmp_path, env):
+    make_bag(tmp_path / "bag")
+    ended = subprocess.run(
+        replay(tmp_path / "bag", "--topics", "joint_states", "--start", 0.2), env=env, capture_output=True, text=True
+    )
+    assert ended.returncode == 0 and f"{TICKS // 2} messages of 1 topics" in ended.stdout, ended
 
 
 def test_quality_of_service_is_the_best_that_was_offered():

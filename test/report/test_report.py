@@ -18,7 +18,7 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.report.bag import read_report_bag
 from contact_reach_ros.report.charts import BINS, envelope, external_torque_chart
 from contact_reach_ros.report.page import page
-from contact_reach_ros.report.summary import BEFORE, Episode
+from contact_reach_ros.report.summary import Episode
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.viewer.plots import page_plots
 
@@ -63,14 +63,6 @@ def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> 
     assert [(curve["name"], curve["line"]["color"]) for curve in shown] == [
         (curve.label, curve.colour) for curve in page_plots(load_arm().joint_names)[2].curves
     ]
-
-
-def test_charts_begin_shortly_before_the_goal() -> None:
-    bag = read_report_bag(SAMPLE, "sample")
-    waited = dataclasses.replace(bag.signals.goals, time=bag.signals.goals.time + 2.5)
-    episode = Episode(dataclasses.replace(bag.signals, goals=waited), bag.arm)
-    bag = dataclasses.replace(bag, episode=episode, zero=episode.start)
-    assert {chart["from"] for chart in charts(page([bag])) if chart.get("linked")} == {-BEFORE}
 
 
 def test_the_limit_is_that_of_the_settings_of_the_run() -> None:
