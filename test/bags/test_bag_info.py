@@ -10,7 +10,6 @@ from std_msgs.msg import String
 from contact_reach_ros.bags.info import bag_info, read_info
 from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.resources import share_directory
 
 MS = 1_000_000
 BEST_EFFORT = OfferedQos(reliability="best_effort")
@@ -41,11 +40,6 @@ def test_rates_gaps_and_lost_messages(bag: Path) -> None:
     assert stream.qos == "best effort"
     assert (rare.lost, rare.qos) == (0, "not known")
     assert rare.rate_hz == pytest.approx(5.0)
-
-
-def test_lockstep_is_named(bag: Path) -> None:
-    assert read_info(share_directory() / "bags" / "sample").in_lockstep
-    assert not read_info(bag).in_lockstep
 
 
 def test_command_prints_a_table_and_writes_json(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

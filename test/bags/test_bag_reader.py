@@ -64,21 +64,6 @@ def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:
         BagReader(bag, of_stack=True)
 
 
-def test_bytes_behind_the_end_of_a_message_are_ignored(tmp_path: Path) -> None:
-    """The middleware's own serialisation leaves some where sequences of doubles are empty."""
-    message = JointState(name=["a", "bc"], position=[1.0, 2.0])
-    with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "sensor_msgs/msg/JointState")]) as writer:
-        writer.write("/a", serialize_message(message) + bytes(4), 1)
-    (read,) = BagReader(tmp_path / "bag").messages()
-    assert list(read.message.position) == [1.0, 2.0]
-    assert len(read.message.effort) == 0
-
-
-def test_unknown_topic_is_named_with_those_that_exist(shared_sample: SampleBag) -> None:
-    with pytest.raises(BagError, match=r"no topic '/joint_state'; it has .*/joint_states"):
-        next(BagReader(shared_sample.directory).messages(["/joint_state"]))
-
-
 def test_message_that_is_none_is_named(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", [RecordedTopic("/a", "sensor_msgs/msg/JointState")]) as writer:
         writer.write("/a", b"\0\1\0\0\1\0", 12345)
@@ -88,11 +73,6 @@ def test_message_that_is_none_is_named(tmp_path: Path) -> None:
     assert [item.message.name for item in reader.messages()] == [["a"]]
     (note,) = reader.notes
     assert "topic '/a': 1 messages are no sensor_msgs/msg/JointState" in note
-
-
-def test_directory_of_another_kind(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="no bag with mcap files"):
-        BagReader(tmp_path)
 
 
 @pytest.mark.parametrize("content", ["a: [", "other: {}\n"])
@@ -220,28 +200,6 @@ def test_topic_that_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_p
     }.items():
         assert f"topic '{topic}' is left out" in notes
         assert reason in notes
-
-
-@pytest.mark.parametrize(
-    ("name", "definition"),
-    [
-        ("arm_msgs/msg/Gain", "arm_msgs/Gain gain\n"),
-        ("arm_msgs/msg/Gain:\n    raise OSError\nclass A", "float64 gain\n"),
-    ],
-    ids=["itself", "code"],
-)
-def test_definition_that_is_none_leaves_its_topic_out(tmp_path: Path, name: str, definition: str) -> None:
-    path = tmp_path / "strange.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(name, "ros2msg", definition.encode())
-        writer.add_message(writer.register_channel("/gain", "cdr", schema), 0, b"\0\1\0\0" + bytes(8), 0)
-        writer.finish()
-    reader = BagReader(path)
-    assert list(reader.messages()) == []
-    assert "topic '/gain' is left out" in "\n".join(reader.notes)
-    assert "no clear definition" in "\n".join(reader.notes)
 
 
 @settings(max_examples=30)

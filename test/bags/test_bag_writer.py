@@ -1,11 +1,7 @@
 import os
 import resource
-import shutil
-import tracemalloc
 from pathlib import Path
 
-import mcap.records
-import mcap.writer
 import numpy as np
 import pytest
 import yaml
@@ -17,7 +13,6 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from contact_reach_ros.bags import writer as bag_writer
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
@@ -125,17 +120,6 @@ def test_metadata(shared_sample: SampleBag) -> None:
         ]
 
 
-def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", [TEXT]):
-        pass
-    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    assert information["message_count"] == 0
-    assert information["custom_data"] is None
-    with Reader(tmp_path / "bag") as reader:
-        assert [connection.topic for connection in reader.connections] == ["/text"]
-        assert list(reader.messages()) == []
-
-
 def test_topics_can_be_added_late(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", [TEXT]) as writer:
         writer.write("/text", text(), 1)
@@ -146,31 +130,6 @@ def test_topics_can_be_added_late(tmp_path: Path) -> None:
         writer.write("/state", serialize_message(JointState()), 3)
     with Reader(tmp_path / "bag") as reader:
         assert [connection.topic for connection, _, _ in reader.messages()] == ["/text", "/more", "/state"]
-
-
-def test_flushed_messages_survive_without_close(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag", [TEXT], custom_data={"seed": "3"})
-    for time in range(10):
-        writer.write("/text", text(str(time)), time)
-    writer.flush()
-    shutil.copy(writer.directory / "bag_0.mcap", tmp_path / "killed.mcap")
-    writer.close()
-    with Reader(tmp_path / "bag") as reader:
-        complete = [data for _, _, data in reader.messages()]
-    cut = (tmp_path / "killed.mcap").read_bytes()
-    assert (writer.directory / "bag_0.mcap").read_bytes().startswith(cut)
-    assert len(complete) == 10
-    assert b"seed: '3'" in cut
-
-
-def test_existing_file_or_empty_directory_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "directory").mkdir()
-    for name in ("file", "directory"):
-        with pytest.raises(BagError, match=name):
-            BagWriter(tmp_path / name)
-    with pytest.raises(BagError, match="cannot be created"):
-        BagWriter(tmp_path / "file" / "below")
 
 
 def test_closed_when_the_block_is_left_by_an_error(tmp_path: Path) -> None:
@@ -239,31 +198,3 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     writer.close()
-
-
-def test_a_written_chunk_keeps_little_memory(tmp_path: Path) -> None:
-    topics = [RecordedTopic(f"/text{number}", "std_msgs/msg/String") for number in range(20)]
-    chunks = 300
-    # What other threads of the tests do meanwhile is left out.
-    writers = [tracemalloc.Filter(True, module.__file__) for module in (mcap.writer, mcap.records, bag_writer)]
-    kept = []
-    tracemalloc.start()
-    with BagWriter(tmp_path / "bag", topics) as writer:
-        for chunk in range(chunks):
-            for topic in topics:
-                writer.write(topic.name, text(), START_NS + chunk)
-            writer.flush()
-            if chunk in (99, chunks - 1):
-                kept.append(sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces(writers).traces))
-        file = writer.directory / "bag_0.mcap"
-    tracemalloc.stop()
-    # The entry of the index, until the file is closed: of two chunks a second, 2 MB in ten minutes.
-    assert (kept[1] - kept[0]) / (chunks - 100) < 2e6 / 1200
-    with file.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert [len(chunk.message_index_offsets) for chunk in summary.chunk_indexes] == [20] * chunks
-        found = [message.log_time for _, _, message in reader.iter_messages(topics=["/text7"])]
-    assert found == [START_NS + chunk for chunk in range(chunks)]
-    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from contact_reach_ros.bags.message_types import MessageTypes
 from contact_reach_ros.errors import BagError
@@ -44,15 +43,6 @@ def test_hashes_are_those_of_the_middleware() -> None:
         node.destroy_node()
     finally:
         rclpy.shutdown(context=context)
-
-
-@pytest.mark.parametrize("name", STACK_TYPES)
-def test_definition_is_complete(name: str) -> None:
-    """Parsing the definition alone gives a type of the same hash: no dependency is missing or changed."""
-    definition = MessageTypes().definition(name)
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(definition.text.decode(), name))
-    assert store.hash_rihs01(name) == definition.type_hash
 
 
 def test_types_of_a_sourced_workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

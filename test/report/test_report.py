@@ -16,11 +16,10 @@ from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.report.bag import read_report_bag
-from contact_reach_ros.report.charts import BINS, envelope, external_torque_chart
+from contact_reach_ros.report.charts import BINS, envelope
 from contact_reach_ros.report.page import page
 from contact_reach_ros.report.summary import Episode
 from contact_reach_ros.resources import share_directory
-from contact_reach_ros.viewer.plots import page_plots
 
 SAMPLE = share_directory() / "bags" / "sample"
 CHARTS = re.compile(r'<script id="charts" type="application/json">(.*?)</script>', re.DOTALL)
@@ -54,15 +53,6 @@ def test_a_page_with_json(tmp_path: Path) -> None:
     assert bag["verdict"] == "goal reached" and bag["good"]
     assert bag["notes"] == []
     assert bag["settings"]["planner"]["planning.population"] == 200
-
-
-def test_joints_have_the_same_colours_in_charts_plots_and_on_the_live_page() -> None:
-    bag = read_report_bag(SAMPLE, "sample")
-    shown = external_torque_chart(bag)["data"][:7]
-    assert [curve["name"] for curve in shown] == list(load_arm().joint_names)
-    assert [(curve["name"], curve["line"]["color"]) for curve in shown] == [
-        (curve.label, curve.colour) for curve in page_plots(load_arm().joint_names)[2].curves
-    ]
 
 
 def test_the_limit_is_that_of_the_settings_of_the_run() -> None:
