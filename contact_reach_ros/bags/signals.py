@@ -116,8 +116,8 @@ class EpisodeSignals:
         their stamp names, else at their reception.
     refused_goals :
         Positions of the goals that the planner refused, likewise.
-    diagnostics :
-        Numbers from the diagnostics, by "<status>/<key>".
+    missed_ticks :
+        The driver's count of missed ticks: one column.
     plan_times :
         (n,) when plans take effect, s, in order.
     plans :
@@ -145,7 +145,7 @@ class EpisodeSignals:
     safety_states: Sequence[tuple[float, Any]]
     goals: Series
     refused_goals: Series
-    diagnostics: Mapping[str, Series]
+    missed_ticks: Series
     plan_times: np.ndarray
     plans: tuple[PlanStatistics, ...]
     state_sent_ns: np.ndarray
@@ -207,7 +207,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         tuple(_changes(safety_states)),
         safety_states,
         *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
-        _diagnostics(received("diagnostics")),
+        _missed_ticks(received("diagnostics")),
         (np.sort(effects[effects > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
@@ -317,13 +317,15 @@ def _goals(
     return tuple(Series(times[some], ("x", "y", "z"), positions[some]) for some in (kept, ~kept))  # type: ignore[return-value]
 
 
-def _diagnostics(arrays: Sequence[tuple[float, Any]]) -> dict[str, Series]:
-    """Numbers by '<status>/<key>'."""
-    found: dict[str, tuple[list[float], list[float]]] = {}
-    for time, array in arrays:
-        for status in array.status:
-            for key, number in numbers(status):
-                column = found.setdefault(f"{status.name}/{key}", ([], []))
-                column[0].append(time)
-                column[1].append(number)
-    return {key: Series(np.array(when), (key,), np.array(numbers)[:, None]) for key, (when, numbers) in found.items()}
+def _missed_ticks(arrays: Sequence[tuple[float, Any]]) -> Series:
+    """The driver's count of missed ticks, out of its diagnostics."""
+    found = [
+        (time, number)
+        for time, array in arrays
+        for status in array.status
+        if status.name == "driver"
+        for key, number in numbers(status)
+        if key == "missed ticks"
+    ]
+    table = np.array(found).reshape(-1, 2)
+    return Series(table[:, 0], ("missed ticks",), table[:, 1:])

@@ -226,11 +226,7 @@ def percentiles(values: np.ndarray, **percents: float) -> dict[str, float]:
 
 def _missed_ticks(signals: EpisodeSignals, end: float) -> int:
     """Ticks that the driver reported as missed up to `end`, s; 0 if it reported none."""
-    series = signals.diagnostics.get("driver/missed ticks")
-    if series is None:
-        return 0
-    row = max(int(np.searchsorted(series.time, end, side="right")) - 1, 0)
-    return int(series.values[row, 0])
+    return int(np.nanmax(signals.missed_ticks.between(-np.inf, end).values, initial=0.0))
 
 
 def _plain(value: Any) -> Any:
