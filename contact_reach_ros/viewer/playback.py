@@ -129,10 +129,10 @@ class BagTab:
         self._controls = []
         self.player = None if recording is None else Player(recording)
         self._folder.visible = self._back.visible = recording is not None
+        self._choice.options = self._names() or ["none"]
         if recording is not None:
             name = bag_directory(recording.path).name
-            if name not in self._choice.options:
-                self._choice.options = [name, *self._names()]
+            self._choice.options = list(dict.fromkeys([name, *self._names()]))
             self._choice.value = name
         if self.player is not None:
             self.player.seek(self.player.recording.first_goal)
