@@ -136,7 +136,6 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("bag", nargs="?", default="", metavar="BAG", help="bag to show (default: the running stack)")
     _add_arm(view, "robot")
     view.add_argument("--port", type=int, help="port of the page, on this machine only (default: 8080)")
-    view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
     _add_namespace(view)
 
