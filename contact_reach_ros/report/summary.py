@@ -162,7 +162,7 @@ class Episode:
         torque = signals.external_torque.between(self.start, self._end)
         return EpisodeSummary(
             reached=self.reached is not None and self.reached <= self._end,
-            final_error_m=float(left.sum()) if len(left) else float("nan"),
+            final_error_m=float(left[0, 0]) if len(left) else float("nan"),
             duration_s=duration,
             watched_s=self._end - self.start,
             distance_m=self._straight,

@@ -65,6 +65,17 @@ def test_the_limit_is_that_of_the_settings_of_the_run() -> None:
     assert found.time_ratio == pytest.approx(found.duration_s / found.limit_s)
 
 
+def test_a_recording_without_a_goal_has_the_numbers_that_need_none() -> None:
+    signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
+    goals = dataclasses.replace(signals.goals, time=np.zeros(0), values=np.zeros((0, 3)))
+    with_goal, without = (
+        Episode(found, load_arm()).summary() for found in (signals, dataclasses.replace(signals, goals=goals))
+    )
+    assert not without.reached and np.isnan([without.final_error_m, without.duration_s, without.limit_s]).all()
+    assert without.max_contact_force_N == with_goal.max_contact_force_N > 0.0
+    assert without.round_trip_us == with_goal.round_trip_us
+
+
 def test_an_episode_ends_where_it_is_decided_however_long_the_recording() -> None:
     signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
     reached = Episode(signals, load_arm()).reached
