@@ -58,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 45)")
     demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
     demo.add_argument("--timeout", type=float, help="time to reach the goal, s (default: 30)")
-    demo.add_argument("--output", type=Path, help="where bag, plot and log go (default: bags)")
+    demo.add_argument("--output", type=Path, help="where bag, report and log go (default: bags)")
     demo.add_argument("--parameters", help="parameter file for the nodes (default: the package's)")
     demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     demo.add_argument("--view", action="store_true", help="serve a page for browsers, and stay up until Ctrl-C")
@@ -136,7 +136,6 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("bag", nargs="?", default="", metavar="BAG", help="bag to show (default: the running stack)")
     _add_arm(view, "robot")
     view.add_argument("--port", type=int, help="port of the page, on this machine only (default: 8080)")
-    view.add_argument("--bags", type=Path, help="folder whose bags the page offers (default: bags)")
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
     _add_namespace(view)
 

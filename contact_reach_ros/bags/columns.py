@@ -108,18 +108,11 @@ class Collector(ABC):
     def column(self) -> Column:
         """Return the messages so far as a column; the collector is empty afterwards."""
         self._read_waiting()
-        width, count = len(self.names), sum(part.shape[1] for part in self._times)
-        times, values = np.empty((4, count), np.int64), np.full((count, width), np.nan)
-        at = 0
-        # Each part is freed once it is copied: together they may be most of the memory.
-        self._times.reverse()
-        self._values.reverse()
-        while self._times:
-            part, numbers = self._times.pop(), self._values.pop()
-            end = at + part.shape[1]
-            times[:, at:end] = part
-            values[at:end, : numbers.shape[1]] = numbers
-            at = end
+        width = len(self.names)
+        padded = [np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=np.nan) for part in self._values]
+        times = np.concatenate([np.empty((4, 0), np.int64), *self._times], axis=1)
+        values = np.concatenate([np.empty((0, width)), *padded])
+        self._times, self._values = [], []
         if (np.diff(times[0]) < 0).any():
             order = np.argsort(times[0], kind="stable")
             times, values = times[:, order], values[order]
@@ -235,19 +228,6 @@ class Arrays(Collector):
         if rows.shape[1] < end or not (rows[:, : len(self._head)] == self._head).all():
             return np.full((1, self._width), np.nan) if len(rows) == 1 else None
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
-
-
-class Stamps(Collector):
-    """Decodes only the stamp of messages that begin with a header."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Empty: the values of the messages are not decoded."""
-        return ()
-
-    def decode(self, rows: Bytes) -> Values | None:
-        """See `Collector.decode`."""
-        return np.zeros((len(rows), 0))
 
 
 def array_numbers(data: bytes, dtype: str) -> NDArray[Any]:

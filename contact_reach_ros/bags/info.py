@@ -1,4 +1,4 @@
-"""Overview of a bag from its index: topics, rates, gaps and lost messages."""
+"""Overview of a bag: topics, rates, longest gaps and lost messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -19,16 +18,10 @@ from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
 
-GAP_RATIO = 5.0
-"""A gap is this many times longer than the median time between two messages of its topic..."""
-GAP_LEAST_S = 0.01
-"""... and not shorter than this, s."""
-_FEW = 100
-"""With fewer messages the median time between them means little, and gaps are not counted."""
 _LOCKSTEP = "/clock"
 """A topic of which there are messages in lockstep only."""
 _WIDE = 150
-"""Width of a table that includes the types, characters."""
+"""Width of the table where the output is no terminal, characters."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,12 +36,8 @@ class TopicInfo:
         Offered quality of service in words, such as "reliable, latched".
     rate_hz :
         Mean rate from the first to the last message, Hz; None for fewer than two.
-    gaps :
-        Number of gaps, see `GAP_RATIO`; None for fewer than 100 messages.
     longest_gap_s :
         Longest time between two messages, s; None for fewer than two.
-    out_of_order :
-        Number of messages received before their predecessor in the file.
     lost :
         Number of messages that did not reach the recorder, None if unknown.
     """
@@ -58,9 +47,7 @@ class TopicInfo:
     message_count: int
     qos: str
     rate_hz: float | None
-    gaps: int | None
     longest_gap_s: float | None
-    out_of_order: int
     lost: int | None
 
 
@@ -104,19 +91,14 @@ def read_info(path: Path) -> BagInfo:
 
 def _topic_info(topic: RecordedTopic, reader: BagReader, custom_data: Mapping[str, str]) -> TopicInfo:
     times_ns = reader.reception_times(topic.name)
-    out_of_order = int(np.count_nonzero(np.diff(times_ns) < 0))
     steps = np.diff(np.sort(times_ns)) / NANOSECONDS
-    rate = gap = gaps = None
+    rate = gap = None
     if len(steps):
         gap = float(steps.max())
         rate = len(steps) / float(steps.sum()) if gap > 0.0 else None
-    if len(times_ns) >= _FEW:
-        gaps = int(np.count_nonzero(steps > max(GAP_RATIO * float(np.median(steps)), GAP_LEAST_S)))
     lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
     known_lost = int(lost) if lost.isdigit() else None
-    return TopicInfo(
-        topic.name, topic.type, topic.message_count, _qos(topic), rate, gaps, gap, out_of_order, known_lost
-    )
+    return TopicInfo(topic.name, topic.type, topic.message_count, _qos(topic), rate, gap, known_lost)
 
 
 def _qos(topic: RecordedTopic) -> str:
@@ -149,7 +131,7 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
     )
     if info.in_lockstep:
         console.print("lockstep: rates and gaps show the pace of the machine that computed, not that of the robot")
-    console.print(_table(info.topics, with_type=console.width >= _WIDE))
+    console.print(_table(info.topics))
     for key, value in sorted(info.custom_data.items()):
         if not key.startswith(f"{LOST}/"):
             lines = len(value.splitlines())
@@ -159,29 +141,22 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
         console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
 
 
-def _table(topics: Sequence[TopicInfo], with_type: bool) -> Table:
+def _table(topics: Sequence[TopicInfo]) -> Table:
     table = Table(box=None, pad_edge=False)
-    table.add_column("topic", overflow="fold")
-    if with_type:
-        table.add_column("type", no_wrap=True)
-    for name in ("messages", "Hz", "gaps", "longest ms", "lost"):
+    for name in ("topic", "type"):
+        table.add_column(name, overflow="fold")
+    for name in ("messages", "Hz", "longest gap ms", "lost"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("QoS", no_wrap=True)
     for topic in topics:
         lost = "?" if topic.lost is None else str(topic.lost)
-        late = f" ({topic.out_of_order} out of order)" if topic.out_of_order else ""
         table.add_row(
             topic.name,
-            *([topic.type] if with_type else []),
-            f"{topic.message_count}{late}",
-            _number(topic.rate_hz),
-            _number(topic.gaps),
+            topic.type,
+            str(topic.message_count),
+            "-" if topic.rate_hz is None else f"{topic.rate_hz:.1f}",
             "-" if topic.longest_gap_s is None else f"{1e3 * topic.longest_gap_s:.1f}",
             f"[red]{lost}[/]" if topic.lost else lost,
             topic.qos,
         )
     return table
-
-
-def _number(value: Any) -> str:
-    return "-" if value is None else f"{value:.1f}" if isinstance(value, float) else str(value)

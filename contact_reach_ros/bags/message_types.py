@@ -79,9 +79,8 @@ class Decoder:
         self._decodable: set[str] = set()
         self._left_out: dict[str, BagError] = {}
         self._undecoded: Counter[str] = Counter()
-        self._first_error: dict[str, str] = {}
 
-    def decode(self, topic: str, data: bytes, log_time_ns: int) -> Any:
+    def decode(self, topic: str, data: bytes) -> Any:
         """Decode a message; returns None if that fails, which `notes` reports afterwards."""
         if not self._is_decodable(topic):
             return None
@@ -91,9 +90,8 @@ class Decoder:
             little_endian = data[1] & 1
             decode = definition.deserialize_cdr_le if little_endian else definition.deserialize_cdr_be
             return decode(data[4:], 0, definition.cls, self._store)[0]
-        except _UNDECODABLE as error:
+        except _UNDECODABLE:
             self._undecoded[topic] += 1
-            self._first_error.setdefault(topic, f"the first was received at {log_time_ns} ns: {error}")
             return None
 
     def notes(self) -> Iterator[str]:
@@ -101,8 +99,7 @@ class Decoder:
         for topic, reason in self._left_out.items():
             yield f"topic '{topic}' is left out: {reason}"
         for topic, count in self._undecoded.items():
-            kind = self._topics[topic].type
-            yield f"topic '{topic}': {count} messages are no {kind} and left out; {self._first_error[topic]}"
+            yield f"topic '{topic}': {count} messages are no {self._topics[topic].type} and left out"
 
     def _is_decodable(self, topic: str) -> bool:
         if topic not in self._decodable and topic not in self._left_out:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from contact_reach_ros.bags.topics import CDR, RecordedTopic
+from contact_reach_ros.bags.topics import CDR, RecordedTopic, written_qos
 from contact_reach_ros.errors import BagError
 
 VERSION = 9
@@ -42,22 +42,20 @@ class FileSpan:
 
 
 def information(
-    files: Sequence[FileSpan], topics: Iterable[tuple[RecordedTopic, str]], custom_data: Mapping[str, str]
+    file: FileSpan, topics: Iterable[tuple[RecordedTopic, str]], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the metadata that rosbag2 keeps about a bag of mcap files; topics come with the hash of their type."""
-    start_ns = min((file.start_ns for file in files if file.start_ns is not None), default=None)
-    whole = FileSpan("", sum(file.message_count for file in files), start_ns, max(file.end_ns for file in files))
+    """Return the metadata that rosbag2 keeps about a bag of one mcap file; topics come with the hash of their type."""
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        **_span(whole),
+        **_span(file),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.type,
                     "serialization_format": CDR,
-                    "offered_qos_profiles": [dataclasses.asdict(qos) for qos in topic.offered_qos],
+                    "offered_qos_profiles": written_qos(topic.offered_qos),
                     "type_description_hash": type_hash,
                 },
                 "message_count": topic.message_count,
@@ -67,8 +65,8 @@ def information(
         # These two concern whole messages or files, not chunks inside an mcap file.
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file.path for file in files],
-        "files": [{"path": file.path, **_span(file)} for file in files],
+        "relative_file_paths": [file.path],
+        "files": [{"path": file.path, **_span(file)}],
         "custom_data": dict(custom_data) or None,
         "ros_distro": ROS_DISTRO,
     }

@@ -140,7 +140,7 @@ class BagReader:
 
     def decode(self, raw: RawMessage) -> Any:
         """Decode a message; returns None if that fails, which `notes` reports afterwards."""
-        return self._decoder.decode(raw.topic, raw.data, raw.log_time_ns)
+        return self._decoder.decode(raw.topic, raw.data)
 
     def reception_times(self, topic: str) -> np.ndarray:
         """Return times of reception, (n,) in ns since the epoch, in the order of the file; by the index if possible.

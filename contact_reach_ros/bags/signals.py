@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.bags.clock import Clock
-from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, Stamps, read_raw
+from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
 from contact_reach_ros.bags.goals import goal_in, pursued
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds, numbers, read_settings
@@ -29,8 +30,9 @@ _SPARSE = {
     "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
     "settings": "diagnostic_msgs/msg/DiagnosticStatus",
     "intake/controller": "std_msgs/msg/Int64MultiArray",
+    "reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
 }
-"""Types of the topics with few messages, which are decoded one by one."""
+"""Types of the topics with few messages."""
 
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
@@ -64,10 +66,6 @@ class Series:
         """The part from `start` to `end`, s, both included."""
         inside = (self.time >= start) & (self.time <= end)
         return Series(self.time[inside], self.names, self.values[inside])
-
-    def since(self, zero: float) -> Series:
-        """The same series with times that count from `zero`, s."""
-        return Series(self.time - zero, self.names, self.values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,8 +116,8 @@ class EpisodeSignals:
         their stamp names, else at their reception.
     refused_goals :
         Positions of the goals that the planner refused, likewise.
-    diagnostics :
-        Numbers from the diagnostics, by "<status>/<key>".
+    missed_ticks :
+        The driver's count of missed ticks: one column.
     plan_times :
         (n,) when plans take effect, s, in order.
     plans :
@@ -147,7 +145,7 @@ class EpisodeSignals:
     safety_states: Sequence[tuple[float, Any]]
     goals: Series
     refused_goals: Series
-    diagnostics: Mapping[str, Series]
+    missed_ticks: Series
     plan_times: np.ndarray
     plans: tuple[PlanStatistics, ...]
     state_sent_ns: np.ndarray
@@ -177,14 +175,13 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         "effort_controller/commands": Arrays(count),
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",)),
-        "reference/pose": Stamps(),
     }
     sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
     types = {name: bag.topics()[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics()}
     other = {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
     handlers = columns | {name: messages.append for name, messages in sparse.items() if name not in other}
     read_raw(bag, {f"/{name}": handler for name, handler in handlers.items()})
-    state, command, torque, contact, pose = (column.column() for column in columns.values())
+    state, command, torque, contact = (column.column() for column in columns.values())
     clock = Clock(state)
 
     def received(name: str) -> list[tuple[float, Any]]:
@@ -197,6 +194,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
     safety_states = received("safety_state")
     settings = {status.name: read_settings(status) for _, status in received("settings")}
     plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
+    effects = np.array([stamp_in(raw.data) for raw in sparse["reference/pose"]], np.int64)
     in_lockstep = any(values.get("use_sim_time") is True for values in settings.values()) or "/clock" in bag.topics()
     return EpisodeSignals(
         clock,
@@ -209,8 +207,8 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         tuple(_changes(safety_states)),
         safety_states,
         *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
-        _diagnostics(received("diagnostics")),
-        (np.sort(pose.stamp_ns[pose.stamp_ns > 0]) - clock.origin_ns) / NANOSECONDS,
+        _missed_ticks(received("diagnostics")),
+        (np.sort(effects[effects > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
         _answers(command, [message.data for _, message in received("intake/controller")]),
@@ -319,13 +317,15 @@ def _goals(
     return tuple(Series(times[some], ("x", "y", "z"), positions[some]) for some in (kept, ~kept))  # type: ignore[return-value]
 
 
-def _diagnostics(arrays: Sequence[tuple[float, Any]]) -> dict[str, Series]:
-    """Numbers by '<status>/<key>'."""
-    found: dict[str, tuple[list[float], list[float]]] = {}
-    for time, array in arrays:
-        for status in array.status:
-            for key, number in numbers(status):
-                column = found.setdefault(f"{status.name}/{key}", ([], []))
-                column[0].append(time)
-                column[1].append(number)
-    return {key: Series(np.array(when), (key,), np.array(numbers)[:, None]) for key, (when, numbers) in found.items()}
+def _missed_ticks(arrays: Sequence[tuple[float, Any]]) -> Series:
+    """The driver's count of missed ticks, out of its diagnostics."""
+    found = [
+        (time, number)
+        for time, array in arrays
+        for status in array.status
+        if status.name == "driver"
+        for key, number in numbers(status)
+        if key == "missed ticks"
+    ]
+    table = np.array(found).reshape(-1, 2)
+    return Series(table[:, 0], ("missed ticks",), table[:, 1:])

@@ -3,57 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable
 from typing import Any
 
-import yaml
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import parse_qos
 
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.timing import NANOSECONDS
 
 ROS2MSG = "ros2msg"
 """Language of .msg files, the only one of definitions that is read and written here."""
 CDR = "cdr"
 """Serialisation of ROS 2 messages."""
 
-INFINITE_NS = 2**63 - 1
-"""ROS's value for a duration without limit, ns."""
-
-_NUMBERED: Mapping[str, Mapping[Any, str]] = {
-    "history": {0: "system_default", 1: "keep_last", 2: "keep_all", 3: "unknown"},
-    "reliability": {0: "system_default", 1: "reliable", 2: "best_effort", 3: "unknown", 4: "best_available"},
-    "durability": {0: "system_default", 1: "transient_local", 2: "volatile", 3: "unknown", 4: "best_available"},
-    "liveliness": {0: "system_default", 1: "automatic", 3: "manual_by_topic", 4: "unknown", 5: "best_available"},
-}
-"""Meaning of rmw's numbers, which files up to version 8 have."""
-
-
-def duration(nanoseconds: int) -> dict[str, int]:
-    """Return a duration as rosbag2 writes it."""
-    seconds, rest = divmod(nanoseconds, NANOSECONDS)
-    return {"sec": seconds, "nsec": rest}
-
-
-def _unlimited() -> Any:
-    return dataclasses.field(default_factory=lambda: duration(INFINITE_NS))
+_UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+"""ROS's value for a duration without limit, as rosbag2 writes it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class OfferedQos:
-    """The quality of service that a publisher offers, in the names and words of a rosbag2 file (version 9).
-
-    Durations are mappings of `sec` and `nsec`.
-    """
+    """The quality of service that a publisher offers, in the words of a rosbag2 file (version 9)."""
 
     history: str = "keep_last"
     depth: int = 10
     reliability: str = "reliable"
     durability: str = "volatile"
-    deadline: Mapping[str, int] = _unlimited()
-    lifespan: Mapping[str, int] = _unlimited()
-    liveliness: str = "automatic"
-    liveliness_lease_duration: Mapping[str, int] = _unlimited()
-    avoid_ros_namespace_conventions: bool = False
 
 
 def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
@@ -62,13 +36,24 @@ def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
     Raises `BagError` if the text is something else.
     """
     try:
-        profiles = yaml.safe_load(text) or []
         return tuple(
-            OfferedQos(**{k: _NUMBERED[k].get(v, v) if k in _NUMBERED else v for k, v in profile.items()})
-            for profile in profiles
+            OfferedQos(qos.history.name.lower(), qos.depth, qos.reliability.name.lower(), qos.durability.name.lower())
+            for qos in parse_qos(text)
         )
-    except (yaml.YAMLError, TypeError, AttributeError) as error:
-        raise BagError(f"quality of service {text!r}: expected profiles as in a rosbag2 file ({error})") from error
+    except (ReaderError, KeyError, TypeError, AttributeError) as error:
+        raise BagError(f"quality of service {text!r}: expected profiles as in a rosbag2 file ({error!r})") from error
+
+
+def written_qos(offered: Iterable[OfferedQos]) -> list[dict[str, Any]]:
+    """Return profiles as rosbag2 writes them, with its defaults for deadline, lifespan and liveliness."""
+    rest = {
+        "deadline": _UNLIMITED,
+        "lifespan": _UNLIMITED,
+        "liveliness": "automatic",
+        "liveliness_lease_duration": _UNLIMITED,
+        "avoid_ros_namespace_conventions": False,
+    }
+    return [dataclasses.asdict(qos) | rest for qos in offered]
 
 
 @dataclasses.dataclass(frozen=True)

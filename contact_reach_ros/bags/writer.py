@@ -7,16 +7,15 @@ import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 from mcap.writer import CompressionType, Writer
 
 from contact_reach_ros.bags import metadata as bag_metadata
 from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition
+from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, written_qos
 from contact_reach_ros.errors import BagError
 
-COMPRESSIONS: Mapping[str, CompressionType] = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
 CHUNK_BYTES = 2 * 1024 * 1024
 """More than a second of the stack, so that only `flush` ends a chunk. mcap keeps an index entry of about 1.5 kB for
 each chunk in memory until the file is closed: with two chunks a second, 2 MB in ten minutes."""
@@ -31,7 +30,7 @@ class _Channel:
 
 
 class BagWriter:
-    """A bag that is being written: a directory with metadata.yaml and one or more mcap files.
+    """A bag that is being written: a directory with metadata.yaml and one mcap file.
 
     Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
     can still be read. Raises `BagError` if the directory exists or cannot be written, or a type is unknown.
@@ -42,43 +41,36 @@ class BagWriter:
         The bag to create; its parents are made as needed. It must not exist.
     topics :
         Topics known from the start; more can be added at any time.
-    compression :
-        "zstd" or "none", applied to each chunk of the file.
     custom_data :
         Text to store in the bag, such as scene and seed.
-    split_bytes, split_ns :
-        Size of a file, and its age in ns at the next message, at which another file is begun; 0: never.
-        Each file has all schemas and channels and can be read by itself.
     """
 
     def __init__(
         self,
         directory: Path | str,
         topics: Iterable[RecordedTopic] = (),
-        *,
-        compression: str = "zstd",
         custom_data: Mapping[str, str] | None = None,
-        split_bytes: int = 0,
-        split_ns: int = 0,
     ) -> None:
         self._directory = Path(directory)
-        self._compression = COMPRESSIONS[compression]
-        self._split_bytes, self._split_ns = split_bytes, split_ns
         self._custom_data = dict(custom_data or {})
         self._custom_data_written = True
         self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
-        self._files: list[bag_metadata.FileSpan] = []
+        self._file = bag_metadata.FileSpan(f"{self._directory.resolve().name}_0.mcap")
         self._closed = False
         # One thread, since a disk may keep a caller waiting for long.
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
         self._syncing: Future[None] | None = None
-        self._stream: BinaryIO
-        self._writer: Writer
         try:
             self._directory.mkdir(parents=True)
-            self._open_file()
+            self._stream = (self._directory / self._file.path).open("xb")
+            bag_metadata.sync_directory(self._directory)
+            # Half the size for a tenth more work.
+            self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._writer.start(profile="ros2", library="contact_reach_ros")
+            # A first copy, so that scene and seed are there even if the recording is cut.
+            self._add_information()
         except FileExistsError as error:
             raise BagError(
                 f"bag '{self._directory}' exists and is not overwritten; choose another name or remove it"
@@ -149,14 +141,11 @@ class BagWriter:
         if publish_time_ns is None:
             publish_time_ns = log_time_ns
         try:
-            if self._is_full(log_time_ns):
-                self._finish_file()
-                self._open_file()
             self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence)
         except OSError as error:
             raise self._refused(error) from error
         channel.message_count += 1
-        self._files[-1].add(log_time_ns)
+        self._file.add(log_time_ns)
 
     def flush(self, durable: bool = False) -> None:
         """Pass everything written so far to the operating system, so that it survives if the process is killed.
@@ -202,19 +191,6 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _open_file(self) -> None:
-        name = f"{self._directory.resolve().name}_{len(self._files)}.mcap"
-        self._stream = (self._directory / name).open("xb")
-        bag_metadata.sync_directory(self._directory)
-        self._files.append(bag_metadata.FileSpan(name))
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=self._compression)
-        self._writer.start(profile="ros2", library="contact_reach_ros")
-        # A first copy, so that scene and seed are there even if the recording is cut.
-        self._add_information()
-        self._schema_ids.clear()
-        for channel in self._channels.values():
-            self._register(channel)
-
     def _finish_file(self) -> None:
         with self._stream:
             self._wait_for_disk()
@@ -223,20 +199,13 @@ class BagWriter:
             self._stream.flush()
             os.fdatasync(self._stream.fileno())
 
-    def _is_full(self, time_ns: int) -> bool:
-        file = self._files[-1]
-        if file.start_ns is None:
-            return False
-        aged = self._split_ns and time_ns - file.start_ns >= self._split_ns
-        return bool(aged or (self._split_bytes and self._stream.tell() >= self._split_bytes))
-
     def _register(self, channel: _Channel) -> None:
         topic, definition = channel.topic, channel.definition
         schema_id = self._schema_ids.get(topic.type)
         if schema_id is None:
             schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
             self._schema_ids[topic.type] = schema_id
-        profiles = bag_metadata.dump_yaml([dataclasses.asdict(qos) for qos in topic.offered_qos])
+        profiles = bag_metadata.dump_yaml(written_qos(topic.offered_qos))
         about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
         channel.number = self._writer.register_channel(topic.name, topic.encoding, schema_id, about)
 
@@ -259,4 +228,4 @@ class BagWriter:
             (dataclasses.replace(channel.topic, message_count=channel.message_count), channel.definition.type_hash)
             for channel in self._channels.values()
         ]
-        return bag_metadata.information(self._files, topics, self._custom_data)
+        return bag_metadata.information(self._file, topics, self._custom_data)

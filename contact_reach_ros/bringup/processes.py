@@ -124,7 +124,7 @@ def processes(options: BringupOptions) -> list[Process]:
     }
     table = []
     if options.bag:
-        recording = {"bag": options.bag, "lockstep": options.lockstep, **_origin(options), **arm}
+        recording = {"bag": options.bag, "use_sim_time": options.lockstep, **_origin(options), **arm}
         table.append(Process(RECORDER, recording, wave=Wave.EARLY))
     if options.bag and options.lockstep:
         others = parameters_in(options.parameter_file, "driver").get("waits_for")

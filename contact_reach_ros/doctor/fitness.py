@@ -31,7 +31,7 @@ from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.report.plot import SUCCESS_DISTANCE
+from contact_reach_ros.report.summary import SUCCESS_DISTANCE
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.process import initialise
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY

@@ -16,7 +16,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.utilities import get_rmw_implementation_identifier
 from rclpy.validate_topic_name import validate_topic_name
 
-from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, StorageSettings
+from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, shortage_in
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages import topics
@@ -44,7 +44,6 @@ class RecorderNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self.lockstep = self.settings[""].lockstep
         self._lockstep = self.make_lockstep()
         self._recorder: TopicRecorder | None = None
         self._next_discovery = self._next_flush = 0.0
@@ -55,21 +54,14 @@ class RecorderNode(ManagedNode):
     def activate(self) -> None:
         """Create the bag."""
         settings: RecorderSettings = self.settings[""]
-        storage: StorageSettings = self.settings["storage"]
         directory = Path(settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}")
         self._ended_early = ""
         wanted = [self._resolved(name) for name in settings.topics or [topic.name for topic in topics.ALL]]
         custom_data = _provenance() | settings.texts()
-        shortage = storage.shortage_in(directory)
+        shortage = shortage_in(directory)
         if shortage:
             raise BagError(f"bag '{directory}' is not begun: {shortage}")
-        writer = BagWriter(
-            directory,
-            compression=storage.compression,
-            custom_data=custom_data,
-            split_bytes=int(storage.split_mb * MEGA),
-            split_ns=int(storage.split_s * NANOSECONDS),
-        )
+        writer = BagWriter(directory, custom_data=custom_data)
         self._recorder = TopicRecorder(self, writer, wanted)
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
@@ -116,7 +108,7 @@ class RecorderNode(ManagedNode):
         if now >= self._next_flush:
             self._next_flush = now + FLUSH_PERIOD
             recorder.flush()
-            self._ended_early = self.settings["storage"].shortage_in(recorder.writer.directory)
+            self._ended_early = shortage_in(recorder.writer.directory)
             if self._ended_early:
                 # Others need the disk as well, and the end of a recording is not a reason to stop the arm.
                 self.say(LoggingSeverity.ERROR, f"the recording ends here: {self._ended_early}")

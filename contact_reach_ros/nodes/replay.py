@@ -14,7 +14,6 @@ from rclpy.node import Node
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import CDR
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
-from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.bag_publisher import BagPublisher
 from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
@@ -25,7 +24,6 @@ from contact_reach_ros.timing import NANOSECONDS
 
 BAD_INPUT = 2
 
-_CLOCK_HZ = 100.0
 _RATES = (0.01, 100.0)
 
 
@@ -37,15 +35,6 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="publish these recorded topics only")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
-    parser.add_argument("--paused", action="store_true", help="begin with a pause; see the services")
-    parser.add_argument(
-        "--clock",
-        nargs="?",
-        type=float,
-        const=_CLOCK_HZ,
-        metavar="HZ",
-        help=f"publish the recording's time on /replay/clock, where the bag has none (default rate: {_CLOCK_HZ:.0f})",
-    )
     parser.add_argument("--discovery", default="host", choices=CHOICES, help="who hears it (default: host)")
     return parser
 
@@ -70,8 +59,6 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     """
     if not _RATES[0] <= options.rate <= _RATES[1]:
         raise InputError(f"--rate {options.rate:g}: expected {_RATES[0]:g} to {_RATES[1]:g}")
-    if options.clock is not None and not 1.0 <= options.clock <= 1000.0:
-        raise InputError(f"--clock {options.clock:g}: expected 1 to 1000 Hz")
     reader = BagReader(options.bag)
     for note in reader.notes:
         print(f"{REPLAY}: {note}", file=sys.stderr)
@@ -79,15 +66,13 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     start_ns = reader.summary.start_ns + int(options.start * NANOSECONDS)
     if not 0.0 <= options.start <= reader.summary.duration:
         raise InputError(f"--start {options.start:g}: expected 0 to {reader.summary.duration:.3f} s, which the bag has")
-    if options.clock is not None and any(topics.find(name, [topics.CLOCK]) for name in chosen):
-        raise InputError("--clock: the bag has a /clock of its own, which is replayed; leave the option out")
     initialise(arguments, options.discovery)
     node = Node(REPLAY)
     try:
-        publisher = BagPublisher(node, reader, chosen, options)
+        publisher = BagPublisher(node, reader, chosen, options.rate)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: publisher.stop())
-        publisher.run(start_ns)
+        publisher.run(start_ns, options.loop)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -15,7 +15,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.bags.loss import LOST, LossCounter
-from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic, check_type_name, duration
+from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic, check_type_name
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.cdr import stamp_in
@@ -177,15 +177,5 @@ def message_class(type_name: str) -> type:
 
 
 def _offered_qos(publisher: TopicEndpointInfo) -> OfferedQos:
-    profile = publisher.qos_profile
-    return OfferedQos(
-        profile.history.short_key,
-        profile.depth,
-        profile.reliability.short_key,
-        profile.durability.short_key,
-        duration(profile.deadline.nanoseconds),
-        duration(profile.lifespan.nanoseconds),
-        profile.liveliness.short_key,
-        duration(profile.liveliness_lease_duration.nanoseconds),
-        profile.avoid_ros_namespace_conventions,
-    )
+    qos = publisher.qos_profile
+    return OfferedQos(qos.history.short_key, qos.depth, qos.reliability.short_key, qos.durability.short_key)

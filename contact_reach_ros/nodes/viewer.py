@@ -1,4 +1,4 @@
-"""The viewer node: shows the stack's topics on a browser page, and executes its users' actions."""
+"""The viewer node: shows the stack's topics on a browser page, sends goals, stops and resets."""
 
 from __future__ import annotations
 
@@ -13,29 +13,31 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.cdr import HEADER, STAMP, STAMP_END
+from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.values import JointOrder, checked_stamp
-from contact_reach_ros.nodes.viewer_actions import StackActions
+from contact_reach_ros.messages.values import JointOrder
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.resources import config_file
+from contact_reach_ros.ros.client import Services
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
+from contact_reach_ros.ros.stopping import release, stop_arm
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.viewer.access import call, serve
-from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
+from contact_reach_ros.viewer.frame import ANY_MATERIAL, SafetyLevel, safety_status
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page
 from contact_reach_ros.viewer.playback import bag_directory
 from contact_reach_ros.viewer.recorded import Recording
-from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
+from contact_reach_ros.viewer.settings import BAGS, MAX_RATE, VIEWER_SECTIONS, ViewerSettings
 
 TITLE = "contact_reach_ros"
 
@@ -53,7 +55,6 @@ class ViewerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         settings: ViewerSettings = self.settings[""]
-        self._period = 1.0 / settings.rate
         self._due = 0.0
         self._busy_ns = 0
         self._turns = 0
@@ -67,17 +68,15 @@ class ViewerNode(ManagedNode):
         inbox.add(topics.EXTERNAL_TORQUE, self._on_torque, topics.NEWEST)
         inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
         inbox.add(topics.PLAN_MARKERS, self._on_plan, topics.NEWEST, largest=LARGEST_SCENE)
-        inbox.add(topics.REFERENCE_POSE, self._on_plan_stamp, _FEW, serialized=True)
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, _FEW)
         inbox.add(topics.PLAN_STATISTICS, self.live.on_statistics, _FEW)
         inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        inbox.add(topics.DIAGNOSTICS, self.live.on_diagnostics, _FEW)
         bag = Path(settings.bag).resolve()
-        bags = bag_directory(bag).parent if settings.bag else Path(settings.bags)
+        bags = bag_directory(bag).parent if settings.bag else Path(BAGS)
         recording = Recording(bag, self.arm) if settings.bag else None
         arm = recording.arm if recording else self.arm
         budget = load_budget(settings.contact_budget).resolve(self.arm)
-        actions = StackActions(self, self.live)
+        actions = _StackActions(self, self.live)
         self._server = serve(settings.port, TITLE)
         self._page = call(self._server, lambda: Page(self._server, arm, self.live, actions, bags, budget, recording))
         port = self._server.get_port()
@@ -96,7 +95,7 @@ class ViewerNode(ManagedNode):
         if wait > 0.0:
             time.sleep(wait)
         began_ns = time.monotonic_ns()
-        self._due = max(self._due + self._period, time.monotonic())
+        self._due = max(self._due + 1.0 / MAX_RATE, time.monotonic())
         self.inbox.poll()
         call(self._server, lambda: self._page.turn(time.monotonic()))
         self._busy_ns += time.monotonic_ns() - began_ns
@@ -132,12 +131,6 @@ class ViewerNode(ManagedNode):
     def _on_plan(self, message: MarkerArray) -> None:
         self.live.plan = read_plan(message)
 
-    def _on_plan_stamp(self, data: bytes) -> None:
-        if len(data) < STAMP_END:
-            raise InputError(f"reference/pose: {len(data)} bytes; expected a serialised MultiDOFJointTrajectory")
-        seconds, nanosec = STAMP.unpack_from(data, HEADER)
-        self.live.on_plan_stamp(checked_stamp(seconds, nanosec, topics.REFERENCE_POSE.name))
-
     def _on_contacts(self, message: JointState) -> None:
         if len(message.effort) != len(message.name):
             raise InputError(
@@ -154,6 +147,33 @@ class ViewerNode(ManagedNode):
         if name not in self.live.safety and len(self.live.safety) == _MOST_NODES:
             raise InputError(f"safety_state: name = '{name}' is one node more than the {_MOST_NODES} that are kept")
         self.live.safety[name] = safety_status(message, self.arm)
+
+
+class _StackActions:
+    """The page's `Actions` on the stack; each method is called in a thread of the server, where it may wait."""
+
+    def __init__(self, node: ManagedNode, live: LiveState) -> None:
+        self._node = node
+        self._live = live
+        self._goals = node.make_publisher(topics.GOAL_POSE)
+        self._services = Services(node, time.sleep)
+
+    def send_goal(self, position: Array) -> str:
+        """See `Actions`."""
+        if not self._goals.get_subscription_count():
+            return "nobody subscribes to goal_pose: is the planner running?"
+        stamp = self._node.get_clock().now().to_msg()
+        self._goals.publish(to_goal_pose(position.tolist(), self._node.arm.base_frame, stamp))
+        return f"goal {np.round(position, 3).tolist()} m is sent"
+
+    def stop(self) -> str:
+        """See `Actions`."""
+        return stop_arm(self._services.trigger).text
+
+    def reset(self) -> str:
+        """See `Actions`."""
+        stopped = [name for name, status in self._live.safety.items() if status.level is SafetyLevel.STOP]
+        return release(stopped, self._services.trigger).text
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,10 @@ from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
-from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest, recorded_section
+from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest, percentiles, recorded_section
 
 CALLED = "stop service called"
 """Reason of the stop that ends a run as planned."""
-
-_PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-"""Percentiles of tick times."""
 
 _EXPECTED = {
     "joint_states": "joint positions, distance, tick jitter",
@@ -55,7 +53,7 @@ class ReportBag:
     reader, signals :
         The bag, and its signals.
     episode, summary :
-        The goal and its numbers; None without a goal.
+        The episode and its numbers; None without joint states.
     zero :
         Origin of the page's times: when the goal was sent, or the first joint state, s on the clock of the signals.
     end :
@@ -143,7 +141,7 @@ def read_report_bag(path: Path, label: str) -> ReportBag:
     end = min([*calls[:1], last])
     episode = _episode(arm, signals, end, notes)
     summary = episode.summary() if episode is not None else None
-    verdict, good = _verdict(signals, summary, end)
+    verdict, good = _verdict(signals, episode, end)
     return ReportBag(
         label=label,
         arm=arm,
@@ -161,36 +159,45 @@ def read_report_bag(path: Path, label: str) -> ReportBag:
     )
 
 
+_OF_SUMMARY: dict[str, tuple[str, Callable[[EpisodeSummary], float]]] = {
+    "time to the goal": ("s", lambda summary: summary.duration_s),
+    "limit: the least time": ("s", lambda summary: summary.limit_s),
+    "time, over the limit": ("×", lambda summary: summary.time_ratio),
+    "distance at the end": ("mm", lambda summary: 1000 * summary.final_error_m),
+    "way to the goal": ("mm", lambda summary: 1000 * summary.distance_m),
+    "largest contact force": ("N", lambda summary: summary.max_contact_force_N),
+    "largest external torque": ("Nm", lambda summary: summary.max_external_torque_Nm),
+    "ticks": ("", lambda summary: summary.ticks),
+    "ticks missed": ("", lambda summary: summary.missed_ticks),
+    "round trip p50": ("µs", lambda summary: summary.round_trip_us["p50"]),
+    "round trip p99": ("µs", lambda summary: summary.round_trip_us["p99"]),
+    "round trip p99.9": ("µs", lambda summary: summary.round_trip_us["p999"]),
+    "plan takes p50": ("ms", lambda summary: summary.plan_ms["p50"]),
+    "plan takes p95": ("ms", lambda summary: summary.plan_ms["p95"]),
+    "plan takes at most": ("ms", lambda summary: summary.plan_ms["max"]),
+    "greatest plan age": ("ms", lambda summary: summary.plan_age_ms_max),
+}
+"""Units and values of the numbers that a demo prints, too."""
+
+
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
-    """The numbers of the summary with their units, by name; NaN where unknown."""
+    """The numbers of the report with their units, by name; NaN where unknown."""
     summary, signals = bag.summary, bag.signals
-    recorded = signals.contact_force, signals.external_torque, signals.command
-    contact, torque, command = (series.between(bag.zero, bag.end) for series in recorded)
-    nan = float("nan")
-    solve = np.array([plan.numbers.get("took ms", nan) for plan in signals.plans])
+    command = signals.command.between(bag.zero, bag.end)
     # Deviation of each tick from 1 ms after the one before.
     jitter_us = np.abs(np.diff(signals.state_sent_ns) - 1_000_000) / 1000.0
+    jitter = percentiles(jitter_us, p50=50.0, p99=99.0)
     return {
-        "time to the goal": (summary.duration_s if summary else nan, "s"),
-        "limit: the least time": (summary.limit_s if summary else nan, "s"),
-        "time, over the limit": (summary.time_ratio if summary else nan, "×"),
-        "distance at the end": (1000 * summary.final_error_m if summary else nan, "mm"),
-        "way to the goal": (1000 * summary.distance_m if summary else nan, "mm"),
-        "largest contact force": (largest(contact.column("max")), "N"),
+        **{
+            name: (float("nan") if summary is None else float(pick(summary)), unit)
+            for name, (unit, pick) in _OF_SUMMARY.items()
+        },
         "time above the permitted force": (_time_above(bag), "ms"),
-        "largest external torque": (largest(np.abs(torque.values)), "Nm"),
-        "of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
+        "external torque, of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
         "command above 20 Hz, rms": (largest(band_rms(*spectrum(command.time, command.values), VIBRATION)), "Nm"),
-        "ticks": (float(len(signals.position.time)), ""),
-        "ticks missed": (summary.missed_ticks if summary else nan, ""),
-        **{f"tick jitter {name}": (_percentile(jitter_us, p), "µs") for name, p in _PERCENTILES.items()},
-        **{f"round trip {name}": (_percentile(bag.round_trip_us, p), "µs") for name, p in _PERCENTILES.items()},
+        **{f"tick jitter {name}": (value, "µs") for name, value in jitter.items()},
         "plans": (float(len(signals.plan_times)), ""),
-        "plan takes p50": (_percentile(solve, 50.0), "ms"),
-        "plan takes p95": (_percentile(solve, 95.0), "ms"),
-        "plan takes at most": (_percentile(solve, 100.0), "ms"),
-        "greatest plan age": (summary.plan_age_ms_max if summary else nan, "ms"),
     }
 
 
@@ -200,7 +207,6 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
         "bag": str(bag.path),
         "verdict": bag.verdict,
         "good": bag.good,
-        "summary": None if bag.summary is None else bag.summary.as_json(),
         "metrics": {
             name: {"value": value if np.isfinite(value) else None, "unit": unit}
             for name, (value, unit) in metrics(bag).items()
@@ -218,8 +224,6 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
 
 
 def _episode(arm: Arm, signals: EpisodeSignals, end: float, notes: list[str]) -> Episode | None:
-    if not len(signals.position.time) or np.isnan(signals.position.values).all():
-        return None
     try:
         return Episode(signals, arm, end)
     except BagError as error:
@@ -227,14 +231,14 @@ def _episode(arm: Arm, signals: EpisodeSignals, end: float, notes: list[str]) ->
         return None
 
 
-def _verdict(signals: EpisodeSignals, summary: EpisodeSummary | None, end: float) -> tuple[str, bool]:
+def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float) -> tuple[str, bool]:
     stops = [event for event in signals.safety if event.is_stop and event.time < end]
     stops = [event for event in stops if event.message != CALLED]
     if stops:
         return f"stopped by the {stops[0].name}: {stops[0].message}", False
-    if summary is None:
+    if episode is None or not episode.has_goal:
         return "no goal in the bag", False
-    return ("goal reached", True) if summary.reached else ("goal not reached", False)
+    return ("goal reached", True) if episode.reached is not None else ("goal not reached", False)
 
 
 def _time_above(bag: ReportBag) -> float:
@@ -244,10 +248,6 @@ def _time_above(bag: ReportBag) -> float:
         return float("nan")
     above = force.column("max")[:-1] > bag.budget.permitted_force
     return 1000 * float(np.diff(force.time)[above].sum())
-
-
-def _percentile(values: Array, percent: float) -> float:
-    return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def _threshold_share(bag: ReportBag) -> Array:

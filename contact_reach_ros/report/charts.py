@@ -7,13 +7,12 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.plot import SUCCESS_DISTANCE
+from contact_reach_ros.report.summary import SUCCESS_DISTANCE
 
 Chart = dict[str, Any]
 """`data` and `layout` of a plotly figure; empty data if the bag lacks the quantity.
@@ -35,7 +34,7 @@ _REASON_COLOURS = {"stagnated": BLUE, "max_steps": ORANGE, "deadline": VERMILION
 
 def distance_chart(bag: ReportBag) -> Chart:
     """Distance of the flange from the goal."""
-    if bag.episode is None:
+    if bag.episode is None or not bag.episode.has_goal:
         return _chart(bag, [], "distance to the goal [m]")
     distance = bag.episode.distance
     data = [
@@ -155,33 +154,13 @@ def round_trip_chart(bag: ReportBag) -> Chart:
     return {"data": [bars], "layout": layout, "note": note}
 
 
-def difference_chart(first: Series, second: Series, title: str, unit: str) -> Chart:
-    """First series minus the second over the time that both cover, for the names that both have."""
-    data: list[Trace] = []
-    names = [name for name in first.names if name in second.names]
-    if len(first.time) < 2 or len(second.time) < 2:
-        names = []
-    for index, name in enumerate(names):
-        known = np.isfinite(second.column(name))
-        if not known.any():
-            continue
-        shared = first.time[(first.time >= second.time[0]) & (first.time <= second.time[-1])]
-        others = np.interp(shared, second.time[known], second.column(name)[known])
-        # Not across gaps of the other bag.
-        before = np.clip(np.searchsorted(second.time, shared) - 1, 0, len(second.time) - 2)
-        others[_gaps(second.time)[before]] = np.nan
-        change = np.interp(shared, first.time, first.column(name)) - others
-        colour = BLUE if len(names) == 1 else _joint_colour(index)
-        data.append(curve(shared, change, name, colour, unit))
-    return {"data": data, "layout": _layout(f"difference: {title} [{unit}]"), "linked": True}
-
-
 def curve(time: Array, values: Array, name: str, colour: str, unit: str, **line: Any) -> Trace:
     """A curve of values (n,) over time (n,), s, interrupted where messages are missing, thinned out if it is long.
 
     `line` are further properties of plotly's line.
     """
-    wide = np.flatnonzero(_gaps(time))
+    steps = np.diff(time)
+    wide = np.flatnonzero(steps > max(20 * float(np.median(steps)), _GAP)) if len(steps) else np.zeros(0, int)
     thinned_time, thinned = envelope(np.insert(time, wide + 1, time[wide]), np.insert(values, wide + 1, np.nan))
     return {
         "type": "scatter",
@@ -225,12 +204,6 @@ def envelope(time: Array, values: Array) -> tuple[Array, Array]:
     thinned = values[index]
     thinned[np.repeat(empty, 2)] = np.nan
     return time[index], thinned
-
-
-def _gaps(time: Array) -> NDArray[np.bool_]:
-    """(n - 1,) whether messages are missing between two of the times (n,)."""
-    steps = np.diff(time)
-    return steps > max(20 * float(np.median(steps)), _GAP) if len(steps) else np.zeros(0, bool)
 
 
 def _packed(values: Array) -> dict[str, str]:
@@ -300,7 +273,7 @@ def _layout(title: str, **yaxis: Any) -> dict[str, Any]:
 
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:
     """Mark the goal, its end and the safety events on the time axis: lines, and points with their texts."""
-    marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None else []
+    marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None and bag.episode.has_goal else []
     if bag.episode is not None and bag.episode.reached is not None:
         marks.append((bag.episode.reached - bag.zero, GREEN, "goal reached"))
     for event in bag.signals.safety:

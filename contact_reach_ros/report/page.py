@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
 
-from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, read_report_bag
@@ -24,7 +23,7 @@ _MOST_EVENTS = 500
 
 @dataclass(frozen=True)
 class _Section:
-    """A section with charts for each bag, and with the difference of two bags in one quantity.
+    """A section with charts for each bag.
 
     Attributes
     ----------
@@ -32,21 +31,12 @@ class _Section:
         Name in links, heading, and a sentence below it.
     make :
         Make the charts of a bag.
-    compared :
-        The quantity whose difference is shown, without its unit; empty for none.
-    unit :
-        Unit of the quantity.
-    pick :
-        Pick the quantity; None if the bag lacks it.
     """
 
     anchor: str
     title: str
     caption: str
     make: Sequence[Callable[[ReportBag], charts.Chart]]
-    compared: str = ""
-    unit: str = ""
-    pick: Callable[[ReportBag], Series | None] = lambda bag: None
 
 
 def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | None = None) -> int:
@@ -138,61 +128,27 @@ def _label(path: Path, paths: Sequence[Path]) -> str:
     return f"{path.parent.name}_{path.stem}" if same else path.stem
 
 
-def _distance(bag: ReportBag) -> Series | None:
-    return None if bag.episode is None else bag.episode.distance
-
-
-def _largest_force(bag: ReportBag) -> Series:
-    force = bag.signals.contact_force
-    return Series(force.time, ("largest of any link",), force.column("max")[:, None])
-
-
 _SECTIONS = (
-    _Section(
-        "distance",
-        "Distance",
-        "Distance of the flange from the goal.",
-        [charts.distance_chart],
-        "distance",
-        "m",
-        _distance,
-    ),
+    _Section("distance", "Distance", "Distance of the flange from the goal.", [charts.distance_chart]),
     _Section(
         "contact",
         "Contact force",
         "The simulation's true force on each link, as in the paper's Fig. 5, against the contact budget.",
         [charts.contact_chart],
-        "contact force",
-        "N",
-        _largest_force,
     ),
     _Section(
         "external-torque",
         "External torque",
         "The observer's estimate. Dashed: the threshold that stops the arm at rest; it grows with the joint's speed.",
         [charts.external_torque_chart],
-        "external torque",
-        "Nm",
-        lambda bag: bag.signals.external_torque,
     ),
     _Section(
         "command",
         "Commanded torque",
         "Sent by the controller. Dashed: the limits; those of the strong joints lie outside of the picture.",
         [charts.command_chart],
-        "commanded torque",
-        "Nm",
-        lambda bag: bag.signals.command,
     ),
-    _Section(
-        "joints",
-        "Joints",
-        "Joint angles. Dashed: the limits of the data sheet.",
-        [charts.joint_chart],
-        "joint angle",
-        "rad",
-        lambda bag: bag.signals.position,
-    ),
+    _Section("joints", "Joints", "Joint angles. Dashed: the limits of the data sheet.", [charts.joint_chart]),
     _Section(
         "plans",
         "Plans",
@@ -211,18 +167,8 @@ _SECTIONS = (
 
 def _section(section: _Section, bags: Sequence[ReportBag]) -> dict[str, Any]:
     """Contents of a section for the template: its charts with their headings."""
-    several = len(bags) > 1
-    placed = [(bag.label if several else "", make(bag)) for make in section.make for bag in bags]
-    if section.compared and several:
-        placed.append((f"{bags[0].label} minus {bags[1].label}", _difference(section, *bags[:2])))
+    placed = [(bag.label if len(bags) > 1 else "", make(bag)) for make in section.make for bag in bags]
     return {"anchor": section.anchor, "title": section.title, "caption": section.caption, "charts": placed}
-
-
-def _difference(section: _Section, *bags: ReportBag) -> charts.Chart:
-    """The first bag's quantity minus the second's."""
-    nothing = Series(np.empty(0), (), np.empty((0, 0)))
-    first, second = ((section.pick(bag) or nothing).since(bag.zero) for bag in bags)
-    return charts.difference_chart(first, second, section.compared, section.unit)
 
 
 def _numbers(bags: Sequence[ReportBag]) -> dict[str, Any]:

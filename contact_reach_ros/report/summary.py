@@ -1,10 +1,9 @@
-"""Numbers and plot of a recorded episode: one goal, until it is reached, the arm is stopped or the recording ends."""
+"""Numbers of a recorded episode: one goal, until it is reached, the arm is stopped or the recording ends."""
 
 from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,19 @@ from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.speed_limit import least_duration
-from contact_reach_ros.report.plot import BEFORE, SUCCESS_DISTANCE, Marker, episode_figure
 from contact_reach_ros.settings import Settings
+
+SUCCESS_DISTANCE = 0.01
+"""The paper's delta, m: the goal is reached within it."""
+BEFORE = 2.0
+"""Time shown before the first goal or stop, s: a stack may have waited long for its goal."""
 
 
 @dataclasses.dataclass(frozen=True)
 class EpisodeSummary:
-    """Numbers of one goal, from the moment it was sent; the JSON report has the same field names.
+    """Numbers of one goal, from the moment it was sent; NaN where unknown, as those of a goal where there is none.
 
     Attributes
     ----------
@@ -48,7 +50,7 @@ class EpisodeSummary:
     ticks, missed_ticks
         Joint states recorded until the end, and ticks that the driver reported as missed.
     round_trip_us
-        Time from a joint state to its command: p50, p99, p999.
+        From the sending of a joint state to the sending of its command: p50, p99, p999.
     plan_ms
         Solve time: p50, p95, max.
     plan_age_ms_max
@@ -84,9 +86,9 @@ class EpisodeSummary:
 
 
 class Episode:
-    """The episode of a bag's first goal.
+    """The episode of a bag's first goal; without a goal, the whole recording.
 
-    Raises `BagError` if there is no goal or no joint state.
+    Raises `BagError` if there is no joint state.
 
     Parameters
     ----------
@@ -103,11 +105,13 @@ class Episode:
     Attributes
     ----------
     start
-        When the first goal was sent, s since the first joint state.
+        When the first goal was sent, s since the first joint state; 0 without a goal.
+    has_goal
+        Whether there is a goal.
     reached
         When the goal was reached, on the same clock; None if it was not.
     distance
-        Distance of the flange from the goal: the column "distance", m.
+        Distance of the flange from the goal: the column "distance", m; empty without a goal.
     """
 
     def __init__(
@@ -120,23 +124,27 @@ class Episode:
     ) -> None:
         self._signals = signals
         self.distance = goal_distance(signals, partial(tip_positions, arm))
-        time = self.distance.time
-        if not len(time):
-            raise BagError("holds no goal with joint states; record goal_pose and joint_states")
-        self.start = float(signals.goals.time[0])
-        self.reached = first_below(time, self.distance.values[:, 0], SUCCESS_DISTANCE, self.start)
-        settled = np.inf if self.reached is None else self.reached + settle
-        self._end = min(float(time[-1]) if end is None else end, self.start + timeout, settled)
         position = signals.position
-        row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
-        start_position, target = tip_positions(arm, position.values[row : row + 1])[0], signals.goals.values[0]
-        self._straight = float(np.linalg.norm(target - start_position))
-        self._limit = least_duration(
-            start_position,
-            target,
-            recorded_section(signals, "planner", "planning", PlanningSettings(), []),
-            recorded_section(signals, "controller", "impedance", ImpedanceSettings(), []),
-        )
+        known = np.isfinite(position.values).all(axis=1)
+        if not known.any():
+            raise BagError("holds no joint states of the arm; record joint_states")
+        self.has_goal = bool(len(self.distance.time))
+        self.start = float(signals.goals.time[0]) if self.has_goal else 0.0
+        near = (self.distance.values[:, 0] <= SUCCESS_DISTANCE) & (self.distance.time >= self.start)
+        self.reached = float(self.distance.time[near][0]) if near.any() else None
+        settled = np.inf if self.reached is None else self.reached + settle
+        self._end = min(float(position.time[-1]) if end is None else end, self.start + timeout, settled)
+        self._straight = self._limit = float("nan")
+        if self.has_goal:
+            row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
+            start_position, target = tip_positions(arm, position.values[row : row + 1])[0], signals.goals.values[0]
+            self._straight = float(np.linalg.norm(target - start_position))
+            self._limit = least_duration(
+                start_position,
+                target,
+                recorded_section(signals, "planner", "planning", PlanningSettings(), []),
+                recorded_section(signals, "controller", "impedance", ImpedanceSettings(), []),
+            )
 
     @property
     def shown_from(self) -> float:
@@ -148,12 +156,13 @@ class Episode:
         signals = self._signals
         duration = float("nan") if self.reached is None else self.reached - self.start
         ticks = signals.position.time[signals.position.time <= self._end]
-        last = max(int(np.searchsorted(self.distance.time, self._end, side="right")) - 1, 0)
+        left = self.distance.between(-np.inf, self._end).values[-1:]
+        took = np.array([plan.numbers.get("took ms", np.nan) for plan in signals.plans if plan.time <= self._end])
         contact = signals.contact_force.between(self.start, self._end)
         torque = signals.external_torque.between(self.start, self._end)
         return EpisodeSummary(
             reached=self.reached is not None and self.reached <= self._end,
-            final_error_m=float(self.distance.values[last, 0]),
+            final_error_m=float(left[0, 0]) if len(left) else float("nan"),
             duration_s=duration,
             watched_s=self._end - self.start,
             distance_m=self._straight,
@@ -162,38 +171,12 @@ class Episode:
             max_contact_force_N=largest(contact.column("max")),
             max_external_torque_Nm=largest(np.abs(torque.values)),
             ticks=len(np.unique(ticks)),
-            missed_ticks=int(_last(signals, "driver/missed ticks", self._end, 0.0)),
-            round_trip_us={
-                key: _last(signals, f"driver/round trip {key} us", self._end) for key in ("p50", "p99", "p999")
-            },
-            plan_ms={key: _last(signals, f"planner/solve {key} us", self._end) / 1000 for key in ("p50", "p95", "max")},
+            missed_ticks=_missed_ticks(signals, self._end),
+            round_trip_us=percentiles(signals.answers_ns / 1000.0, p50=50.0, p99=99.0, p999=99.9),
+            plan_ms=percentiles(took, p50=50.0, p95=95.0, max=100.0),
             plan_age_ms_max=1000 * largest(signals.plan_age(ticks)),
             safety_events=self._stops(),
         )
-
-    def plot(self, file: Path, title: str, budget: ContactBudget) -> None:
-        """Draw distance, contact force and external torque over time as a PNG.
-
-        Raises `BagError` if the file cannot be written.
-        """
-        markers = [Marker(self.start, "goal sent", "goal")]
-        if self.reached is not None:
-            markers.append(Marker(self.reached, "reached", "reached"))
-        markers += [Marker(stop["time_s"] + self.start, f"{stop['source']} stop", "safety") for stop in self._stops()]
-        signals = self._signals
-        figure = episode_figure(
-            self.distance.between(-np.inf, self._end),
-            signals.contact_force.between(-np.inf, self._end),
-            signals.external_torque.between(-np.inf, self._end),
-            markers,
-            title,
-            budget.permitted_force,
-            budget.torque_thresholds,
-        )
-        try:
-            figure.savefig(file, format="png")
-        except OSError as error:
-            raise BagError(f"plot '{file}' cannot be written: {error.strerror}") from error
 
     def _stops(self) -> list[dict[str, Any]]:
         """Each stop once, however often it was repeated."""
@@ -226,25 +209,24 @@ def recorded_section(signals: EpisodeSignals, node: str, prefix: str, default: S
         return default
 
 
-def first_below(time: np.ndarray, values: np.ndarray, limit: float, after: float = 0.0) -> float | None:
-    """First time, from `after` on, at which the values are at or below a limit; None if they never are."""
-    found = np.flatnonzero((values <= limit) & (time >= after))
-    return float(time[found[0]]) if len(found) else None
-
-
 def largest(values: np.ndarray) -> float:
     """The largest finite value; NaN without any."""
     values = values[np.isfinite(values)]
     return float(values.max()) if values.size else float("nan")
 
 
-def _last(signals: EpisodeSignals, key: str, end: float, default: float = float("nan")) -> float:
-    """Last value of a diagnostics entry up to `end`, or the first one there is."""
-    series = signals.diagnostics.get(key)
-    if series is None or not len(series.time):
-        return default
-    row = max(int(np.searchsorted(series.time, end, side="right")) - 1, 0)
-    return float(series.values[row, 0])
+def percentiles(values: np.ndarray, **percents: float) -> dict[str, float]:
+    """Percentiles of the finite values by name; NaN without any."""
+    values = values[np.isfinite(values)]
+    return {
+        name: float(np.percentile(values, percent)) if len(values) else float("nan")
+        for name, percent in percents.items()
+    }
+
+
+def _missed_ticks(signals: EpisodeSignals, end: float) -> int:
+    """Ticks that the driver reported as missed up to `end`, s; 0 if it reported none."""
+    return int(np.nanmax(signals.missed_ticks.between(-np.inf, end).values, initial=0.0))
 
 
 def _plain(value: Any) -> Any:

@@ -101,22 +101,11 @@ HEARD_BY_VIEWER = (
     topics.EXTERNAL_TORQUE,
     topics.OBSTACLES,
     topics.PLAN_MARKERS,
-    topics.REFERENCE_POSE,
     topics.SIM_CONTACTS,
     topics.PLAN_STATISTICS,
     topics.SAFETY_STATE,
-    topics.DIAGNOSTICS,
 )
 _STOP_AND_RESET = tuple(f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset"))
-_CALLED_BY_VIEWER = (
-    *_STOP_AND_RESET,
-    *(
-        f"{name}/{service}"
-        for name in TUNABLE
-        for service in ("list_parameters", "describe_parameters", "get_parameters")
-    ),
-    *(f"bringup/{service}" for service in ("get_parameters", "set_parameters_atomically", "restart")),
-)
 
 MANAGED = {
     "driver": _managed(
@@ -181,7 +170,7 @@ MANAGED = {
         ["effort_controller/get_parameters", "controller_manager/switch_controller"],
     ),
     RECORDER: _managed([topics.LOCKSTEP_HORIZON], topics.ALL),
-    VIEWER: _managed([topics.GOAL_POSE], HEARD_BY_VIEWER, calls=_CALLED_BY_VIEWER),
+    VIEWER: _managed([topics.GOAL_POSE], HEARD_BY_VIEWER, calls=_STOP_AND_RESET),
 }
 """The lifecycle nodes."""
 
@@ -213,6 +202,6 @@ INTERFACES = {
         ],
         calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
     ),
-    REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], [], ["~/pause", "~/step"]),
+    REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], [], []),
 }
 """All nodes of the package, by name."""

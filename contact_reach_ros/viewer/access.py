@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import http
 import io
-import logging
 import socket
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
@@ -27,10 +26,6 @@ from contact_reach_ros.viewer.settings import ADDRESS
 T = TypeVar("T")
 
 _LOOPBACK_NAMES = ("localhost", ADDRESS, "::1")
-
-_QUIET = logging.getLogger(__name__)
-"""Logger for the server, which writes a traceback for each connection that closes without a request."""
-_QUIET.setLevel(logging.CRITICAL)
 
 
 class _Server(viser.ViserServer):
@@ -120,7 +115,7 @@ def _guarded(listener: socket.socket) -> Iterator[list[bool]]:
             return _refusal(request) or answer(connection, request)
 
         used.append(True)
-        return original(handler, sock=listener.dup(), **{**options, "process_request": process, "logger": _QUIET})
+        return original(handler, sock=listener.dup(), **{**options, "process_request": process})
 
     websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
     try:
@@ -131,9 +126,7 @@ def _guarded(listener: socket.socket) -> Iterator[list[bool]]:
 
 def _forbid(reason: str) -> Response:
     body = f"{reason}\n".encode()
-    headers = Headers()
-    headers["Content-Type"] = "text/plain; charset=utf-8"
-    headers["Content-Length"] = str(len(body))
+    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
     return Response(http.HTTPStatus.FORBIDDEN, http.HTTPStatus.FORBIDDEN.phrase, headers, body)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,11 +16,8 @@ from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.messages.values import FARTHEST, numbers
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
-from contact_reach_ros.viewer.plots import ROUND_TRIPS, History
+from contact_reach_ros.viewer.plots import History
 from contact_reach_ros.world.spheres import Spheres
-
-_PLANS = 20
-"""Number of plan stamps that are kept: plans take effect a little after they are published."""
 
 
 class LiveState:
@@ -62,8 +58,6 @@ class LiveState:
         self._q: Array | None = None
         self._forces: Mapping[str, float] = {}
         self._peak = np.nan
-        self._plan_stamps: deque[int] = deque(maxlen=_PLANS)
-        self._round_trips = dict.fromkeys(ROUND_TRIPS, np.nan)
 
     def start(self, clock: float) -> None:
         """Begin to expect joint states."""
@@ -74,12 +68,7 @@ class LiveState:
         if stamp_ns < self._stamp_ns:
             # Another run has begun: plans and contacts of the previous one are obsolete.
             self.plan, self._forces, self.goal = None, {}, None
-            self._plan_stamps.clear()
         self._stamp_ns, self._q, self._heard = stamp_ns, q, clock
-
-    def on_plan_stamp(self, stamp_ns: int) -> None:
-        """Take the time at which a plan takes effect."""
-        self._plan_stamps.append(stamp_ns)
 
     def on_contacts(self, forces: Mapping[str, float], largest: float) -> None:
         """Take true contact forces by link, and the largest, N."""
@@ -94,11 +83,6 @@ class LiveState:
         if not (np.abs(goal) < FARTHEST).all():
             raise InputError(f"plan/statistics: goal = {goal.tolist()}; expected numbers below {FARTHEST:g} m")
         self.goal = goal
-
-    def on_diagnostics(self, message: Any) -> None:
-        """Take the round trip of a tick out of the driver's diagnostics."""
-        found = {f"{status.name}/{key}": value for status in message.status for key, value in numbers(status)}
-        self._round_trips.update((name, found[key]) for name, key in ROUND_TRIPS.items() if key in found)
 
     def silence(self, clock: float) -> float:
         """Seconds since the last joint state."""
@@ -124,12 +108,9 @@ class LiveState:
 
     def _plotted(self, q: Array) -> dict[str, float]:
         """The plotted quantities by name; unknown ones are missing or NaN."""
-        values = {"force": float(self._peak), **self._round_trips}
+        values = {"force": float(self._peak)}
         if self.goal is not None:
             values["distance"] = 1000.0 * float(np.linalg.norm(link_frames(self._arm, q)[1][-1] - self.goal))
         if self.external_torque is not None:
             values |= dict(zip(self._arm.joint_names, self.external_torque.tolist(), strict=True))
-        past = [stamp for stamp in self._plan_stamps if stamp <= self._stamp_ns]
-        if past:
-            values["plan age"] = (self._stamp_ns - max(past)) / 1e6
         return values

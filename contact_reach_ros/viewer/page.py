@@ -13,13 +13,13 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.drawing.palette import GREEN, GREY, ORANGE, VERMILION
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.viewer.frame import Frame, SafetyLevel
+from contact_reach_ros.viewer.goal import Actions, GoalTab
 from contact_reach_ros.viewer.handles import share_gradient
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
 from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.scene import SceneView
-from contact_reach_ros.viewer.tabs import Actions, GoalTab, TuneTab, add_episode_controls
 
 _SLOW_PERIOD = 0.2
 """Time between updates of plots and timeline, s."""
@@ -85,7 +85,7 @@ class Page:
         self._banner = _Banner(server, budget.torque_thresholds)
         self._add_stop(actions)
         self._line = server.gui.add_html("")
-        names = ["Goal", "Plots", "Bag", "Scene", "Tune"]
+        names = ["Goal", "Plots", "Bag"]
         if recording is not None:
             # The first one is shown.
             names.insert(0, names.pop(names.index("Bag")))
@@ -97,10 +97,6 @@ class Page:
             self._plots = Plots(server, arm.joint_names, budget.permitted_force)
         with tabs["Bag"]:
             self._bag = BagTab(server, bags, arm, self.say)
-        with tabs["Scene"]:
-            add_episode_controls(server, actions, self.say)
-        with tabs["Tune"]:
-            TuneTab(server, actions, self.say)
         self._bag.open(recording)
 
     def turn(self, clock: float) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import bisect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ _MARKS = 30
 """Greatest number of events marked on the timeline and listed."""
 _LABELS = {"stop": "STOP", "goal": "goal", "contact": ""}
 """Labels of the kinds of events on the timeline, the most important first."""
-_NOTHING = "nothing has happened yet"
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _STEPS = {"− 1 tick": -1, "+ 1 tick": 1, "+ 10 ticks": 10}
 
@@ -83,12 +81,6 @@ class Player:
         self.seek(time)
         return True
 
-    def last_event(self) -> str:
-        """The last event in words; empty before the first."""
-        events = self.recording.events
-        row = bisect.bisect_right([event.time for event in events], self._time + 1e-6) - 1
-        return f"{events[row].time:.2f} s: {events[row].text}" if row >= 0 else ""
-
 
 class BagTab:
     """Opens the bags of a folder and plays them.
@@ -119,19 +111,12 @@ class BagTab:
         self._controls: list[Any] = []
         self._choice: Any = gui.add_dropdown("Bag", self._names() or ["none"])
         open_it = gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN)
-        again = gui.add_button("Look for bags again", color="gray")
         self._back = gui.add_button("Back to live", visible=False, icon=viser.Icon.ARROW_BACK_UP)
         self._folder = gui.add_folder("Playback", visible=False)
 
         @open_it.on_click
         async def _(_: Any) -> None:
             await self._open_by_name(self._choice.value)
-
-        @again.on_click
-        async def _(_: Any) -> None:
-            found = self._names()
-            self._choice.options = found or ["none"]
-            say(f"bags found: {len(found)}")
 
         @self._back.on_click
         async def _(_: Any) -> None:
@@ -144,10 +129,10 @@ class BagTab:
         self._controls = []
         self.player = None if recording is None else Player(recording)
         self._folder.visible = self._back.visible = recording is not None
+        self._choice.options = self._names() or ["none"]
         if recording is not None:
             name = bag_directory(recording.path).name
-            if name not in self._choice.options:
-                self._choice.options = [name, *self._names()]
+            self._choice.options = list(dict.fromkeys([name, *self._names()]))
             self._choice.value = name
         if self.player is not None:
             self.player.seek(self.player.recording.first_goal)
@@ -162,7 +147,6 @@ class BagTab:
         time = round(player.time, 3)
         if self._slider.value != time:
             self._slider.value = time
-            self._event.content = player.last_event() or _NOTHING
         label = "Pause" if player.playing else "Play"
         if self._play.label != label:
             self._play.label = label
@@ -173,6 +157,7 @@ class BagTab:
     async def _open_by_name(self, name: str) -> None:
         if name not in self._names():
             self._say(f"there is no bag '{name}' in {self._bags}")
+            self._choice.options = self._names() or ["none"]
             return
         self._say(f"opening {name} ...")
         try:
@@ -192,12 +177,11 @@ class BagTab:
         speed = gui.add_dropdown("Speed (s per s)", _SPEEDS, initial_value="1")
         step = gui.add_button_group("Step", tuple(_STEPS))
         jump = gui.add_button("Next contact", icon=viser.Icon.PLAYER_SKIP_FORWARD)
-        self._event = gui.add_markdown(player.last_event() or _NOTHING)
         lines = [f"- {event.time:.2f} s: {event.text}" for event in recording.events[:_MARKS]]
         if len(recording.events) > _MARKS:
             lines.append(f"- and {len(recording.events) - _MARKS} more")
         table = gui.add_markdown("**Events**\n\n" + ("\n".join(lines) or "none"))
-        self._controls = [self._slider, self._play, speed, step, jump, self._event, table]
+        self._controls = [self._slider, self._play, speed, step, jump, table]
 
         @self._slider.on_update
         async def _(event: viser.GuiEvent[Any]) -> None:

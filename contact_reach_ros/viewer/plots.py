@@ -11,17 +11,10 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, ORANGE, VERMILION
+from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, VERMILION
 
 SPAN = 20.0
 """Time span of a plot, s."""
-ROUND_TRIPS = {f"round trip {name}": f"driver/round trip {name} us" for name in ("p50", "p99")}
-"""Quantities that the driver publishes, with their keys in its diagnostics."""
-
-_POINTS = 400
-"""Greatest number of points in a curve."""
-_FORCE = 2
-"""Column of the contact force."""
 _HEIGHT = 165
 _AXIS: dict[str, Any] = {
     "size": 28,
@@ -36,10 +29,9 @@ _STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 def quantities(joint_names: Sequence[str]) -> tuple[str, ...]:
     """Columns of the plotted tables.
 
-    Time, s; distance to the goal, mm; largest contact force on one link, N; external torque of each joint, Nm; age of
-    the plan, ms; two percentiles of a tick's round trip, µs.
+    Time, s; distance to the goal, mm; largest contact force on one link, N; external torque of each joint, Nm.
     """
-    return ("time", "distance", "force", *joint_names, "plan age", *ROUND_TRIPS)
+    return ("time", "distance", "force", *joint_names)
 
 
 class History:
@@ -58,22 +50,8 @@ class History:
             self._rows.popleft()
 
     def table(self) -> Array:
-        """The history, thinned out: (n, `quantities`)."""
-        return thinned(np.array(self._rows, float).reshape(-1, 1 + len(self._columns)))
-
-
-def thinned(table: Array) -> Array:
-    """The last of each group of rows of a table, with the largest contact force in the group.
-
-    Every peak of the force is kept, because it is compared with the permitted force.
-    """
-    if len(table) <= _POINTS:
-        return table
-    size = -(-len(table) // _POINTS)
-    starts = np.arange(0, len(table), size)
-    rows = table[np.append(starts[1:], len(table)) - 1].copy()
-    rows[:, _FORCE] = np.fmax.reduceat(table[:, _FORCE], starts)
-    return rows
+        """The history: (n, `quantities`)."""
+        return np.array(self._rows, float).reshape(-1, 1 + len(self._columns))
 
 
 class Curve(NamedTuple):
@@ -98,12 +76,6 @@ def page_plots(joint_names: Sequence[str]) -> tuple[Plot, ...]:
         Plot("Distance to the goal", "mm", (Curve("distance", "flange", BLUE),)),
         Plot("Largest contact force", "N", (Curve("force", "on one link", BLUE),)),
         Plot("External torque", "Nm", tuple(map(Curve, joint_names, joint_names, itertools.cycle(JOINT_COLOURS)))),
-        Plot("Age of the plan", "ms", (Curve("plan age", "since it took effect", BLUE),)),
-        Plot(
-            "Round trip of a tick",
-            "µs",
-            (Curve("round trip p50", "median", BLUE), Curve("round trip p99", "99 of 100 below", ORANGE)),
-        ),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -22,12 +21,12 @@ from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
 from contact_reach_ros.viewer.frame import ANY_MATERIAL, Frame, SafetyLevel, SafetyStatus, safety_status
-from contact_reach_ros.viewer.plots import ROUND_TRIPS, SPAN, thinned
+from contact_reach_ros.viewer.plots import SPAN
 
 _PICTURES, _OBSTACLES = "/plan/markers", "/obstacles"
 """Topics with large messages, which are read from the bag when their moment is shown."""
-_SAMPLES = 0.02
-"""Time between the points of a curve, s: even the fastest plotted quantities are thinned to this rate."""
+_SAMPLES = 0.05
+"""Time between the points of a curve, s: 400 of them over the span of a plot."""
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
 _CONTACT_FORCE = 0.5
@@ -131,7 +130,7 @@ class Recording:
     def table(self, time: float) -> Array:
         """`quantities` over the last `SPAN` seconds before a time, as `History.table`."""
         first, last = np.searchsorted(self._table[:, 0], [time - SPAN, time + _ROUNDING])
-        return thinned(self._table[first:last])
+        return self._table[first:last]
 
     @property
     def first_goal(self) -> float:
@@ -170,10 +169,7 @@ class Recording:
 
     def _message(self, topic: str, row: int) -> RawMessage:
         """A message of a topic, by its place in the order of reception."""
-        received_ns = self._received_ns[topic]
-        log_ns = int(received_ns[row])
-        same = (raw for raw in self._reader.raw_messages([topic], log_ns) if raw.log_time_ns == log_ns)
-        return next(islice(same, row - int(np.searchsorted(received_ns, log_ns)), None))
+        return next(self._reader.raw_messages([topic], int(self._received_ns[topic][row])))
 
     def _safety_at(self, time: float) -> dict[str, SafetyStatus]:
         rows = {name: _row(times, time) for name, (times, _) in self._statuses.items()}
@@ -219,18 +215,12 @@ def _table(arm: Arm, signals: EpisodeSignals, duration: float) -> Array:
     distance = _latest(times, goal_distance(signals, partial(tip_positions, arm), _SAMPLES))[:, 0]
     first_goal = signals.goals.time[0] if len(signals.goals.time) else np.inf
     force = signals.contact_force
-    diagnostics = [signals.diagnostics.get(key) for key in ROUND_TRIPS.values()]
     return np.column_stack(
         [
             times,
             np.where(times + _ROUNDING < first_goal, np.nan, 1000.0 * distance),
             _peaks(times, force.time, force.column("max")),
             _latest(times, signals.external_torque),
-            1000.0 * signals.plan_age(times),
-            *(
-                np.full(len(times), np.nan) if series is None else _peaks(times, series.time, series.values[:, 0])
-                for series in diagnostics
-            ),
         ]
     )
 

@@ -24,8 +24,6 @@ from contact_reach_ros.viewer.obstacles import ObstacleView
 
 _BASE_PARTS = 2
 """Number of base shapes that show the first joint's torque if its link has no shape of its own."""
-_GHOST_OPACITY = 0.22
-_UNIT_CYLINDER = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=AROUND).smooth_shaded
 
 
 class SceneView:
@@ -108,13 +106,12 @@ class _ArmView:
 
 
 class _PlanView:
-    """Paths of flange and elbow, and the arm at the end of the plan."""
+    """Paths of flange and elbow."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._shown: PlanPicture | None = None
         self._lines: dict[str, Any] = {}
-        self._ghost: Any = None
 
     def show(self, plan: PlanPicture | None) -> None:
         """Show a plan; None hides it."""
@@ -126,34 +123,6 @@ class _PlanView:
             ("elbow", ORANGE, None if plan is None else plan.elbow),
         ):
             self._line(name, colour, points)
-        if plan is None or not len(plan.ghost_radii):
-            if self._ghost is not None:
-                self._ghost.visible = False
-            return
-        axes = plan.ghost_ends - plan.ghost_starts
-        lengths = np.linalg.norm(axes, axis=1)
-        turns = np.array([_turn_to(axis / max(length, 1e-9)) for axis, length in zip(axes, lengths, strict=True)])
-        radii = plan.ghost_radii
-        scales = np.stack([radii, radii, np.maximum(lengths, 1e-3)], axis=1).astype(np.float32)
-        middles = 0.5 * (plan.ghost_starts + plan.ghost_ends)
-        if self._ghost is None or len(self._ghost.batched_positions) != len(radii):
-            self._ghost = self._server.scene.add_batched_meshes_simple(
-                "/plan/ghost",
-                _UNIT_CYLINDER.vertices,
-                _UNIT_CYLINDER.faces,
-                batched_wxyzs=turns,
-                batched_positions=middles,
-                batched_scales=scales,
-                batched_colors=as_bytes(rgb(SKY_BLUE)),
-                opacity=_GHOST_OPACITY,
-                cast_shadow=False,
-                receive_shadow=False,
-                lod="off",
-            )
-        self._ghost.batched_wxyzs = turns.astype(np.float32)
-        self._ghost.batched_positions = middles.astype(np.float32)
-        self._ghost.batched_scales = scales
-        self._ghost.visible = True
 
     def _line(self, name: str, colour: str, points: Array | None) -> None:
         line = self._lines.get(name)
@@ -169,15 +138,6 @@ class _PlanView:
             return
         line.points = segments
         line.visible = True
-
-
-def _turn_to(axis: Array) -> Array:
-    """Quaternion (w, x, y, z) that rotates z to a unit vector."""
-    w = 1.0 + axis[2]
-    if w < 1e-6:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    quaternion = np.array([w, -axis[1], axis[0], 0.0])
-    return quaternion / np.linalg.norm(quaternion)
 
 
 def _mesh(server: viser.ViserServer, name: str, shape: Solid) -> Any:

@@ -9,17 +9,17 @@ from contact_reach_ros.settings import Sections, Settings, setting
 ADDRESS = "127.0.0.1"
 """The only address that serves the page; SSH can forward it to other machines."""
 MAX_RATE = 30.0
-"""Greatest update rate of the page, Hz."""
+"""Greatest update rate of the page, Hz: more than the eye follows costs the browser and this machine their time."""
+BAGS = "bags"
+"""Folder where demo and bring-up put bags; the page offers those in it, or the neighbours of the bag it shows."""
 
 
 @dataclass(frozen=True)
 class ViewerSettings(Settings):
-    """Port, update rate and contents of the page."""
+    """Port and contents of the page."""
 
     port: int = setting(8080, "port of 127.0.0.1 to listen on; 0 takes a free one", minimum=0, maximum=65535)
-    rate: float = setting(MAX_RATE, "greatest update rate of the page", unit="Hz", minimum=1.0, maximum=MAX_RATE)
-    bags: str = setting("bags", "folder of the bags that the page offers")
-    bag: str = setting("", "bag to show at start-up instead of the running stack")
+    bag: str = setting("", "bag to show at start-up instead of the running stack; the page offers its neighbours, too")
     contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
 
     def page_address(self, port: int) -> str:

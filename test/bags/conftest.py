@@ -52,7 +52,7 @@ TYPES = {
 class SampleBag:
     """What was written, and where to."""
 
-    def __init__(self, directory: Path, count: int = 200, compression: str = "zstd") -> None:
+    def __init__(self, directory: Path, count: int = 200) -> None:
         self.directory = directory
         self.topics = {
             name: f"{message_class.__module__.split('.')[0]}/msg/{message_class.__name__}"
@@ -62,7 +62,7 @@ class SampleBag:
         known = [RecordedTopic(name, type_name, (latched,)) for name, type_name in self.topics.items()]
         self.written: list[tuple[str, int, int, Any, bytes]] = []
         custom_data = {"scene": "ball", "seed": "7"}
-        with BagWriter(directory, known, compression=compression, custom_data=custom_data) as writer:
+        with BagWriter(directory, known, custom_data=custom_data) as writer:
             for index in range(count):
                 topic, message = _message(index)
                 received = START_NS + index * STEP_NS

@@ -25,6 +25,7 @@ from std_msgs.msg import Float64MultiArray, String
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.repair import repair_bag
+from contact_reach_ros.bags.settings import RecorderSettings
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.nodes.recorder import RecorderNode
@@ -116,8 +117,7 @@ def custom_data(directory: Path) -> dict[str, str]:
     return content["rosbag2_bagfile_information"]["custom_data"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> None:
+def test_everything_published_is_in_the_bag(recorder: Recorder) -> None:
     latched = recorder.publisher(String, "robot_description", LATCHED, wait=False)
     latched.publish(String(data="<robot/>"))
     parameters = recorder.directory.with_name("parameters.yaml")
@@ -136,7 +136,7 @@ def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> 
             goals = recorder.publisher(PoseStamped, "goal_pose", RELIABLE)
             goals.publish(PoseStamped())
     acknowledged(latched, states, commands, goals)
-    exit_code, output = recorder.end(number)
+    exit_code, output = recorder.end()
     assert exit_code == 0, output
     assert "Traceback" not in output
     assert str(recorder.directory) in output
@@ -163,6 +163,8 @@ def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> 
     for raw in reader.raw_messages():
         assert 0 < raw.publish_time_ns <= raw.log_time_ns
     kept = custom_data(recorder.directory)
+    (profile,) = reader.topics()["/robot_description"].offered_qos
+    assert (profile.reliability, profile.durability) == ("reliable", "transient_local")
     assert {key: kept[key] for key in ("scene", "note", "messages_lost", "parameter_file")} == {
         "scene": "ball",
         "note": "a=b",
@@ -171,20 +173,6 @@ def test_everything_published_is_in_the_bag(recorder: Recorder, number: int) -> 
     }
     assert yaml.safe_load(kept["versions"])["rmw"] == rclpy.get_rmw_implementation_identifier()
     assert re.fullmatch("[0-9a-f]{40}(-dirty)?", kept.get("git_revision", "0" * 40))
-
-
-def test_offered_qos_is_kept(recorder: Recorder) -> None:
-    recorder.start("topics:=[latched, stream]")
-    recorder.publisher(String, "latched", LATCHED)
-    recorder.publisher(String, "stream", BEST_EFFORT)
-    assert recorder.end()[0] == 0
-    content = yaml.safe_load((recorder.directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    offered = {
-        entry["topic_metadata"]["name"]: entry["topic_metadata"]["offered_qos_profiles"][0]
-        for entry in content["topics_with_message_count"]
-    }
-    assert (offered["/latched"]["durability"], offered["/latched"]["reliability"]) == ("transient_local", "reliable")
-    assert (offered["/stream"]["durability"], offered["/stream"]["reliability"]) == ("volatile", "best_effort")
 
 
 def test_publisher_that_offers_less_is_heard_as_well(recorder: Recorder) -> None:
@@ -229,7 +217,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
     free = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda _: free)
     rclpy.init(
-        args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]", "-p", "storage.min_free_mb:=1.0"],
+        args=["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]"],
         domain_id=fresh_domain(),
     )
     try:
@@ -263,24 +251,15 @@ def test_existing_bag_is_refused(recorder: Recorder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("argument", "message"),
+    ("settings", "message"),
     [
-        ("storage.compression:=gzip", "expected one of none, zstd"),
-        ("custom_data:=[seed]", "entry 'seed': expected key=value"),
-        ("files:=[a=/no/such/file]", "parameter files, entry 'a': /no/such/file cannot be read"),
-        ("storage.min_free_mb:=1e15", "is not begun: "),
-        ("storage.split_s:=-1.0", "storage.split_s"),
-        ("topics:=['joint_states:sensor_msgs/msg/JointState']", "is no topic name"),
-        ("bag:=5", "bag"),
+        (RecorderSettings(custom_data=("seed",)), "parameter custom_data, entry 'seed': expected key=value"),
+        (RecorderSettings(files=("a=/no/such/file",)), "entry 'a': /no/such/file cannot be read"),
     ],
 )
-def test_refused_parameter_is_named(recorder: Recorder, argument: str, message: str) -> None:
-    recorder.start(argument)
-    exit_code, output = recorder.wait()
-    assert exit_code in (1, 2)
-    assert message in output
-    assert "Traceback" not in output
-    assert not recorder.directory.exists()
+def test_a_text_that_cannot_be_kept_is_named(settings: RecorderSettings, message: str) -> None:
+    with pytest.raises(BagError, match=message):
+        settings.texts()
 
 
 def test_topic_of_two_types_is_not_recorded(recorder: Recorder, capfd: pytest.CaptureFixture[str]) -> None:

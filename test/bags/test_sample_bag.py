@@ -22,7 +22,6 @@ def test_it_is_whole_and_small(reader: BagReader) -> None:
     info = read_info(SAMPLE)
     assert info.notes == ()
     assert {topic.lost for topic in info.topics} == {0}
-    assert {topic.out_of_order for topic in info.topics} == {0}
     assert {"scene", "seed", "parameter_file", "scene_file", "contact_budget", "versions"} <= set(info.custom_data)
 
 

@@ -1,6 +1,5 @@
 """Signals of a made-up episode come back out of its bag as they went in."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.intake import IntakeLog, Taken
-from contact_reach_ros.report.summary import first_below
 
 RECEIVED_0 = 1_700_000_000_000_000_000
 STAMP_0 = 50_000_000_000
@@ -110,32 +108,10 @@ def test_all_times_are_on_the_clock_of_the_robot(signals: EpisodeSignals) -> Non
     assert signals.goals.time == pytest.approx([0.05, 0.3], abs=1e-7)
 
 
-def test_commands_are_in_the_order_of_the_controller(signals: EpisodeSignals) -> None:
-    np.testing.assert_allclose(signals.command.values, [angles(tick * 1e-3) for tick in range(TICKS)])
-
-
-def test_contacts_of_bodies_that_come_and_go(signals: EpisodeSignals) -> None:
-    force = signals.contact_force
-    assert set(force.names) == {"lbr_link_3", "lbr_link_4", "sum", "max"}
-    np.testing.assert_array_equal(force.column("max"), np.full(TICKS, 2.0))
-    np.testing.assert_array_equal(force.column("sum"), np.full(TICKS, 3.0))
-    np.testing.assert_array_equal(np.isfinite(force.column("lbr_link_3")), np.arange(TICKS) < 200)
-    assert np.isnan(force.column("lbr_link_7")).all()
-
-
 def test_safety_changes_without_repetitions(signals: EpisodeSignals) -> None:
     seen = [(event.level, event.message) for event in signals.safety]
     assert seen == [(0, "monitoring"), (2, "joint A2 above threshold"), (0, "monitoring")]
     assert [event.time for event in signals.safety] == pytest.approx([0.0, 0.1, 0.2], abs=1e-7)
-
-
-def test_goals(signals: EpisodeSignals) -> None:
-    np.testing.assert_array_equal(signals.goals.values, [[0.5, 0.0, 0.0], [0.7, 0.0, 0.0]])
-
-
-def test_diagnostics_that_are_numbers(signals: EpisodeSignals) -> None:
-    assert list(signals.diagnostics) == ["driver/ticks"]
-    np.testing.assert_array_equal(signals.diagnostics["driver/ticks"].values[:, 0], [0, 100, 200, 300])
 
 
 def test_distance_is_to_the_goal_in_force(signals: EpisodeSignals) -> None:
@@ -145,51 +121,6 @@ def test_distance_is_to_the_goal_in_force(signals: EpisodeSignals) -> None:
     assert time[-1] == signals.position.time[-1]
     wanted = np.where(time < 0.3 - 1e-6, 0.5, 0.7)
     np.testing.assert_allclose(distance, np.abs(np.sin(time) - wanted), atol=1e-7)
-
-
-def test_messages_that_the_robot_would_refuse_become_gaps(tmp_path: Path) -> None:
-    topics = [RecordedTopic("/joint_states", TYPES["joint_states"])]
-    topics.append(RecordedTopic("/effort_controller/commands", TYPES["effort_controller/commands"]))
-    with BagWriter(tmp_path / "bag", topics) as writer:
-        states = [
-            stamped(0.0, list(ARM.joint_names), position=[1.0] * 7),
-            stamped(0.001, list(ARM.joint_names[:6]), position=[1.0] * 6),
-            stamped(0.002, list(ARM.joint_names), position=[1.0] * 3),
-            stamped(0.003, [], position=[]),
-        ]
-        for tick, state in enumerate(states):
-            writer.write("/joint_states", serialize_message(state), received_ns(tick * 1e-3))
-        for tick, size in enumerate((7, 6, 0)):
-            command = Float64MultiArray(data=[0.5] * size)
-            writer.write("/effort_controller/commands", serialize_message(command), received_ns(tick * 1e-3))
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
-    assert np.isfinite(signals.position.values).sum(axis=1).tolist() == [7, 6, 0, 0]
-    assert np.isnan(signals.velocity.values).all()
-    assert np.isfinite(signals.command.values).sum(axis=1).tolist() == [7, 0, 0]
-
-
-def test_bag_without_any_of_the_topics(tmp_path: Path) -> None:
-    BagWriter(tmp_path / "bag").close()
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
-    for series in (signals.position, signals.command, signals.external_torque, signals.contact_force):
-        assert series.time.shape == (0,)
-        assert series.values.shape == (0, len(series.names))
-    assert signals.safety == ()
-    assert signals.goals.values.shape == (0, 3)
-    distance = goal_distance(signals, lambda q: np.zeros((len(q), 3)))
-    assert distance.time.size == distance.values.size == 0
-
-
-def test_messages_before_and_after_the_joint_states(tmp_path: Path) -> None:
-    topics = [RecordedTopic("/joint_states", TYPES["joint_states"]), RecordedTopic("/goal_pose", TYPES["goal_pose"])]
-    with BagWriter(tmp_path / "bag", topics) as writer:
-        for time in (1.0, 1.5):
-            state = serialize_message(stamped(time, list(ARM.joint_names), position=[0.0] * 7))
-            writer.write("/joint_states", state, RECEIVED_0 + round(time * 1e9))
-        for time in (0.25, 1.25, 2.0):
-            writer.write("/goal_pose", serialize_message(goal(time)), RECEIVED_0 + round(time * 1e9))
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
-    assert signals.goals.time == pytest.approx([-0.75, 0.25, 1.0])
 
 
 def test_topics_of_other_types_are_left_out_with_a_note(tmp_path: Path) -> None:
@@ -221,14 +152,6 @@ def test_refused_goals_are_left_out_and_the_others_at_their_stamp_in_lockstep(tm
     goals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names).goals
     np.testing.assert_array_equal(goals.values, [[0.5, 0.0, 0.0]])
     assert goals.time.tolist() == [0.02]
-
-
-def test_first_below() -> None:
-    time, values = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 5.0, math.nan, 1.0])
-    assert first_below(time, values, 1.0) == 0.0
-    assert first_below(time, values, 1.0, after=0.5) == 3.0
-    assert first_below(time, values, 0.5, after=0.5) is None
-    assert first_below(np.empty(0), np.empty(0), 1.0) is None
 
 
 def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:

@@ -113,16 +113,6 @@ class Page:
         self._mouse("mouseReleased", x, y)
         self._settle()
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 8) -> None:
-        """Drag with the mouse."""
-        self._mouse("mouseMoved", *start)
-        self._mouse("mousePressed", *start)
-        for step in range(1, steps + 1):
-            share = step / steps
-            self._mouse("mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)))
-        self._mouse("mouseReleased", *end)
-        self._settle()
-
     def fill(self, label: str, value: str, number: int = 0) -> None:
         """Put a text into the input next to a label, one of several where there are, and leave it."""
         self.press(*self._input(label, number))

@@ -61,7 +61,7 @@ def test_a_goal_that_was_not_reached_has_a_reason_instead_of_numbers(
     stops: list[dict], why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     summary = summary_of(stops=stops)
-    _print_summary("not reached", summary, Path("bag"), Path("plot"))
+    _print_summary("not reached", summary, Path("bag"))
     printed = capsys.readouterr().out
     assert why in printed and "no plan took effect" in printed and "nan" not in printed
     assert "4.00 s, the least time that" in printed

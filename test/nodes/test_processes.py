@@ -77,7 +77,7 @@ def test_in_lockstep_time_waits_for_the_recorder_too(tmp_path, own, waited_for):
     for lockstep in (True, False):
         options = BringupOptions(lockstep=lockstep, bag=str(tmp_path / "bag"), parameters=file)
         table = {process.name: process.parameters for process in processes(options)}
-        assert table["recorder"]["lockstep"] is lockstep
+        assert table["recorder"]["use_sim_time"] is lockstep
         assert table["driver"].get("waits_for") == (waited_for if lockstep else None)
 
 

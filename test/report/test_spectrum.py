@@ -24,8 +24,3 @@ def test_missing_and_repeated_samples_are_bridged() -> None:
     torque[900] = np.nan
     frequency, density = spectrum(time[kept], torque[kept])
     assert band_rms(frequency, density, VIBRATION)[0] == pytest.approx(1.0 / np.sqrt(2.0), rel=0.05)
-
-
-def test_few_samples_have_no_spectrum() -> None:
-    frequency, density = spectrum(np.arange(10.0), np.zeros((10, 7)))
-    assert len(frequency) == 0 and np.isnan(band_rms(frequency, density, VIBRATION)).all()

@@ -12,7 +12,7 @@ from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.scenes.generate import load_scene, make_scene
 from contact_reach_ros.stack import Stack
-from contact_reach_ros.viewer.tabs import reach
+from contact_reach_ros.viewer.goal import reach
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import FREE, HOLD, Goal, Target
 from contact_reach_ros.world.scene_file import read_scene

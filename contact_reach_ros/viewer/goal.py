@@ -1,10 +1,10 @@
-"""The tabs that act on the running stack: a new goal, another scene, other parameters."""
+"""The goal tab: a new goal for the running arm."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 import viser
@@ -14,12 +14,8 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import is_attainable, unreachable
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
-from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.handles import add_ball, as_bytes
-from contact_reach_ros.world.scene_file import scene_names
-
-Value = bool | int | float | str
 
 _REACH_PERIOD = 0.15
 """Time between runs of inverse kinematics, s."""
@@ -27,30 +23,8 @@ _MOVED = 0.02
 """Joint motion after which the reach of an unchanged goal is checked again, rad."""
 
 
-class Parameter(NamedTuple):
-    """A node's parameter, as declared.
-
-    Attributes
-    ----------
-    name
-        Name with its prefix.
-    value
-        Present value.
-    description
-        Description with its unit.
-    minimum, maximum
-        Limits; None for no limit.
-    """
-
-    name: str
-    value: Value
-    description: str
-    minimum: float | None
-    maximum: float | None
-
-
 class Actions(Protocol):
-    """Actions on the running stack. All may take seconds; most return their outcome as a line for the page."""
+    """Actions on the running stack. All may take seconds; they return their outcome as a line for the page."""
 
     def send_goal(self, position: Array) -> str:
         """Command a flange position (3,), m."""
@@ -60,18 +34,6 @@ class Actions(Protocol):
 
     def reset(self) -> str:
         """Release all stops."""
-
-    def restart(self, scene: str, seed: int) -> str:
-        """Restart the simulated stack with a scene and seed."""
-
-    def nodes(self) -> Sequence[str]:
-        """Names of the nodes whose parameters can be shown."""
-
-    def parameters(self, node: str) -> Sequence[Parameter]:
-        """The parameters of a node; raises `ContactReachError` if it does not answer."""
-
-    def apply(self, node: str, values: Mapping[str, Value]) -> str:
-        """Change parameters of a node and restart the stack."""
 
 
 class GoalTab:
@@ -166,70 +128,3 @@ def reach(arm: Arm, position: Array, q: Array) -> tuple[bool, str]:
     if is_attainable(arm, position, None, q):
         return False, f"{away:.2f} m away, reachable only with `goal_orientation: free`, not in this orientation"
     return False, "will be refused: the joint limits are in the way"
-
-
-def add_episode_controls(server: viser.ViserServer, actions: Actions, say: Callable[[str], None]) -> None:
-    """Add scene, seed and the button that restarts the episode; `say` shows a line on the page."""
-    gui = server.gui
-    gui.add_markdown("Simulation only: the arm is stopped, and all nodes start again with this scene.")
-    names = scene_names()
-    scene = gui.add_dropdown("Scene", names, initial_value="ball" if "ball" in names else names[0])
-    seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
-    restart = gui.add_button("Restart episode", icon=viser.Icon.RELOAD)
-
-    @restart.on_click
-    async def _(_: Any) -> None:
-        say(await asyncio.to_thread(actions.restart, str(scene.value), int(seed.value)))
-
-
-class TuneTab:
-    """Parameters of one node, with sliders for those that have a range."""
-
-    def __init__(self, server: viser.ViserServer, actions: Actions, say: Callable[[str], None]) -> None:
-        self._gui = gui = server.gui
-        self._inputs: dict[str, tuple[Parameter, Any]] = {}
-        self._node = ""
-        gui.add_markdown("Nodes read their parameters at the start: changes are applied by a restart of the stack.")
-        node = gui.add_dropdown("Node", tuple(actions.nodes()))
-        show = gui.add_button("Show parameters")
-        self._apply = gui.add_button("Apply and restart", color="orange", visible=False)
-        self._folder = gui.add_folder("Parameters", visible=False)
-
-        @show.on_click
-        async def _(_: Any) -> None:
-            try:
-                chosen = str(node.value)
-                self._fill(chosen, await asyncio.to_thread(actions.parameters, chosen))
-            except ContactReachError as error:
-                say(str(error))
-
-        @self._apply.on_click
-        async def _(_: Any) -> None:
-            changed = {
-                name: handle.value for name, (entry, handle) in self._inputs.items() if handle.value != entry.value
-            }
-            say(await asyncio.to_thread(actions.apply, self._node, changed) if changed else "nothing has changed")
-
-    def _fill(self, node: str, entries: Sequence[Parameter]) -> None:
-        for _, handle in self._inputs.values():
-            handle.remove()
-        self._inputs, self._node = {}, node
-        with self._folder:
-            for entry in entries:
-                self._inputs[entry.name] = (entry, _input(self._gui, entry))
-        self._folder.visible = self._apply.visible = True
-
-
-def _input(gui: Any, entry: Parameter) -> Any:
-    value, low, high = entry.value, entry.minimum, entry.maximum
-    if isinstance(value, bool):
-        return gui.add_checkbox(entry.name, value, hint=entry.description)
-    if isinstance(value, str):
-        return gui.add_text(entry.name, value, hint=entry.description)
-    if low is None or high is None or not low <= value <= high:
-        return gui.add_number(entry.name, value, hint=entry.description)
-    if isinstance(value, int):
-        return gui.add_slider(entry.name, int(low), int(high), 1, value, hint=entry.description)
-    # Fine enough for the present value too, which is often small compared with its range.
-    step = 10.0 ** np.floor(np.log10(min(high - low, abs(value) or high - low) / 100.0))
-    return gui.add_slider(entry.name, low, high, float(step), value, hint=entry.description)
