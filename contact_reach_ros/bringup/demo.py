@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 import time
@@ -42,6 +41,7 @@ _DYING_S = 0.5
 _AFTERWARDS_NS = 300_000_000
 _LAG_S = 5.0
 _MISSED_SHARE = 0.02
+"""More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
 _RECORDED = (
     topics.JOINT_STATES,
     topics.COMMANDS,
@@ -81,40 +81,22 @@ class DemoOptions:
 def run_demo(options: DemoOptions) -> int:
     """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
 
-    A run that failed because the machine fell behind real time is repeated in lockstep, unless the page is served.
     Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
-    code, summary = _run(options)
-    if options.lockstep or options.view or code == INTERRUPTED or summary is None or not fell_behind(summary):
-        return code
-    print(
-        f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {summary.missed_ticks} ticks of "
-        f"{summary.ticks + summary.missed_ticks} were missed. The same demo again in simulated time (--lockstep):\n",
-        flush=True,
-    )
-    code, _ = _run(dataclasses.replace(options, lockstep=True))
-    return code
-
-
-def fell_behind(summary: EpisodeSummary) -> bool:
-    """Whether a run failed on a machine that missed more ticks than a robot's ever does."""
-    return not summary.success and summary.missed_ticks > _MISSED_SHARE * (summary.ticks + summary.missed_ticks)
-
-
-def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
-    """Exit code, and the summary of a run in which no process failed, if its bag can be judged."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
     bag = options.output.resolve() / name
     bringup = BringupOptions(
         scene=options.scene,
-        seed=options.seed,
-        target="" if options.goal is None else " ".join(map(str, options.goal)),
         lockstep=options.lockstep,
         bag=str(bag),
         parameters=options.parameters,
         view=options.view,
         robot=options.arm,
-        overrides=(f"driver:waits_for={DEMO},{RECORDER}",) if options.lockstep else (),
+        overrides=(
+            f"driver:seed={options.seed}",
+            *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
+            *([f"driver:waits_for={DEMO},{RECORDER}"] if options.lockstep else []),
+        ),
     )
     table = processes(bringup)
     interruption = Interruption()
@@ -147,10 +129,8 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         print(f"demo: {failure}", file=sys.stderr)
     summary = _judge(bag, model, end_ns, options)
     if interrupted:
-        return INTERRUPTED, summary
-    if failure:
-        return 1, None
-    return 0 if summary is not None and summary.success else 1, summary
+        return INTERRUPTED
+    return 0 if summary is not None and summary.success and not failure else 1
 
 
 def _state_period_ns(parameter_file: Path) -> int:
@@ -250,6 +230,8 @@ def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path, plot: Path)
     print()
     for label, text in rows:
         print(f"  {label:16}{text}")
+    if not summary.success and summary.missed_ticks > _MISSED_SHARE * (summary.ticks + summary.missed_ticks):
+        print("\nThis machine is too slow, or too busy, to simulate the arm in real time: add --lockstep")
 
 
 def _known(text: str, otherwise: str = "none recorded: the run was too short") -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.running import running
@@ -25,8 +24,6 @@ from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
 _ACTIVE = "active"
-_COMPILED = f"{PACKAGE}.control.kernels"
-"""The arithmetic of the controller."""
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
@@ -72,8 +69,6 @@ class StackProcesses:
         self._table = list(table)
         self.parameter_file = parameter_file
         self._children = Children(log)
-        self._is_alone = False
-        """Whether no other stack was found before the first loop was started."""
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
@@ -96,43 +91,16 @@ class StackProcesses:
         """
         prioritise_middleware()
         deadline = time.monotonic() + timeout
-        # The first time on a machine, Numba compiles it for as long as XLA compiles the planner, which is up first.
-        self._children.start_aside(["-c", f"import {_COMPILED}"])
         for wave in Wave:
-            if wave is Wave.LOOPS and not self._is_alone:
+            if wave is Wave.LOOPS:
                 self._look_around()
-            processes = [
-                process for process in self._table if process.wave is wave and process.name not in self._children
-            ]
+            processes = [process for process in self._table if process.wave is wave]
             if wave is Wave.LAST and processes and RECORDER in self._children:
                 self._until_heard(RECORDER, _ANSWERS, min(deadline, time.monotonic() + _HEARD_S))
             for process in processes:
                 self._children.start(process.name, ["-m", process.module, *self._arguments(process)])
             self._wait_active(processes, deadline, timeout, progress)
             self._children.optional |= {process.name for process in processes if not process.essential}
-
-    def restart(
-        self, table: Sequence[Process], keep: Collection[str], timeout: float, progress: Callable[[str], None]
-    ) -> None:
-        """Bring the arm to rest, end all processes but those to keep, and bring up those of another table.
-
-        Parameters
-        ----------
-        table
-            From `processes`.
-        keep
-            Names of processes that continue.
-        timeout, progress
-            As for `bring_up`.
-
-        Raises
-        ------
-        StackError, KeyboardInterrupt
-            As `bring_up`.
-        """
-        self._end_all(keep)
-        self._table = list(table)
-        self.bring_up(timeout, progress)
 
     def wait_heard(self, listener: str, heard: Sequence[Topic], timeout: float) -> None:
         """Wait until a node has subscribed to topics, which a recorder does only once it has discovered a publisher.
@@ -154,7 +122,6 @@ class StackProcesses:
         others = running(self.client.node, [process.name for process in self._table], self._children.process_ids)
         if others:
             raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
-        self._is_alone = True
 
     def _until_heard(self, listener: str, heard: Sequence[Topic], deadline: float) -> list[Topic]:
         """Wait as `wait_heard` does; returns the topics that are still not heard."""
@@ -207,17 +174,13 @@ class StackProcesses:
 
     def shutdown(self) -> None:
         """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
-        self._end_all(())
-        self.client.close()
-        self._children.close()
-
-    def _end_all(self, keep: Collection[str]) -> None:
         self._halt()
         for process in reversed(self._table):
-            if process.name not in keep:
-                self._children.end(process.name)
+            self._children.end(process.name)
             if process.name == CONTROLLER:
                 self.client.spin(_WATCHDOG_S)
+        self.client.close()
+        self._children.close()
 
     def _arguments(self, process: Process) -> list[str]:
         file = self.parameter_file

@@ -121,7 +121,9 @@ def run_fitness(file: Path | None = None, **options: Any) -> None:
         signal.signal(number, _interrupt)
     # Removed only on success, so that the log of a failure remains.
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
-    stack_options = BringupOptions(scene=chosen.scene, seed=chosen.seed, bag=str(directory / "bag"))
+    stack_options = BringupOptions(
+        scene=chosen.scene, bag=str(directory / "bag"), overrides=(f"driver:seed={chosen.seed}",)
+    )
     interruption = Interruption()
     initialise([NAME])
     node = Node(NAME)
