@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import FrameError, InputError
-from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, STAMP, after_list, after_string, aligned, text_at
+from contact_reach_ros.messages.cdr import STAMP, Cursor, no_message
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.rigid import Block, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
@@ -42,7 +42,7 @@ _MATCH = 1e-4
 _ROUND = 1e-3
 """How much the three diameters of a sphere may differ, as a share."""
 
-_IDS, _POSE_AND_SCALE = struct.Struct("<3i"), struct.Struct("<10d")
+_FLAG, _IDS, _POSE_AND_SCALE = struct.Struct("<?"), struct.Struct("<3i"), struct.Struct("<10d")
 _COLOR_TO_LOCKED = 16 + 8 + 1
 """Bytes of color, lifetime and frame_locked."""
 
@@ -114,7 +114,6 @@ class ObstacleMarkerReader:
         self._frame = frame
         self._material = material
         self._rests: dict[int, Array] = {}
-        self._edges: dict[int, NDArray[np.intp]] = {}
 
     def read(self, data: bytes) -> Spheres:
         """The spheres of a MarkerArray: in the order of their ids, and of each body the nodes that can move first.
@@ -172,7 +171,7 @@ class ObstacleMarkerReader:
         is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
         stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
         nodes = np.concatenate([movable, fixed])
-        edges = self._match(number, body[EDGES].points, nodes) if EDGES in body else _EMPTY.edges
+        edges = _joined(number, body[EDGES].points, nodes) if EDGES in body else _EMPTY.edges
         radii = [0.5 * body[kind].scale[0] if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
         return _Part(
             center=nodes,
@@ -183,26 +182,6 @@ class ObstacleMarkerReader:
             edges=edges + first,
             edge_stiffness=np.full(len(edges), material.edge_stiffness),
         )
-
-    def _match(self, number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
-        """Which nodes the edges (2 E, 3) join, (E, 2); looked up only when it has changed."""
-        if len(ends) % 2:
-            raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
-        known = self._edges.get(number)
-        if known is not None and known.size == len(ends) and known.max(initial=-1) < len(nodes):
-            off = np.abs(nodes[known.ravel()] - ends).max(initial=0.0)
-            if off <= _MATCH:
-                return known
-        # An edge without any nodes ends far away from one.
-        distances, nearest = cKDTree(nodes if len(nodes) else np.full((1, 3), 1e9)).query(ends)
-        if distances.max(initial=0.0) > _MATCH:
-            index = int(distances.argmax())
-            raise InputError(
-                f"obstacles: marker {EDGES}/{number}: edge {index // 2} ends at {np.round(ends[index], 4).tolist()} m, "
-                f"where no node is; expected a point of {OBSTACLES}/{number} or {FIXED}/{number}"
-            )
-        self._edges[number] = nearest.reshape(-1, 2)
-        return self._edges[number]
 
 
 class _Part(NamedTuple):
@@ -220,6 +199,21 @@ class _Part(NamedTuple):
 _EMPTY = _Part(
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2), np.intp), np.zeros(0)
 )
+
+
+def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
+    """Which nodes (N, 3) the edges (2 E, 3) of a body join, (E, 2)."""
+    if len(ends) % 2:
+        raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
+    # An edge without any nodes ends far away from one.
+    distances, nearest = cKDTree(nodes if len(nodes) else np.full((1, 3), 1e9)).query(ends)
+    if distances.max(initial=0.0) > _MATCH:
+        index = int(distances.argmax())
+        raise InputError(
+            f"obstacles: marker {EDGES}/{number}: edge {index // 2} ends at {np.round(ends[index], 4).tolist()} m, "
+            f"where no node is; expected a point of {OBSTACLES}/{number} or {FIXED}/{number}"
+        )
+    return nearest.reshape(-1, 2).astype(np.intp)
 
 
 def _checked(marker: _Marker, kind: str) -> _Marker:
@@ -267,58 +261,43 @@ def _rigid_body(marker: _Marker) -> RigidBody:
 
 def _markers_in(data: bytes) -> list[_Marker]:
     """The markers of a serialised MarkerArray; raises `InputError` if the bytes are none."""
-    markers, at = [], HEADER + COUNT.size
     try:
-        if data[:2] != PLAIN_CDR[:2]:
-            raise ValueError("not in plain CDR, little-endian")
-        for _ in range(*COUNT.unpack_from(data, HEADER)):
-            marker, end = _marker_at(data, HEADER + -(-(at - HEADER) // 4) * 4)
-            markers.append(marker)
-            at = end
-        if at > len(data):
-            raise ValueError("cut off")
+        cursor = Cursor(data)
+        markers = [_next_marker(cursor) for _ in range(cursor.count())]
     except (struct.error, ValueError) as error:
-        raise InputError(
-            f"obstacles: {len(data)} bytes that are no MarkerArray; expected a serialised MarkerArray ({error})"
-        ) from error
+        raise no_message(data, "MarkerArray", "obstacles", error) from error
     return markers
 
 
-def _marker_at(data: bytes, at: int) -> tuple[_Marker, int]:
-    """The marker at a place of a message, and its end."""
-    seconds, nanosec = STAMP.unpack_from(data, at)
-    frame_at = at + STAMP.size
-    namespace_at = after_string(data, frame_at)
-    ids_at = after_string(data, namespace_at)
-    identifier, kind, action = _IDS.unpack_from(data, ids_at)
-    place_at = aligned(ids_at + _IDS.size)
-    place = _POSE_AND_SCALE.unpack_from(data, place_at)
-    at = place_at + _POSE_AND_SCALE.size + _COLOR_TO_LOCKED
-    count_at = -(-at // 4) * 4
-    (count,) = COUNT.unpack_from(data, count_at)
-    end = after_list(data, count_at, 24, alignment=8)
-    points = np.frombuffer(data, "<f8", 3 * count, end - 24 * count).reshape(-1, 3)
-    at = after_list(data, end, 16)  # colors
-    at = after_string(data, at)  # texture_resource
-    at = after_string(data, at + STAMP.size)  # texture.header
-    at = after_string(data, at)  # texture.format
-    at = after_list(data, -(-after_list(data, at, 1) // 4) * 4, 8)  # texture.data, uv_coordinates
-    text_place = at
-    at = after_string(data, after_string(data, after_string(data, at)))  # text, mesh_resource, mesh_file.filename
-    at = after_list(data, at, 1) + 1  # mesh_file.data, mesh_use_embedded_materials
-    return (
-        _Marker(
-            seconds * NANOSECONDS + nanosec,
-            text_at(data, frame_at),
-            text_at(data, namespace_at),
-            identifier,
-            kind,
-            action,
-            place[:3],
-            place[3:7],
-            place[7:],
-            points,
-            text_at(data, text_place),
-        ),
-        at,
+def _next_marker(cursor: Cursor) -> _Marker:
+    """The marker at the cursor, which then stands behind it."""
+    seconds, nanosec = cursor.numbers(STAMP)
+    frame, namespace = cursor.text(), cursor.text()
+    identifier, kind, action = cursor.numbers(_IDS)
+    place = cursor.numbers(_POSE_AND_SCALE, 8)
+    cursor.at += _COLOR_TO_LOCKED
+    start, end = cursor.skip(24, 8)
+    points = np.frombuffer(cursor.data, "<f8", (end - start) // 8, start if end > start else 0).reshape(-1, 3)
+    cursor.skip(16, 4)  # colors
+    cursor.skip(1)  # texture_resource
+    cursor.numbers(STAMP)  # texture.header
+    for _ in range(3):  # frame_id, texture.format, texture.data
+        cursor.skip(1)
+    cursor.skip(8, 4)  # uv_coordinates
+    text = cursor.text()
+    for _ in range(3):  # mesh_resource, mesh_file.filename, mesh_file.data
+        cursor.skip(1)
+    cursor.numbers(_FLAG, 1)  # mesh_use_embedded_materials
+    return _Marker(
+        seconds * NANOSECONDS + nanosec,
+        frame,
+        namespace,
+        identifier,
+        kind,
+        action,
+        place[:3],
+        place[3:7],
+        place[7:],
+        points,
+        text,
     )
