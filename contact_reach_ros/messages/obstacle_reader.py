@@ -86,11 +86,6 @@ class _Marker(NamedTuple):
     """(N, 3)."""
     text: str
 
-    @property
-    def name(self) -> str:
-        """Its name in refusals."""
-        return f"{self.namespace}/{self.id}"
-
 
 class ObstacleMarkerReader:
     """Reads spheres, the edges between them, and rigid bodies from marker arrays.
@@ -139,28 +134,27 @@ class ObstacleMarkerReader:
             kind = marker.namespace if marker.namespace in _TYPES else OBSTACLES
             key = (f"CUBE {marker.namespace}" if marker.type == _CUBE else kind, marker.id)
             if key in seen:
-                raise InputError(f"obstacles: marker {marker.name} comes twice; expected each namespace and id once")
+                raise _refusal(marker, "comes twice; expected each namespace and id once")
             seen.add(key)
             if marker.type == _CUBE:
                 environment.append(_rigid_body(marker))
             else:
                 bodies.setdefault(marker.id, {})[kind] = _checked(marker, kind)
         rests = self._rests | {number: body[REST].points for number, body in bodies.items() if REST in body}
-        parts, count = [_EMPTY], 0
+        parts, count = [_NO_SPHERES], 0
         for number, body in sorted(bodies.items()):
             if body.keys() != {REST}:
-                parts.append(self._part(number, body, rests, count))
-                count += len(parts[-1].center)
+                parts.append(self._spheres(number, body, rests, count))
+                count += len(parts[-1]["center"])
         self._rests = rests
-        whole = _Part(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-        spheres = Spheres(**whole._asdict(), environment=tuple(environment))
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in _NO_SPHERES}
+        spheres = Spheres(**columns, environment=tuple(environment))
         self.stamp_ns = min((marker.stamp_ns for marker in markers if marker.stamp_ns), default=None)
         return spheres
 
-    def _part(self, number: int, body: dict[str, _Marker], rests: dict[int, Array], first: int) -> _Part:
-        """One body, whose first sphere has the number `first`; its rest is added to `rests` if it is not known."""
-        movable = body[OBSTACLES].points if OBSTACLES in body else _EMPTY.center
-        fixed = body[FIXED].points if FIXED in body else _EMPTY.center
+    def _spheres(self, number: int, body: dict[str, _Marker], rests: dict[int, Array], first: int) -> dict[str, Array]:
+        """Fields of `Spheres` for one body, whose first sphere is number `first`; adds an unknown rest to `rests`."""
+        movable, fixed = (body[kind].points if kind in body else np.zeros((0, 3)) for kind in (OBSTACLES, FIXED))
         rest = rests.setdefault(number, movable)
         if len(rest) != len(movable):
             raise InputError(
@@ -171,43 +165,32 @@ class ObstacleMarkerReader:
         is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
         stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
         nodes = np.concatenate([movable, fixed])
-        edges = _joined(number, body[EDGES].points, nodes) if EDGES in body else _EMPTY.edges
+        edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
+        counts = [len(movable), len(fixed)]
         radii = [0.5 * body[kind].scale[0] if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
-        return _Part(
-            center=nodes,
-            rest=np.concatenate([rest, fixed]),
-            radius=np.repeat(radii, [len(movable), len(fixed)]),
-            stiffness=np.repeat([stiffness, FIXED_STIFFNESS], [len(movable), len(fixed)]),
-            damping=np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
-            edges=edges + first,
-            edge_stiffness=np.full(len(edges), material.edge_stiffness),
-        )
+        return {
+            "center": nodes,
+            "rest": np.concatenate([rest, fixed]),
+            "radius": np.repeat(radii, counts),
+            "stiffness": np.repeat([stiffness, FIXED_STIFFNESS], counts),
+            "damping": np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
+            "edges": edges + first,
+            "edge_stiffness": np.full(len(edges), material.edge_stiffness),
+        }
 
 
-class _Part(NamedTuple):
-    """The fields of `Spheres` for one body."""
-
-    center: Array
-    rest: Array
-    radius: Array
-    stiffness: Array
-    damping: Array
-    edges: NDArray[np.intp]
-    edge_stiffness: Array
-
-
-_EMPTY = _Part(
-    np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2), np.intp), np.zeros(0)
-)
+_NO_SPHERES: dict[str, Array] = {name: value for name, value in vars(Spheres.none()).items() if name != "environment"}
 
 
 def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
     """Which nodes (N, 3) the edges (2 E, 3) of a body join, (E, 2)."""
     if len(ends) % 2:
         raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
+    if not len(ends):
+        return np.zeros((0, 2), np.intp)
     # An edge without any nodes ends far away from one.
     distances, nearest = cKDTree(nodes if len(nodes) else np.full((1, 3), 1e9)).query(ends)
-    if distances.max(initial=0.0) > _MATCH:
+    if distances.max() > _MATCH:
         index = int(distances.argmax())
         raise InputError(
             f"obstacles: marker {EDGES}/{number}: edge {index // 2} ends at {np.round(ends[index], 4).tolist()} m, "
@@ -216,43 +199,42 @@ def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
     return nearest.reshape(-1, 2).astype(np.intp)
 
 
+def _refusal(marker: _Marker, why: str) -> InputError:
+    return InputError(f"obstacles: marker {marker.namespace}/{marker.id} {why}")
+
+
 def _checked(marker: _Marker, kind: str) -> _Marker:
     """A marker of spheres or edges; raises `InputError` if it does not fit its namespace."""
-    types = _TYPES[kind]
+    types, size = _TYPES[kind], marker.scale[0]
     if marker.action != _ADD or marker.type not in types:
-        raise InputError(
-            f"obstacles: marker {marker.name} has type {marker.type} and action {marker.action}; expected "
-            f"{' or '.join(types.values())}, to ADD"
-        )
-    size = marker.scale[0]
-    if kind in (OBSTACLES, FIXED) and not 0.0 < size < np.inf:
-        raise InputError(f"obstacles: marker {marker.name}: scale.x = {size}; expected a diameter in m")
-    if kind in (OBSTACLES, FIXED) and not all(
-        side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale
+        expected = " or ".join(types.values())
+        raise _refusal(marker, f"has type {marker.type} and action {marker.action}; expected {expected}, to ADD")
+    if kind in (OBSTACLES, FIXED) and not (
+        0.0 < size < np.inf and all(side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale)
     ):
-        raise InputError(
-            f"obstacles: marker {marker.name}: scale = {list(marker.scale)}; expected one diameter in x, y and z, or "
-            "in x alone: cover an ellipsoid with several spheres, or with one as large as its longest axis"
+        raise _refusal(
+            marker,
+            f"has scale = {list(marker.scale)}; expected one diameter, m, in x, y and z, or in x alone: cover an "
+            "ellipsoid with several spheres, or with one as large as its longest axis",
         )
     if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
-        raise InputError(f"obstacles: marker {marker.name} has a pose; expected none, and its points in the frame")
+        raise _refusal(marker, "has a pose; expected none, and its points in the frame")
     points = np.array([marker.position]) if marker.type == _SPHERE else marker.points
     if not np.isfinite(points).all():
         index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(
-            f"obstacles: marker {marker.name}: point {index} is {points[index].tolist()}; expected finite values"
-        )
+        raise _refusal(marker, f"has point {index} at {points[index].tolist()}; expected finite values")
     return marker._replace(points=points)
 
 
 def _rigid_body(marker: _Marker) -> RigidBody:
     """The rigid body of a CUBE, named by its text; raises `InputError` if it has no pose or size."""
     if marker.action != _ADD:
-        raise InputError(f"obstacles: marker {marker.name} has action {marker.action}; expected CUBE, to ADD")
+        raise _refusal(marker, f"has action {marker.action}; expected CUBE, to ADD")
+    name = marker.text or f"{marker.namespace}/{marker.id}"
     try:
-        block = Block(marker.text or marker.name, marker.position, marker.scale, marker.orientation)
+        block = Block(name, marker.position, marker.scale, marker.orientation)
     except InputError as error:
-        raise InputError(f"obstacles: marker {marker.name}: {error}") from error
+        raise _refusal(marker, f"is no body: {error}") from error
     if marker.namespace != PLANE:
         return block
     up = block.axes[:, 2]

@@ -19,8 +19,8 @@ ARM = "arm"
 CONTACT = "contact"
 """Namespaces of the markers."""
 
-_ADD, _DELETEALL = 0, 3
-"""Actions of a visualization_msgs/msg/Marker."""
+_ADD = 0
+"""Action of a visualization_msgs/msg/Marker."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,13 @@ class PlanPicture:
 
 
 def read_plan(message: Any) -> PlanPicture | None:
-    """The plan in a MarkerArray of plan/markers; None if the message withdraws the plan.
+    """The plan in a MarkerArray of plan/markers; None if the message has none, which withdraws it.
 
     Raises `InputError` if a place is none, or an orientation no unit quaternion.
     """
     paths = {FLANGE: np.zeros((0, 3)), ELBOW: np.zeros((0, 3))}
     starts, ends, radii = [], [], []
     for marker in message.markers:
-        if marker.action == _DELETEALL:
-            return None
         if marker.action != _ADD:
             continue
         if marker.ns in paths:
@@ -67,6 +65,8 @@ def read_plan(message: Any) -> PlanPicture | None:
             starts.append(middle - half)
             ends.append(middle + half)
             radii.append(0.5 * marker.scale.x)
+    if not len(paths[FLANGE]):
+        return None
     picture = PlanPicture(
         paths[FLANGE],
         paths[ELBOW],
