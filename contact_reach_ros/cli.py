@@ -127,7 +127,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
     identify.add_argument("--bag", dest="bags", type=Path, nargs="+", metavar="BAG", help=where)
-    identify.add_argument("--without", type=Path, nargs="+", metavar="BAG", help="the same of the arm without its tool")
     identify.add_argument("--links", action="store_true", help="fit the weights of the links; the tool is as it is")
     identify.add_argument("--output", type=Path, metavar="FILE", help="parameter file (default: identified.yaml)")
     identify.add_argument("--parameters", type=Path, metavar="FILE", help="file whose other values it keeps")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -27,13 +26,6 @@ _BLOCK_S = 50
 """Samples whose errors may be alike: those of a second."""
 _LEAST_NOISE = 1e-4
 """Of a joint's torque, Nm: its rows do not weigh more."""
-
-
-class Motion(NamedTuple):
-    """Samples of a recording, and whether the tool that is to be identified was on the arm."""
-
-    samples: Samples
-    has_tool: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +74,13 @@ class Fit:
         return self.values[slots], self.half_widths[slots], self.known[slots]
 
 
-def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
+def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
     """Fit the parameters to motions; rows of joints that hardly move are left out: what friction does there is unknown.
 
     Raises `InputError` if no joint moves, or nothing is identifiable.
     """
-    regressors = [parameters.regressor(motion.samples) for motion in motions]
-    moves = np.concatenate([motion.samples.moves for motion in motions])
+    regressors = [parameters.regressor(motion) for motion in motions]
+    moves = np.concatenate([motion.moves for motion in motions])
     blocks = _blocks(motions)
     if not moves.any():
         raise InputError("no joint moves fast enough for its friction: expected a motion of all joints")
@@ -97,8 +89,7 @@ def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
     before = np.zeros(n)
     for number in range(_ROUNDS):
         pairs = [
-            parameters.rows(motion.samples, *regressor, values, motion.has_tool)
-            for motion, regressor in zip(motions, regressors, strict=True)
+            parameters.rows(motion, *regressor, values) for motion, regressor in zip(motions, regressors, strict=True)
         ]
         errors, columns = (np.concatenate(each) for each in zip(*pairs, strict=True))
         errors, columns = errors * moves, columns * moves[:, :, None]
@@ -137,12 +128,12 @@ def _rms(errors: Array, moves: np.ndarray) -> Array:
     return np.sqrt((errors**2).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
 
 
-def _blocks(motions: Sequence[Motion]) -> np.ndarray:
+def _blocks(motions: Sequence[Samples]) -> np.ndarray:
     """Number (N,) of the block of each sample."""
     found, start = [], 0
     for motion in motions:
-        for piece in np.unique(motion.samples.piece):
-            length = int((motion.samples.piece == piece).sum())
+        for piece in np.unique(motion.piece):
+            length = int((motion.piece == piece).sum())
             found.append(start + np.arange(length) // _BLOCK_S)
             start = int(found[-1][-1]) + 1
     return np.concatenate(found)
