@@ -27,9 +27,6 @@ from contact_reach_ros.settings import check_node_names, sections_of_others
 
 NAME = "bringup"
 
-STARTUP_TIMEOUT_S = 240.0
-"""The first start compiles the planner."""
-
 
 def main() -> None:
     """Bring the stack up and supervise it until Ctrl-C, SIGTERM or the end of one process."""
@@ -125,7 +122,7 @@ def _supervise(node: Node, stack: StackProcesses) -> None:
             shown = line
 
     try:
-        stack.bring_up(STARTUP_TIMEOUT_S, progress)
+        stack.bring_up(progress)
         log.info("all nodes are active; send a goal to goal_pose")
         while True:
             stack.watch(0.1)

@@ -15,9 +15,8 @@ import numpy as np
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import read_signals
-from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.bringup.children import Interruption
-from contact_reach_ros.bringup.follower import DISCOVERY_S, Follower
+from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
@@ -144,10 +143,9 @@ def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptio
     began = time.monotonic()
     if options.view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
-    stack.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    stack.wait_heard(RECORDER, _RECORDED, DISCOVERY_S)
-    # Planner and recorder have to hear goals before there is one.
-    follower.wait_to_start(stack, listeners=2)
+    stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+    stack.wait_recorded(_RECORDED)
+    follower.wait_to_start(stack)
     goal = np.round(follower.target, 3).tolist()
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
     follower.send_target()
