@@ -39,6 +39,8 @@ _LINE_S = 1.0
 _DYING_S = 0.5
 _AFTERWARDS_NS = 300_000_000
 _LAG_S = 5.0
+_SETTLE_S = 1.2
+"""Time of the robot's clock that is recorded after the goal was reached, s."""
 _MISSED_SHARE = 0.02
 """More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
 _RECORDED = (
@@ -67,8 +69,6 @@ class DemoOptions:
     lockstep: bool = False
     timeout: float = 30.0
     """Time of the robot's clock in which the goal must be reached, s."""
-    settle: float = 1.2
-    """Time of the robot's clock that is recorded after the goal was reached, s."""
     parameters: str = ""
     """Parameter file for the nodes; the package's own when empty."""
     view: bool = False
@@ -160,7 +160,7 @@ def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptio
             said_at = now
         if reached_ns is None and follower.distance <= SUCCESS_DISTANCE:
             reached_ns = follower.stamp_ns
-        settled = reached_ns is not None and follower.stamp_ns - reached_ns > options.settle * NANOSECONDS
+        settled = reached_ns is not None and follower.stamp_ns - reached_ns > _SETTLE_S * NANOSECONDS
         if follower.stops:
             # When a dying process is the reason, it is named rather than the stop.
             stack.watch(_DYING_S)
@@ -186,7 +186,7 @@ def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOption
     try:
         signals = read_signals(BagReader(bag), model.arm.joint_names)
         end = None if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
-        episode = Episode(signals, model.arm, end, options.timeout, options.settle)
+        episode = Episode(signals, model.arm, end, options.timeout, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
         return None

@@ -46,10 +46,6 @@ class Fit:
         (p,) whether they are identifiable from the motion.
     unknown
         Combinations of parameters that are not, in words.
-    condition
-        Ratio of the largest to the smallest effect of the identifiable combinations.
-    before, after
-        (n,) rms of the smooth torques that are not explained without any of the parameters, and with them, N m.
     """
 
     parameters: Parameters
@@ -58,9 +54,6 @@ class Fit:
     freedom: float
     known: np.ndarray
     unknown: tuple[str, ...]
-    condition: float
-    before: Array
-    after: Array
 
     @property
     def half_widths(self) -> Array:
@@ -86,17 +79,14 @@ def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
         raise InputError("no joint moves fast enough for its friction: expected a motion of all joints")
     count, n = moves.shape
     values, noise = np.zeros(len(parameters.names)), np.ones(n)
-    before = np.zeros(n)
-    for number in range(_ROUNDS):
+    for _ in range(_ROUNDS):
         pairs = [
             parameters.rows(motion, *regressor, values) for motion, regressor in zip(motions, regressors, strict=True)
         ]
         errors, columns = (np.concatenate(each) for each in zip(*pairs, strict=True))
         errors, columns = errors * moves, columns * moves[:, :, None]
-        if number == 0:
-            before = _rms(errors, moves)
         scaled = columns * parameters.scales
-        basis, unknown, condition = _split(scaled.reshape(count * n, -1), count)
+        basis, unknown = _split(scaled.reshape(count * n, -1), count)
         weighted = (scaled @ basis) / noise[:, None]
         targets = errors / noise
         # Steps along the combinations that are known; along the others the values stay zero.
@@ -118,9 +108,6 @@ def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
         freedom,
         known,
         tuple(_in_words(direction, parameters.names) for direction in unknown.T),
-        condition,
-        before,
-        _rms(remaining, moves),
     )
 
 
@@ -139,16 +126,15 @@ def _blocks(motions: Sequence[Samples]) -> np.ndarray:
     return np.concatenate(found)
 
 
-def _split(scaled: Array, count: int) -> tuple[Array, Array, float]:
+def _split(scaled: Array, count: int) -> tuple[Array, Array]:
     """Combinations of the scaled parameters with an effect on the torques, and those without.
 
-    Both are orthonormal, (p, k) and (p, p - k); the number is the ratio of the largest to the smallest of the effects.
+    Both are orthonormal, (p, k) and (p, p - k).
     """
     squares, directions = np.linalg.eigh(scaled.T @ scaled)
     effects = np.sqrt(np.maximum(squares, 0.0) / count)
     has_effect = effects >= _LEAST_EFFECT
-    condition = float(effects[has_effect][-1] / effects[has_effect][0])
-    return directions[:, has_effect], directions[:, ~has_effect], condition
+    return directions[:, has_effect], directions[:, ~has_effect]
 
 
 def _covariance(bread: Array, scores: Array, blocks: np.ndarray) -> tuple[Array, float]:

@@ -59,9 +59,7 @@ def describe(found: Identification, arm: Arm, budget: ContactBudget) -> str:
     ):
         texts = [f"{old:.2f} > {new:.2f}" for old, new in zip(before, after, strict=True)]
         lines.append(f"{name:29s}" + "".join(f"{text:>16s}" for text in texts))
-    lines.append(
-        f"external torque of free motion falls to {found.rms_ratio:.2f} of before; condition {found.fit.condition:.0f}"
-    )
+    lines.append(f"external torque of free motion falls to {found.rms_ratio:.2f} of before")
     lines += [f"not identifiable from this motion: {words}" for words in found.fit.unknown]
     return "\n".join(lines)
 
