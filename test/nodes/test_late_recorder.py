@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from mcap.reader import make_reader
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, ros, running, wait_for
 from std_msgs.msg import Header
@@ -112,6 +113,23 @@ def test_time_waits_for_a_recorder_that_stands_still(domain, tmp_path):
     sequences = recorded_sequences(bag)
     for name in KEPT_TOPICS:
         assert sequences[name] == list(range(1, 1 + len(sequences[name]))), name
+
+
+def test_seconds_of_ticks_are_in_the_bag(domain, tmp_path):
+    """On a busy machine it takes that long until a recorder finds a topic."""
+    look = rclpy.create_node("look")
+    topic = topics.JOINT_STATES.kept(True)
+    publisher = look.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+    for _ in range(KEPT):
+        publisher.publish(JointState())
+    bag = tmp_path / "bag"
+    command = [*module("nodes.recorder"), "--ros-args", "-p", f"bag:={bag}"]
+    with running(command, domain, tmp_path / "recorder.log") as recorder:
+        wait_for(publisher.get_subscription_count, 60, "the recorder subscribes")
+        assert publisher.wait_for_all_acked(Duration(seconds=60.0))
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(30) == 0, (tmp_path / "recorder.log").read_text()
+    assert recorded_sequences(bag)["/joint_states"] == list(range(1, KEPT + 1))
 
 
 def recorded_sequences(bag: Path) -> dict[str, list[int]]:
