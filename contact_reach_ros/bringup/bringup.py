@@ -9,7 +9,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from contact_reach_ros.bringup.children import Interruption, StackError
@@ -17,7 +16,6 @@ from contact_reach_ros.bringup.processes import processes
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
-from contact_reach_ros.ros.boundary import Boundary
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
@@ -47,7 +45,7 @@ def run_bringup(arguments: list[str]) -> int:
             table = processes(options)
             refuse_beside_another(node, [process.name for process in table], began)
             passed_on = _remappings(arguments)
-            client = Client(node, _protect(node).refuse)
+            client = Client(node)
             stack = StackProcesses(client, table, options.parameter_file, interruption, passed_on=passed_on)
             try:
                 _supervise(node, stack)
@@ -60,19 +58,6 @@ def run_bringup(arguments: list[str]) -> int:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def _protect(node: Node) -> Boundary:
-    """Refuse bad requests, and log the last of each kind once a second."""
-    boundary, log = Boundary(node.get_logger().error), node.get_logger()
-
-    def log_refusals() -> None:
-        for line in boundary.last_refusals():
-            log.warning(line)
-
-    node.create_timer(1.0, log_refusals, clock=Clock(clock_type=ClockType.STEADY_TIME))
-    boundary.protect(node)
-    return boundary
 
 
 def _remappings(arguments: Sequence[str]) -> list[str]:

@@ -121,14 +121,12 @@ class Client(Services):
     ----------
     node
         No other executor may serve it.
-    refuse
-        Takes what handling a message raises, and what was being handled; ignored by default, since nodes that receive
-        malformed messages report them.
     """
 
-    def __init__(self, node: Node, refuse: Callable[[str, Exception], None] = lambda what, error: None) -> None:
+    def __init__(self, node: Node) -> None:
         super().__init__(node, self._serve)
-        self.inbox = Inbox(node, refuse)
+        # Malformed messages are reported by the nodes that receive them.
+        self.inbox = Inbox(node, lambda what, error: None)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
 
