@@ -40,8 +40,8 @@ _FOUND_S = 4.0
 _SERVICE_S = 1.0
 """Wait for a service that stops or releases the arm: another node may offer it, too."""
 _ANSWER_S = 3.0
-_SETTLED_S = 0.5
-"""Time in which the rest of a node's last safety states follows the first."""
+_SETTLED_S = 1.0
+"""Time in which the rest of a node's last safety states follows the first, and other nodes are discovered."""
 _JUDGED_S = 8.0
 """Longest time until diagnostics, which come once a second, show whether a goal is taken."""
 _SILENCE_S = 5.0
@@ -215,11 +215,16 @@ class StackClient(Client):
         Raises `ContactReachError` if the controller does not report it.
         """
         name = topics.SAFETY_STATE.name
-        self.until(lambda: CONTROLLER in self._heard and len(self._heard) >= self.node.count_publishers(name), _FOUND_S)
+
+        def everybody() -> bool:
+            return CONTROLLER in self._heard and len(self._heard) >= self.node.count_publishers(name)
+
+        self.until(everybody, _FOUND_S)
         if CONTROLLER not in self._heard:
             raise ContactReachError(f"not heard: {name} of the {CONTROLLER}; run contact-reach doctor")
         # The last events of each come first, perhaps in pieces: of a stop before that of its release.
         self.spin(_SETTLED_S)
+        self.until(everybody, _FOUND_S)
 
     def go(self, position: Array, rotation: Array | None) -> Outcome:
         """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
