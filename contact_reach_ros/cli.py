@@ -63,11 +63,13 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
     demo.add_argument("--view", action="store_true", help="serve a page for browsers, and stay up until Ctrl-C")
 
-    up = add("up", _up, "start the stack and supervise it until Ctrl-C: what the executable bringup does")
+    up = add(
+        "up",
+        _later("bringup.commands:up"),
+        "start the stack and supervise it until Ctrl-C: what the executable bringup does",
+    )
     _add_arm(up, "robot")
     up.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
-    up.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 0)")
-    up.add_argument("--target", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position for the scene, m")
     up.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
     up.add_argument("--robot", metavar="ARM", help="name of the arm (default: the parameter file's)")
     up.add_argument("--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)")
@@ -125,7 +127,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
     identify.add_argument("--bag", dest="bags", type=Path, nargs="+", metavar="BAG", help=where)
-    identify.add_argument("--without", type=Path, nargs="+", metavar="BAG", help="the same of the arm without its tool")
     identify.add_argument("--links", action="store_true", help="fit the weights of the links; the tool is as it is")
     identify.add_argument("--output", type=Path, metavar="FILE", help="parameter file (default: identified.yaml)")
     identify.add_argument("--parameters", type=Path, metavar="FILE", help="file whose other values it keeps")
@@ -235,12 +236,6 @@ def _demo(**options: Any) -> int:
     from contact_reach_ros.bringup.demo import DemoOptions, run_demo
 
     return run_demo(DemoOptions(**options))
-
-
-def _up(target: Sequence[float] | None = None, **options: Any) -> int:
-    from contact_reach_ros.bringup.commands import up
-
-    return up(**options, **({} if target is None else {"target": " ".join(map(str, target))}))
 
 
 def _goto(x: float, y: float, z: float, **options: Any) -> int:

@@ -21,9 +21,7 @@ from ros_domains import fresh_domain
 
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bringup.bringup import CHANGEABLE
-from contact_reach_ros.bringup.bringup import SECTIONS as BRINGUP
-from contact_reach_ros.bringup.processes import BringupOptions
+from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.cli import _parser, main
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes import replay
@@ -45,7 +43,7 @@ def check_node(name, arguments):
         replay.make_parser().parse_args(without_ros_arguments([name, *arguments])[1:])
     else:
         assert arguments[:1] in ([], ["--ros-args"]), arguments
-        check_arguments([name, *arguments], name, {**SECTIONS, "bringup": BRINGUP}[name])
+        check_arguments([name, *arguments], name, SECTIONS[name])
 
 
 def check_ros2(words):
@@ -62,8 +60,6 @@ def check_ros2(words):
         case ["service", "call", name, "std_srvs/srv/Trigger"]:
             _, node, service = name.split("/")
             assert f"~/{service}" in INTERFACES[node].serves
-        case ["param", "set", "/bringup", name, value]:
-            assert name in CHANGEABLE and value
         case _:
             assert words[0] in ("security", "pkg"), words
 

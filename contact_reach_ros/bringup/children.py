@@ -39,7 +39,6 @@ class Children:
         self._log_path = log
         self._log: IO[bytes] | None = None
         self._running: dict[str, subprocess.Popen[bytes]] = {}
-        self._aside: list[subprocess.Popen[bytes]] = []
         self.optional: set[str] = set()
 
     def __contains__(self, name: str) -> bool:
@@ -52,16 +51,9 @@ class Children:
 
     def start(self, name: str, arguments: Sequence[str]) -> None:
         """Start Python with these arguments."""
-        self._running[name] = self._started(arguments)
-
-    def start_aside(self, arguments: Sequence[str]) -> None:
-        """Start Python with these arguments for work that ends by itself and that nothing depends on."""
-        self._aside.append(self._started(arguments))
-
-    def _started(self, arguments: Sequence[str]) -> subprocess.Popen[bytes]:
         if self._log_path is not None and self._log is None:
             self._log = self._log_path.open("wb")
-        return subprocess.Popen(
+        self._running[name] = subprocess.Popen(
             [sys.executable, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=self._log,
@@ -107,10 +99,7 @@ class Children:
         return f"; its output is in {self._log_path}" if self._log_path else ""
 
     def close(self) -> None:
-        """End what was started aside and close the log."""
-        for process in self._aside:
-            process.terminate()
-            process.wait()
+        """Close the log."""
         if self._log is not None:
             self._log.close()
 

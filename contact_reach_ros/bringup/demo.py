@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 import time
@@ -16,9 +15,8 @@ import numpy as np
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import read_signals
-from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.bringup.children import Interruption
-from contact_reach_ros.bringup.follower import DISCOVERY_S, Follower
+from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
@@ -40,7 +38,10 @@ _LINE_S = 1.0
 _DYING_S = 0.5
 _AFTERWARDS_NS = 300_000_000
 _LAG_S = 5.0
+_SETTLE_S = 1.2
+"""Time of the robot's clock that is recorded after the goal was reached, s."""
 _MISSED_SHARE = 0.02
+"""More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
 _RECORDED = (
     topics.JOINT_STATES,
     topics.COMMANDS,
@@ -67,8 +68,6 @@ class DemoOptions:
     lockstep: bool = False
     timeout: float = 30.0
     """Time of the robot's clock in which the goal must be reached, s."""
-    settle: float = 1.2
-    """Time of the robot's clock that is recorded after the goal was reached, s."""
     parameters: str = ""
     """Parameter file for the nodes; the package's own when empty."""
     view: bool = False
@@ -80,40 +79,22 @@ class DemoOptions:
 def run_demo(options: DemoOptions) -> int:
     """Run the demo; returns the exit code: 0 only if the goal was reached and nothing stopped the arm.
 
-    A run that failed because the machine fell behind real time is repeated in lockstep, unless the page is served.
     Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
-    code, summary = _run(options)
-    if options.lockstep or options.view or code == INTERRUPTED or summary is None or not fell_behind(summary):
-        return code
-    print(
-        f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {summary.missed_ticks} ticks of "
-        f"{summary.ticks + summary.missed_ticks} were missed. The same demo again in simulated time (--lockstep):\n",
-        flush=True,
-    )
-    code, _ = _run(dataclasses.replace(options, lockstep=True))
-    return code
-
-
-def fell_behind(summary: EpisodeSummary) -> bool:
-    """Whether a run failed on a machine that missed more ticks than a robot's ever does."""
-    return not summary.success and summary.missed_ticks > _MISSED_SHARE * (summary.ticks + summary.missed_ticks)
-
-
-def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
-    """Exit code, and the summary of a run in which no process failed, if its bag can be judged."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
     bag = options.output.resolve() / name
     bringup = BringupOptions(
         scene=options.scene,
-        seed=options.seed,
-        target="" if options.goal is None else " ".join(map(str, options.goal)),
         lockstep=options.lockstep,
         bag=str(bag),
         parameters=options.parameters,
         view=options.view,
         robot=options.arm,
-        overrides=(f"driver:waits_for={DEMO},{RECORDER}",) if options.lockstep else (),
+        overrides=(
+            f"driver:seed={options.seed}",
+            *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
+            *([f"driver:waits_for={DEMO},{RECORDER}"] if options.lockstep else []),
+        ),
     )
     table = processes(bringup)
     interruption = Interruption()
@@ -146,10 +127,8 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         print(f"demo: {failure}", file=sys.stderr)
     summary = _judge(bag, model, end_ns, options)
     if interrupted:
-        return INTERRUPTED, summary
-    if failure:
-        return 1, None
-    return 0 if summary is not None and summary.success else 1, summary
+        return INTERRUPTED
+    return 0 if summary is not None and summary.success and not failure else 1
 
 
 def _state_period_ns(parameter_file: Path) -> int:
@@ -163,10 +142,9 @@ def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptio
     began = time.monotonic()
     if options.view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
-    stack.bring_up(STARTUP_TIMEOUT_S, lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    stack.wait_heard(RECORDER, _RECORDED, DISCOVERY_S)
-    # Planner and recorder have to hear goals before there is one.
-    follower.wait_to_start(stack, listeners=2)
+    stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+    stack.wait_recorded(_RECORDED)
+    follower.wait_to_start(stack)
     goal = np.round(follower.target, 3).tolist()
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
     follower.send_target()
@@ -181,7 +159,7 @@ def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptio
             said_at = now
         if reached_ns is None and follower.distance <= SUCCESS_DISTANCE:
             reached_ns = follower.stamp_ns
-        settled = reached_ns is not None and follower.stamp_ns - reached_ns > options.settle * NANOSECONDS
+        settled = reached_ns is not None and follower.stamp_ns - reached_ns > _SETTLE_S * NANOSECONDS
         if follower.stops:
             # When a dying process is the reason, it is named rather than the stop.
             stack.watch(_DYING_S)
@@ -207,7 +185,7 @@ def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOption
     try:
         signals = read_signals(BagReader(bag), model.arm.joint_names)
         end = None if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
-        episode = Episode(signals, model.arm, end, options.timeout, options.settle)
+        episode = Episode(signals, model.arm, end, options.timeout, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
         return None
@@ -246,6 +224,8 @@ def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path) -> None:
     print()
     for label, text in rows:
         print(f"  {label:16}{text}")
+    if not summary.success and summary.missed_ticks > _MISSED_SHARE * (summary.ticks + summary.missed_ticks):
+        print("\nThis machine is too slow, or too busy, to simulate the arm in real time: add --lockstep")
 
 
 def _known(text: str, otherwise: str = "none recorded: the run was too short") -> str:

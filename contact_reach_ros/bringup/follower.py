@@ -19,8 +19,10 @@ from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.timing import NANOSECONDS
 
-DISCOVERY_S = 15.0
+_DISCOVERY_S = 15.0
 """For nodes that are up to hear each other."""
+_LISTENERS = 2
+"""Planner and recorder have to hear goals before there is one."""
 
 _NOT_READY = (topics.WAITING_FOR_STATE, topics.WAITING_FOR_OBSTACLES, topics.WAITING_FOR_CONTROLLER)
 _LOOK_S = 0.1
@@ -73,20 +75,20 @@ class Follower(StackClient):
         self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST._replace(reliable=lockstep_tick_ns > 0))
         self.inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
 
-    def wait_to_start(self, stack: StackProcesses, listeners: int) -> None:
-        """Wait until brakes are open, the planner knows arm and obstacles and is heard, and so many nodes hear goals.
+    def wait_to_start(self, stack: StackProcesses) -> None:
+        """Wait until brakes are open, the planner knows arm and obstacles and is heard, and goals are heard.
 
         Raises `StackError` if a process died, something stopped the arm, or it takes too long.
         """
-        deadline = time.monotonic() + DISCOVERY_S
-        while missing := self.missing(listeners):
+        deadline = time.monotonic() + _DISCOVERY_S
+        while missing := self.missing(_LISTENERS):
             if self._go_on():
-                deadline = time.monotonic() + DISCOVERY_S
+                deadline = time.monotonic() + _DISCOVERY_S
             stack.watch(_LOOK_S)
             if self.stops:
                 raise StackError(self.state)
             if time.monotonic() > deadline:
-                raise StackError(f"not heard after {DISCOVERY_S:.0f} s: {', '.join(missing)}")
+                raise StackError(f"not heard after {_DISCOVERY_S:.0f} s: {', '.join(missing)}")
 
     def missing(self, listeners: int = 1) -> list[str]:
         """As `StackClient`, and what keeps the arm from being moved."""

@@ -20,6 +20,7 @@ from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
 from contact_reach_ros.settings import RATE, ROBOT, check_name, parameters_in
+from contact_reach_ros.simulation.settings import DriverSettings
 from contact_reach_ros.viewer.settings import ViewerSettings
 from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
 from contact_reach_ros.world.spheres import sphere_capacity
@@ -116,8 +117,6 @@ def processes(options: BringupOptions) -> list[Process]:
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
     simulation: dict[str, ParameterValue] = {
         "scene": options.scene,
-        "seed": options.seed,
-        "target": options.target,
         "lockstep": options.lockstep,
         **rate,
         **arm,
@@ -188,8 +187,11 @@ def _origin(options: BringupOptions) -> dict[str, ParameterValue]:
         "scene_file": scene_file(options.scene),
         "contact_budget": budget_file(budget),
     }
+    given = parameters_in(options.parameter_file, "driver")
+    given |= {entry.name: entry.value for entry in map(Override.parse, options.overrides) if entry.node == "driver"}
+    drawn = {entry.name: given.get(entry.name, entry.default) for entry in DriverSettings.declared()}
     lockstep = "true" if options.lockstep else "false"
-    values = {"scene": options.scene, "seed": options.seed, "target": options.target, "lockstep": lockstep}
+    values = {"scene": options.scene, "seed": drawn["seed"], "target": drawn["target"], "lockstep": lockstep}
     return {
         "custom_data": [f"{key}={value}" for key, value in values.items()],
         "files": [f"{key}={path.resolve()}" for key, path in files.items()],

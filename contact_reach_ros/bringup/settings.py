@@ -17,8 +17,6 @@ class BringupOptions(Settings):
     """What to start."""
 
     scene: str = setting("ball", "scene: a name or the path of a YAML file")
-    seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
-    target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
     lockstep: bool = setting(False, "simulated time that waits for every node, instead of real time")
     state_rate: float = setting(
         0.0, "nominal rate of joint states; 0 leaves it to the parameter file", unit="Hz", minimum=0.0, maximum=1000.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.running import running
@@ -25,15 +24,17 @@ from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
 _ACTIVE = "active"
-_COMPILED = f"{PACKAGE}.control.kernels"
-"""The arithmetic of the controller."""
+_STARTUP_S = 240.0
+"""The first start compiles the planner."""
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
 _ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
 """Topics that a recorder should hear before time begins: of earlier messages it receives only the last seconds."""
 _HEARD_S = 3.0
-"""Longest wait for the recorder, which need not record everything."""
+"""Longest wait for that: a recorder need not record everything."""
+_DISCOVERY_S = 15.0
+"""For nodes that are up to hear each other."""
 _WATCHDOG_S = 0.3
 """Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
 
@@ -72,111 +73,77 @@ class StackProcesses:
         self._table = list(table)
         self.parameter_file = parameter_file
         self._children = Children(log)
-        self._is_alone = False
-        """Whether no other stack was found before the first loop was started."""
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
-    def bring_up(self, timeout: float, progress: Callable[[str], None]) -> None:
+    def bring_up(self, progress: Callable[[str], None]) -> None:
         """Start all processes and wait until each is up and each lifecycle node active.
 
         Parameters
         ----------
-        timeout
-            For the whole, s.
         progress
             Called repeatedly with a line that names what is awaited.
 
         Raises
         ------
         StackError
-            If a process died, or the time is over; the missing ones are named with their last state.
+            If a process died, or it takes too long; the missing ones are named with their last state.
         KeyboardInterrupt
             If it was interrupted.
         """
         prioritise_middleware()
-        deadline = time.monotonic() + timeout
-        # The first time on a machine, Numba compiles it for as long as XLA compiles the planner, which is up first.
-        self._children.start_aside(["-c", f"import {_COMPILED}"])
+        deadline = time.monotonic() + _STARTUP_S
         for wave in Wave:
-            if wave is Wave.LOOPS and not self._is_alone:
+            if wave is Wave.LOOPS:
                 self._look_around()
-            processes = [
-                process for process in self._table if process.wave is wave and process.name not in self._children
-            ]
+            processes = [process for process in self._table if process.wave is wave]
             if wave is Wave.LAST and processes and RECORDER in self._children:
-                self._until_heard(RECORDER, _ANSWERS, min(deadline, time.monotonic() + _HEARD_S))
+                self._not_recorded(_ANSWERS, _HEARD_S)
             for process in processes:
                 self._children.start(process.name, ["-m", process.module, *self._arguments(process)])
-            self._wait_active(processes, deadline, timeout, progress)
+            self._wait_active(processes, deadline, progress)
             self._children.optional |= {process.name for process in processes if not process.essential}
 
-    def restart(
-        self, table: Sequence[Process], keep: Collection[str], timeout: float, progress: Callable[[str], None]
-    ) -> None:
-        """Bring the arm to rest, end all processes but those to keep, and bring up those of another table.
-
-        Parameters
-        ----------
-        table
-            From `processes`.
-        keep
-            Names of processes that continue.
-        timeout, progress
-            As for `bring_up`.
-
-        Raises
-        ------
-        StackError, KeyboardInterrupt
-            As `bring_up`.
-        """
-        self._end_all(keep)
-        self._table = list(table)
-        self.bring_up(timeout, progress)
-
-    def wait_heard(self, listener: str, heard: Sequence[Topic], timeout: float) -> None:
-        """Wait until a node has subscribed to topics, which a recorder does only once it has discovered a publisher.
+    def wait_recorded(self, heard: Sequence[Topic]) -> None:
+        """Wait until the recorder has subscribed to topics, each of which it first has to discover.
 
         Raises
         ------
         StackError
-            If a process died, or the time is over; the topics that are not heard are named.
+            If a process died, or it takes too long; the topics that are not heard are named.
         KeyboardInterrupt
             If it was interrupted.
         """
-        missing = self._until_heard(listener, heard, time.monotonic() + timeout)
+        missing = self._not_recorded(heard, _DISCOVERY_S)
         if missing:
             names = ", ".join(topic.name for topic in missing)
-            raise StackError(f"{listener} does not hear {names} after {timeout:.0f} s{self._children.see_log()}")
+            raise StackError(f"{RECORDER} does not hear {names} after {_DISCOVERY_S:.0f} s{self._children.see_log()}")
 
     def _look_around(self) -> None:
         """Look for another stack once more: discovery has settled while the first processes got ready."""
         others = running(self.client.node, [process.name for process in self._table], self._children.process_ids)
         if others:
             raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
-        self._is_alone = True
 
-    def _until_heard(self, listener: str, heard: Sequence[Topic], deadline: float) -> list[Topic]:
-        """Wait as `wait_heard` does; returns the topics that are still not heard."""
-        missing = list(heard)
+    def _not_recorded(self, heard: Sequence[Topic], timeout: float) -> list[Topic]:
+        """Wait until the recorder hears topics, for at most some s; returns those that it still does not hear."""
+        deadline, missing = time.monotonic() + timeout, list(heard)
         while missing and time.monotonic() < deadline:
             self.watch(_POLL_S)
-            missing = [topic for topic in missing if listener not in self._listeners(topic)]
+            missing = [topic for topic in missing if not self._is_recorded(topic)]
         return missing
 
-    def _listeners(self, topic: Topic) -> set[str]:
+    def _is_recorded(self, topic: Topic) -> bool:
         node = self.client.node
-        name = node.resolve_topic_name(topic.name)
-        return {endpoint.node_name for endpoint in node.get_subscriptions_info_by_topic(name)}
+        hearing = node.get_subscriptions_info_by_topic(node.resolve_topic_name(topic.name))
+        return any(endpoint.node_name == RECORDER for endpoint in hearing)
 
-    def _wait_active(
-        self, processes: Sequence[Process], deadline: float, timeout: float, progress: Callable[[str], None]
-    ) -> None:
+    def _wait_active(self, processes: Sequence[Process], deadline: float, progress: Callable[[str], None]) -> None:
         missing = {process.name: "not asked yet" for process in processes}
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
-                raise StackError(f"not active after {timeout:.0f} s: {named}{self._children.see_log()}")
+                raise StackError(f"not active after {_STARTUP_S:.0f} s: {named}{self._children.see_log()}")
             progress("waiting for " + ", ".join(missing))
             missing |= {name: self._state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
@@ -207,17 +174,13 @@ class StackProcesses:
 
     def shutdown(self) -> None:
         """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
-        self._end_all(())
-        self.client.close()
-        self._children.close()
-
-    def _end_all(self, keep: Collection[str]) -> None:
         self._halt()
         for process in reversed(self._table):
-            if process.name not in keep:
-                self._children.end(process.name)
+            self._children.end(process.name)
             if process.name == CONTROLLER:
                 self.client.spin(_WATCHDOG_S)
+        self.client.close()
+        self._children.close()
 
     def _arguments(self, process: Process) -> list[str]:
         file = self.parameter_file

@@ -23,16 +23,14 @@ from rclpy.node import Node
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bringup.bringup import STARTUP_TIMEOUT_S
 from contact_reach_ros.bringup.children import Interruption, StackError, end_with_parent
-from contact_reach_ros.bringup.follower import DISCOVERY_S, Follower
+from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE
-from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.process import initialise
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY
 from contact_reach_ros.scenes.generate import make_scene
@@ -121,7 +119,9 @@ def run_fitness(file: Path | None = None, **options: Any) -> None:
         signal.signal(number, _interrupt)
     # Removed only on success, so that the log of a failure remains.
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
-    stack_options = BringupOptions(scene=chosen.scene, seed=chosen.seed, bag=str(directory / "bag"))
+    stack_options = BringupOptions(
+        scene=chosen.scene, bag=str(directory / "bag"), overrides=(f"driver:seed={chosen.seed}",)
+    )
     interruption = Interruption()
     initialise([NAME])
     node = Node(NAME)
@@ -144,9 +144,9 @@ def run_fitness(file: Path | None = None, **options: Any) -> None:
 
 def _measure(options: FitnessOptions, stack: StackProcesses, follower: Follower) -> dict[str, Any]:
     began = time.monotonic()
-    stack.bring_up(STARTUP_TIMEOUT_S, lambda line: None)
-    stack.wait_heard(RECORDER, (topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE), DISCOVERY_S)
-    follower.wait_to_start(stack, listeners=2)
+    stack.bring_up(lambda line: None)
+    stack.wait_recorded((topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE))
+    follower.wait_to_start(stack)
     _say(f"stack active after {time.monotonic() - began:.1f} s; {options.seconds:g} s beside {options.load} programs")
     identities = stack.process_ids
     realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (DRIVER, CONTROLLER))

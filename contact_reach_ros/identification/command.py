@@ -15,7 +15,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.identification.identify import BOTH, LINKS, TOOL, identify
+from contact_reach_ros.identification.identify import LINKS, TOOL, identify
 from contact_reach_ros.identification.output import describe, write
 from contact_reach_ros.identification.recording import Recording, make_recording
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -35,7 +35,6 @@ RecordedMotion = tuple[Recording, Mapping[str, Mapping[str, Any]]]
 def run_identification(
     excite: Callable[[], RecordedMotion],
     bags: Sequence[Path] = (),
-    without: Sequence[Path] = (),
     links: bool = False,
     output: Path = OUTPUT,
     parameters: Path | None = None,
@@ -50,25 +49,20 @@ def run_identification(
         Moves the arm of the running stack; called if there are no bags.
     bags
         Recordings of free motion with the tool.
-    without
-        Recordings of the same arm without its tool.
     links
-        Fit the weights of the links, with the tool as the nodes have it.
+        Fit the weights of the links, with the tool as the nodes have it; without this the tool, with the links as they
+        have them.
     output
         The parameter file; the contact budget is written beside it.
     parameters
         Parameter file whose other values the new one keeps; the package's own when None.
     """
-    if links and without:
-        raise InputError("--links takes the tool as it is: expected no --without beside it")
-    what = LINKS if links else BOTH if without else TOOL
     if bags:
         read = [_read(bag) for bag in bags]
         recordings, settings, source = [each for each, _ in read], read[0][1], ", ".join(map(str, bags))
     else:
         recording, settings = excite()
         recordings, source = [recording], "a motion of the running stack"
-    others = [_read(bag)[0] for bag in without]
     own = settings.get(_OBSERVER)
     if own is None:
         raise InputError(f"{source}: has no settings of the observer: record topic 'settings', too")
@@ -78,7 +72,7 @@ def run_identification(
     tool = Tool.from_mapping({name: own[full] for name, full in names.items() if full in own}, source)
     budget = sections[BUDGET].resolve(arm)
     print(f"fitting {', '.join(f'{len(each.stamps_ns) * each.period:.0f} s' for each in recordings)}", flush=True)
-    found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recordings, what, others)
+    found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recordings, LINKS if links else TOOL)
     print(describe(found, arm, budget))
     base = parameters or config_file(DEFAULT_PARAMETERS)
     file, budget_file = write(found, base, output, source)

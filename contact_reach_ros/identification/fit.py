@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -29,13 +28,6 @@ _LEAST_NOISE = 1e-4
 """Of a joint's torque, Nm: its rows do not weigh more."""
 
 
-class Motion(NamedTuple):
-    """Samples of a recording, and whether the tool that is to be identified was on the arm."""
-
-    samples: Samples
-    has_tool: bool = True
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Values of the parameters.
@@ -54,10 +46,6 @@ class Fit:
         (p,) whether they are identifiable from the motion.
     unknown
         Combinations of parameters that are not, in words.
-    condition
-        Ratio of the largest to the smallest effect of the identifiable combinations.
-    before, after
-        (n,) rms of the smooth torques that are not explained without any of the parameters, and with them, N m.
     """
 
     parameters: Parameters
@@ -66,9 +54,6 @@ class Fit:
     freedom: float
     known: np.ndarray
     unknown: tuple[str, ...]
-    condition: float
-    before: Array
-    after: Array
 
     @property
     def half_widths(self) -> Array:
@@ -82,30 +67,26 @@ class Fit:
         return self.values[slots], self.half_widths[slots], self.known[slots]
 
 
-def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
+def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
     """Fit the parameters to motions; rows of joints that hardly move are left out: what friction does there is unknown.
 
     Raises `InputError` if no joint moves, or nothing is identifiable.
     """
-    regressors = [parameters.regressor(motion.samples) for motion in motions]
-    moves = np.concatenate([motion.samples.moves for motion in motions])
+    regressors = [parameters.regressor(motion) for motion in motions]
+    moves = np.concatenate([motion.moves for motion in motions])
     blocks = _blocks(motions)
     if not moves.any():
         raise InputError("no joint moves fast enough for its friction: expected a motion of all joints")
     count, n = moves.shape
     values, noise = np.zeros(len(parameters.names)), np.ones(n)
-    before = np.zeros(n)
-    for number in range(_ROUNDS):
+    for _ in range(_ROUNDS):
         pairs = [
-            parameters.rows(motion.samples, *regressor, values, motion.has_tool)
-            for motion, regressor in zip(motions, regressors, strict=True)
+            parameters.rows(motion, *regressor, values) for motion, regressor in zip(motions, regressors, strict=True)
         ]
         errors, columns = (np.concatenate(each) for each in zip(*pairs, strict=True))
         errors, columns = errors * moves, columns * moves[:, :, None]
-        if number == 0:
-            before = _rms(errors, moves)
         scaled = columns * parameters.scales
-        basis, unknown, condition = _split(scaled.reshape(count * n, -1), count)
+        basis, unknown = _split(scaled.reshape(count * n, -1), count)
         weighted = (scaled @ basis) / noise[:, None]
         targets = errors / noise
         # Steps along the combinations that are known; along the others the values stay zero.
@@ -127,9 +108,6 @@ def fit(parameters: Parameters, motions: Sequence[Motion]) -> Fit:
         freedom,
         known,
         tuple(_in_words(direction, parameters.names) for direction in unknown.T),
-        condition,
-        before,
-        _rms(remaining, moves),
     )
 
 
@@ -137,27 +115,26 @@ def _rms(errors: Array, moves: np.ndarray) -> Array:
     return np.sqrt((errors**2).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
 
 
-def _blocks(motions: Sequence[Motion]) -> np.ndarray:
+def _blocks(motions: Sequence[Samples]) -> np.ndarray:
     """Number (N,) of the block of each sample."""
     found, start = [], 0
     for motion in motions:
-        for piece in np.unique(motion.samples.piece):
-            length = int((motion.samples.piece == piece).sum())
+        for piece in np.unique(motion.piece):
+            length = int((motion.piece == piece).sum())
             found.append(start + np.arange(length) // _BLOCK_S)
             start = int(found[-1][-1]) + 1
     return np.concatenate(found)
 
 
-def _split(scaled: Array, count: int) -> tuple[Array, Array, float]:
+def _split(scaled: Array, count: int) -> tuple[Array, Array]:
     """Combinations of the scaled parameters with an effect on the torques, and those without.
 
-    Both are orthonormal, (p, k) and (p, p - k); the number is the ratio of the largest to the smallest of the effects.
+    Both are orthonormal, (p, k) and (p, p - k).
     """
     squares, directions = np.linalg.eigh(scaled.T @ scaled)
     effects = np.sqrt(np.maximum(squares, 0.0) / count)
     has_effect = effects >= _LEAST_EFFECT
-    condition = float(effects[has_effect][-1] / effects[has_effect][0])
-    return directions[:, has_effect], directions[:, ~has_effect], condition
+    return directions[:, has_effect], directions[:, ~has_effect]
 
 
 def _covariance(bread: Array, scores: Array, blocks: np.ndarray) -> tuple[Array, float]:

@@ -13,16 +13,15 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.identification.fit import Fit, Motion, fit
+from contact_reach_ros.identification.fit import Fit, fit
 from contact_reach_ros.identification.parameters import Parameters
 from contact_reach_ros.identification.recording import Recording, make_samples
 from contact_reach_ros.identification.thresholds import Watched, propose, watch
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import MEASURED, MomentumSettings, ObserverSettings
 
-TOOL, LINKS, BOTH = FITS = ("tool", "links", "both")
-"""What else than friction and offsets differs from the model: a tool, the weights of the links, or both."""
-
+TOOL, LINKS = FITS = ("tool", "links")
+"""What else than friction and offsets differs from what the nodes know: the tool, or the weights of the links."""
 
 _DIGITS = 5
 """Decimals of what is written."""
@@ -70,7 +69,6 @@ def identify(
     budget: ContactBudget,
     recordings: Sequence[Recording],
     what: str = TOOL,
-    without: Sequence[Recording] = (),
 ) -> Identification:
     """Fit the model to free motions, and see what the observer makes of them with it.
 
@@ -87,28 +85,23 @@ def identify(
     recordings
         With the tool.
     what
-        One of `FITS`. With 'links' the tool is the one that the nodes had.
-    without
-        Of the same arm without the tool, which tell tool and links apart: needed for 'both'.
+        One of `FITS`: the other is taken as the nodes had it.
     """
     if settings.torque_source != MEASURED:
         raise InputError("the observer takes commands for torques: identification needs torque_source: measured")
-    if (what == BOTH) != bool(without):
-        raise InputError("tool and links are told apart by a motion with the tool and one without it: expected both")
     momentum = settings.momentum.resolve(arm)
-    motions = [Motion(make_samples(each, momentum)) for each in recordings]
-    motions += [Motion(make_samples(each, momentum), has_tool=False) for each in without]
+    motions = [make_samples(each, momentum) for each in recordings]
     had = arm.with_tool(tool)
+    known = had if what == LINKS else arm.with_center_shifts(*_shifts(momentum, arm, tool.mass, 0.0))
     parameters = Parameters(
-        had if what == LINKS else arm,
-        None if what == LINKS else tool,
-        what != TOOL,
-        momentum.gravity_in_torque,
-        momentum.rotors_in_torque,
+        known, None if what == LINKS else tool, momentum.gravity_in_torque, momentum.rotors_in_torque
     )
     found = fit(parameters, motions)
     new_tool, half_widths = (None, np.full(3, np.nan)) if what == LINKS else _tool(found, arm, tool)
-    new = dataclasses.replace(momentum, **_values(found, arm, new_tool))
+    new = dataclasses.replace(momentum, **_values(found))
+    if new_tool is not None:
+        x, y = _shifts(momentum, arm, tool.mass, new_tool.mass)
+        new = dataclasses.replace(new, center_shift_x=x, center_shift_y=y)
     has = had if new_tool is None else arm.with_tool(new_tool)
     before = watch(had, settings, budget, recordings[0])
     after = watch(has, dataclasses.replace(settings, momentum=new), budget, recordings[0])
@@ -116,23 +109,31 @@ def identify(
     return Identification(found, new_tool, half_widths, new, permitted, before, after)
 
 
-def _values(found: Fit, arm: Arm, tool: Tool | None) -> dict[str, Any]:
+def _values(found: Fit) -> dict[str, Any]:
     """The observer's settings that were fitted; friction that came out negative is none."""
-
-    def fitted(kind: str) -> Array:
-        return found.of(kind)[0] if kind in found.parameters.slots else np.zeros(arm.n)
-
-    last = arm.inertias()[-1].mass
-    # The observer shifts the last link together with its tool: by less, for the same moment.
-    shares = np.array([1.0] * (arm.n - 1) + [last / (last + (0.0 if tool is None else tool.mass))])
     values = {
-        "coulomb_friction": np.maximum(fitted("coulomb"), 0.0),
-        "viscous_friction": np.maximum(fitted("viscous"), 0.0),
-        "torque_offset": fitted("offset"),
-        "center_shift_x": shares * fitted("shift_x"),
-        "center_shift_y": shares * fitted("shift_y"),
+        "coulomb_friction": np.maximum(found.of("coulomb")[0], 0.0),
+        "viscous_friction": np.maximum(found.of("viscous")[0], 0.0),
+        "torque_offset": found.of("offset")[0],
     }
-    return {name: tuple((np.round(value, _DIGITS) + 0.0).tolist()) for name, value in values.items()}
+    for axis in "xy":
+        if f"shift_{axis}" in found.parameters.slots:
+            values[f"center_shift_{axis}"] = found.of(f"shift_{axis}")[0]
+    return {name: _rounded(value) for name, value in values.items()}
+
+
+def _shifts(momentum: MomentumSettings, arm: Arm, before: float, after: float) -> list[tuple[float, ...]]:
+    """The shifts of the links' centres along x and y, m, for another mass of the tool, kg.
+
+    The observer shifts the last link together with its tool: for the same moment, by less where the tool is heavier.
+    """
+    last = arm.inertias()[-1].mass
+    shares = np.array([1.0] * (arm.n - 1) + [(last + before) / (last + after)])
+    return [_rounded(shares * np.array(shift)) for shift in (momentum.center_shift_x, momentum.center_shift_y)]
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
+    return tuple((np.round(values, _DIGITS) + 0.0).tolist())
 
 
 def _tool(found: Fit, arm: Arm, tool: Tool) -> tuple[Tool, Array]:
@@ -143,7 +144,7 @@ def _tool(found: Fit, arm: Arm, tool: Tool) -> tuple[Tool, Array]:
     if mass < 0.0:
         raise InputError(
             f"a tool of {mass:.2f} ± {half_widths[0]:.2f} kg would explain the torques: the links differ from the "
-            "model's. Fit them instead (--fit links), or both, with a recording of the arm without its tool (--without)"
+            "model's. Fit them first (--links), with a motion of the arm without its tool, and then the tool"
         )
     if mass <= half_widths[0]:
         return dataclasses.replace(tool, mass=0.0, center=(0.0,) * 3, inertia=(0.0,) * 6), np.full(3, np.nan)

@@ -59,9 +59,7 @@ def describe(found: Identification, arm: Arm, budget: ContactBudget) -> str:
     ):
         texts = [f"{old:.2f} > {new:.2f}" for old, new in zip(before, after, strict=True)]
         lines.append(f"{name:29s}" + "".join(f"{text:>16s}" for text in texts))
-    lines.append(
-        f"external torque of free motion falls to {found.rms_ratio:.2f} of before; condition {found.fit.condition:.0f}"
-    )
+    lines.append(f"external torque of free motion falls to {found.rms_ratio:.2f} of before")
     lines += [f"not identifiable from this motion: {words}" for words in found.fit.unknown]
     return "\n".join(lines)
 
@@ -98,32 +96,30 @@ def write(found: Identification, base: Path, file: Path, source: str) -> tuple[P
         if not isinstance(section, dict) or "ros__parameters" not in section:
             raise SettingsError(f"{base}: '{pattern}' has no ros__parameters; expected a parameter file")
     momentum = {name: list(getattr(found.momentum, name)) for name in _FOUND}
-    _merge(content, "observer", {"momentum": momentum, "contact_budget": str(budget_file)})
-    _merge(content, "planner", {"contact_budget": str(budget_file)})
+    values: dict[str, dict[str, Any]] = {
+        "observer": {"momentum": momentum, "contact_budget": str(budget_file)},
+        "planner": {"contact_budget": str(budget_file)},
+    }
     if found.tool is not None:
-        _merge(content, "/**", {"tool": _plain(found.tool)})
+        values["/**"] = {"tool": _plain(found.tool)}
+    _update(content, {node: {"ros__parameters": own} for node, own in values.items()})
     try:
-        for path, values in ((file, content), (budget_file, _plain(found.budget))):
-            text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120)
+        for path, tree in ((file, content), (budget_file, _plain(found.budget))):
+            text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=120)
             path.write_text(f"# Written by contact-reach identify, from {source}.\n{text}")
     except OSError as error:
         raise InputError(f"{error.filename}: cannot be written ({error.strerror})") from error
     return file, budget_file
 
 
-def _merge(content: dict[str, Any], node: str, values: Mapping[str, Any]) -> None:
-    """Put values into the section of a node, deep into those that it has."""
-    section = content.setdefault(node, {})
-    section["ros__parameters"] = section.get("ros__parameters") or {}
-    _update(section["ros__parameters"], values)
-
-
 def _update(tree: dict[str, Any], values: Mapping[str, Any]) -> None:
+    """Put values into a tree, deep into the branches that it has."""
     for key, value in values.items():
-        if isinstance(value, Mapping) and isinstance(tree.get(key), dict):
+        if isinstance(value, Mapping):
+            tree[key] = tree.get(key) or {}
             _update(tree[key], value)
         else:
-            tree[key] = dict(value) if isinstance(value, Mapping) else value
+            tree[key] = value
 
 
 def _plain(settings: Settings) -> dict[str, Any]:

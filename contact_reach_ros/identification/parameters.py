@@ -33,7 +33,7 @@ class Parameters:
         Of all parameters.
     """
 
-    def __init__(self, arm: Arm, tool: Tool | None, links: bool, gravity: bool = True, rotors: bool = True) -> None:
+    def __init__(self, arm: Arm, tool: Tool | None, gravity: bool = True, rotors: bool = True) -> None:
         """Choose the parameters.
 
         Parameters
@@ -41,9 +41,8 @@ class Parameters:
         arm
             As its data have it, with the tool that is not to be identified.
         tool
-            The tool whose mass and centre are to be identified; its own inertia is taken as it is. None for none.
-        links
-            Whether the centres of the links' mass are shifted.
+            The tool whose mass and centre are to be identified; its own inertia is taken as it is. None identifies the
+            shifts of the links' centres of mass instead.
         gravity
             Whether the torques carry the arm's weight.
         rotors
@@ -57,10 +56,10 @@ class Parameters:
         self._inertias = [self._model.inertias[link + 1] for link in range(arm.n)]
         self._tensor = np.zeros((3, 3)) if tool is None else tensor_matrix(tool.inertia)
         kinds: dict[str, tuple[tuple[str, ...], tuple[float, ...]]] = {}
+        joints = [name.rpartition("_")[2] for name in arm.joint_names]
         if tool is not None:
             kinds["tool"] = (_TOOL_NAMES, _TOOL_SCALES)
-        joints = [name.rpartition("_")[2] for name in arm.joint_names]
-        if links:
+        else:
             for axis in "xy":
                 names = tuple(f"center {axis} of the link at {joint}" for joint in joints)
                 kinds[f"shift_{axis}"] = (names, (_SHIFT_SCALE,) * arm.n)
@@ -82,9 +81,7 @@ class Parameters:
             row[:] = pin.computeJointTorqueRegressor(self._model, data, q, v, a)
         return found, self._armature * samples.a
 
-    def rows(
-        self, samples: Samples, regressor: Array, rotors: Array, values: Array, has_tool: bool = True
-    ) -> tuple[Array, Array]:
+    def rows(self, samples: Samples, regressor: Array, rotors: Array, values: Array) -> tuple[Array, Array]:
         """Torques that the parameters do not explain, and how the explained ones change with them.
 
         Parameters
@@ -95,15 +92,13 @@ class Parameters:
             What `regressor` returns for it, which does not change with the parameters.
         values
             (p,) of all parameters.
-        has_tool
-            Whether the tool was on the arm in this motion.
 
         Returns
         -------
         tuple
             (N, n) N m, and (N, n, p).
         """
-        n, (inertial, slopes) = self.arm.n, self._inertial(values, has_tool)
+        n, (inertial, slopes) = self.arm.n, self._inertial(values)
         columns = np.zeros((*samples.q.shape, len(self.names)))
         columns[:, :, : slopes.shape[1]] = regressor @ slopes
         joints = np.arange(n)
@@ -113,7 +108,7 @@ class Parameters:
         explained = regressor @ inertial + rotors + columns[:, :, friction] @ values[friction]
         return samples.torque - explained, columns
 
-    def _inertial(self, values: Array, has_tool: bool) -> tuple[Array, Array]:
+    def _inertial(self, values: Array) -> tuple[Array, Array]:
         """Pinocchio's parameters (10 n,) of all links, and how they change with the first of `values`, (10 n, p')."""
         first = self.slots["coulomb"].start
         inertias, slopes = list(self._inertias), np.zeros((10 * self.arm.n, first))
@@ -128,7 +123,7 @@ class Parameters:
                     slopes[10 * link : 10 * link + 10, self.slots[kind].start + link] = slope
                 inertias[link] = _shifted(inertia, here)
         found = np.concatenate([inertia.toDynamicParameters() for inertia in inertias])
-        if "tool" in self.slots and has_tool:
+        if "tool" in self.slots:
             last = slice(10 * (self.arm.n - 1), None)
             mass, *moment = values[self.slots["tool"]]
             found[last] += _body(mass, np.array(moment), self._tensor)

@@ -72,21 +72,12 @@ def make_recording(stamps_ns: np.ndarray, q: Array, v: Array, torque: Array, nam
     return recording
 
 
-def recording_of(states: Sequence[JointState], name: str = "recording") -> Recording:
-    """The same from states; those without torques count as unknown.
-
-    Raises
-    ------
-    InputError
-        As `make_recording`.
-    """
-    if not states:
-        raise InputError(f"{name}: has no joint states; expected {LEAST_S:g} s of motion")
-    unknown = np.full_like(states[0].q, np.nan)
-    torques = [unknown if state.torque is None else state.torque for state in states]
+def recording_of(states: Sequence[JointState]) -> Recording:
+    """The same from states, whose torques are unknown where they have none; raises as `make_recording`."""
+    torques = [np.full_like(state.q, np.nan) if state.torque is None else state.torque for state in states]
     stamps = np.array([state.stamp_ns for state in states], np.int64)
     q, v = np.array([state.q for state in states]), np.array([state.v for state in states])
-    return make_recording(stamps, q, v, np.array(torques), name)
+    return make_recording(stamps, q, v, np.array(torques))
 
 
 class Samples(NamedTuple):

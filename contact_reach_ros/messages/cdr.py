@@ -1,13 +1,14 @@
 """Messages as the middleware carries them (plain CDR, little-endian), and where the numbers lie in them.
 
-ROS's own serialisation comes with rclpy, which is imported only when a whole message has to be converted: the readers
-and writers of this room can be imported without it.
+Of ROS it needs nothing, so that bags are read without it.
 """
 
 from __future__ import annotations
 
 import struct
+from typing import Any
 
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.timing import NANOSECONDS
 
 PLAIN_CDR = b"\x00\x01\x00\x00"
@@ -35,57 +36,80 @@ def stamp_in(data: bytes | bytearray) -> int:
     return int(seconds * NANOSECONDS + nanosec)
 
 
-def aligned(at: int) -> int:
-    """Where the next 8-byte number stands from `at` on."""
-    return HEADER + -(-(at - HEADER) // 8) * 8
+def aligned(at: int, size: int = 8) -> int:
+    """Where the next number of `size` bytes stands from `at` on."""
+    return HEADER + -(-(at - HEADER) // size) * size
 
 
-def after_string(data: bytes | bytearray, at: int) -> int:
-    """Where the next 4-byte number stands after the string at `at`."""
-    (length,) = COUNT.unpack_from(data, at)
-    return at + 4 + -(-length // 4) * 4
+class Cursor:
+    """Reads the fields of a serialised message one after the other.
+
+    Past the end of the message it raises `struct.error` or `ValueError`; `no_message` makes an `InputError` of them.
+    """
+
+    def __init__(self, data: bytes | bytearray, at: int = HEADER) -> None:
+        """`at`: place of the first field.
+
+        Raises `ValueError` if the message is in another encoding.
+        """
+        if data[:2] != PLAIN_CDR[:2]:
+            raise ValueError("not in plain CDR, little-endian")
+        self.data = data
+        self.at = at
+
+    def numbers(self, layout: struct.Struct, size: int = 4) -> tuple[Any, ...]:
+        """Numbers of which the first has `size` bytes."""
+        start = aligned(self.at, size)
+        self.at = start + layout.size
+        return layout.unpack_from(self.data, start)
+
+    def count(self) -> int:
+        """The number of elements of a list, or of bytes of a text."""
+        return int(self.numbers(COUNT)[0])
+
+    def text(self) -> str:
+        """A text."""
+        start, end = self.skip(1)
+        return bytes(self.data[start : max(start, end - 1)]).decode()
+
+    def skip(self, size: int, alignment: int = 1) -> tuple[int, int]:
+        """A list, or a text, of elements of `size` bytes: the places where they begin and end."""
+        count = self.count()
+        start = aligned(self.at, alignment) if count else self.at
+        self.at = start + size * count
+        if self.at > len(self.data):
+            raise ValueError("cut off")
+        return start, self.at
 
 
-def after_list(data: bytes | bytearray, at: int, size: int, alignment: int = 4) -> int:
-    """The end of the list at `at`, where its count stands, of elements of `size` bytes."""
-    (count,) = COUNT.unpack_from(data, at)
-    start = aligned(at + 4) if count and alignment == 8 else at + 4
-    return start + size * count
+def no_message(data: bytes, kind: str, topic: str, error: Exception) -> InputError:
+    """The refusal of bytes that are no message of a kind, such as JointState."""
+    return InputError(f"{topic}: {len(data)} bytes that are no {kind}; expected a serialised {kind} ({error})")
 
 
-def text_at(data: bytes | bytearray, at: int) -> str:
-    """The string at `at`, where its length stands."""
-    (length,) = COUNT.unpack_from(data, at)
-    return bytes(data[at + 4 : at + 3 + length]).decode()
+def _after_header(data: bytes | bytearray) -> Cursor:
+    cursor = Cursor(data, STAMP_END)
+    cursor.skip(1)
+    return cursor
 
 
 def joint_state_names(data: bytes | bytearray) -> tuple[str, ...]:
     """The field name of a serialised JointState."""
-    at = after_string(data, STAMP_END)
-    (count,) = COUNT.unpack_from(data, at)
-    at += 4
-    names = []
-    for _ in range(count):
-        names.append(text_at(data, at))
-        at = after_string(data, at)
-    return tuple(names)
+    cursor = _after_header(data)
+    return tuple(cursor.text() for _ in range(cursor.count()))
 
 
 def joint_state_counts(data: bytes | bytearray) -> list[int]:
     """Where in a serialised JointState the numbers of values of its three fields stand, and its end."""
-    at = after_string(data, STAMP_END)
-    (names,) = COUNT.unpack_from(data, at)
-    at += 4
-    for _ in range(names):
-        at = after_string(data, at)
-    counts = []
+    cursor, counts = _after_header(data), []
+    for _ in range(cursor.count()):
+        cursor.skip(1)
     for _ in JOINT_STATE_FIELDS:
-        counts.append(at)
-        (count,) = COUNT.unpack_from(data, at)
-        at = aligned(at + 4) + 8 * count if count else at + 4
-    return [*counts, at]
+        counts.append(aligned(cursor.at, COUNT.size))
+        cursor.skip(8, 8)
+    return [*counts, cursor.at]
 
 
 def joint_state_starts(data: bytes | bytearray) -> list[int]:
     """Where in a serialised JointState the values of its three fields begin, if there are any."""
-    return [aligned(at + 4) for at in joint_state_counts(data)[:-1]]
+    return [aligned(at + COUNT.size) for at in joint_state_counts(data)[:-1]]

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import FrameError, InputError
-from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, STAMP, after_list, after_string, aligned, text_at
+from contact_reach_ros.messages.cdr import STAMP, Cursor, no_message
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.rigid import Block, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
@@ -42,7 +42,7 @@ _MATCH = 1e-4
 _ROUND = 1e-3
 """How much the three diameters of a sphere may differ, as a share."""
 
-_IDS, _POSE_AND_SCALE = struct.Struct("<3i"), struct.Struct("<10d")
+_FLAG, _IDS, _POSE_AND_SCALE = struct.Struct("<?"), struct.Struct("<3i"), struct.Struct("<10d")
 _COLOR_TO_LOCKED = 16 + 8 + 1
 """Bytes of color, lifetime and frame_locked."""
 
@@ -86,11 +86,6 @@ class _Marker(NamedTuple):
     """(N, 3)."""
     text: str
 
-    @property
-    def name(self) -> str:
-        """Its name in refusals."""
-        return f"{self.namespace}/{self.id}"
-
 
 class ObstacleMarkerReader:
     """Reads spheres, the edges between them, and rigid bodies from marker arrays.
@@ -114,7 +109,6 @@ class ObstacleMarkerReader:
         self._frame = frame
         self._material = material
         self._rests: dict[int, Array] = {}
-        self._edges: dict[int, NDArray[np.intp]] = {}
 
     def read(self, data: bytes) -> Spheres:
         """The spheres of a MarkerArray: in the order of their ids, and of each body the nodes that can move first.
@@ -140,28 +134,27 @@ class ObstacleMarkerReader:
             kind = marker.namespace if marker.namespace in _TYPES else OBSTACLES
             key = (f"CUBE {marker.namespace}" if marker.type == _CUBE else kind, marker.id)
             if key in seen:
-                raise InputError(f"obstacles: marker {marker.name} comes twice; expected each namespace and id once")
+                raise _refusal(marker, "comes twice; expected each namespace and id once")
             seen.add(key)
             if marker.type == _CUBE:
                 environment.append(_rigid_body(marker))
             else:
                 bodies.setdefault(marker.id, {})[kind] = _checked(marker, kind)
         rests = self._rests | {number: body[REST].points for number, body in bodies.items() if REST in body}
-        parts, count = [_EMPTY], 0
+        parts, count = [_NO_SPHERES], 0
         for number, body in sorted(bodies.items()):
             if body.keys() != {REST}:
-                parts.append(self._part(number, body, rests, count))
-                count += len(parts[-1].center)
+                parts.append(self._spheres(number, body, rests, count))
+                count += len(parts[-1]["center"])
         self._rests = rests
-        whole = _Part(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-        spheres = Spheres(**whole._asdict(), environment=tuple(environment))
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in _NO_SPHERES}
+        spheres = Spheres(**columns, environment=tuple(environment))
         self.stamp_ns = min((marker.stamp_ns for marker in markers if marker.stamp_ns), default=None)
         return spheres
 
-    def _part(self, number: int, body: dict[str, _Marker], rests: dict[int, Array], first: int) -> _Part:
-        """One body, whose first sphere has the number `first`; its rest is added to `rests` if it is not known."""
-        movable = body[OBSTACLES].points if OBSTACLES in body else _EMPTY.center
-        fixed = body[FIXED].points if FIXED in body else _EMPTY.center
+    def _spheres(self, number: int, body: dict[str, _Marker], rests: dict[int, Array], first: int) -> dict[str, Array]:
+        """Fields of `Spheres` for one body, whose first sphere is number `first`; adds an unknown rest to `rests`."""
+        movable, fixed = (body[kind].points if kind in body else np.zeros((0, 3)) for kind in (OBSTACLES, FIXED))
         rest = rests.setdefault(number, movable)
         if len(rest) != len(movable):
             raise InputError(
@@ -172,93 +165,76 @@ class ObstacleMarkerReader:
         is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
         stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
         nodes = np.concatenate([movable, fixed])
-        edges = self._match(number, body[EDGES].points, nodes) if EDGES in body else _EMPTY.edges
+        edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
+        counts = [len(movable), len(fixed)]
         radii = [0.5 * body[kind].scale[0] if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
-        return _Part(
-            center=nodes,
-            rest=np.concatenate([rest, fixed]),
-            radius=np.repeat(radii, [len(movable), len(fixed)]),
-            stiffness=np.repeat([stiffness, FIXED_STIFFNESS], [len(movable), len(fixed)]),
-            damping=np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
-            edges=edges + first,
-            edge_stiffness=np.full(len(edges), material.edge_stiffness),
+        return {
+            "center": nodes,
+            "rest": np.concatenate([rest, fixed]),
+            "radius": np.repeat(radii, counts),
+            "stiffness": np.repeat([stiffness, FIXED_STIFFNESS], counts),
+            "damping": np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
+            "edges": edges + first,
+            "edge_stiffness": np.full(len(edges), material.edge_stiffness),
+        }
+
+
+_NO_SPHERES: dict[str, Array] = {name: value for name, value in vars(Spheres.none()).items() if name != "environment"}
+
+
+def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
+    """Which nodes (N, 3) the edges (2 E, 3) of a body join, (E, 2)."""
+    if len(ends) % 2:
+        raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
+    if not len(ends):
+        return np.zeros((0, 2), np.intp)
+    # An edge without any nodes ends far away from one.
+    distances, nearest = cKDTree(nodes if len(nodes) else np.full((1, 3), 1e9)).query(ends)
+    if distances.max() > _MATCH:
+        index = int(distances.argmax())
+        raise InputError(
+            f"obstacles: marker {EDGES}/{number}: edge {index // 2} ends at {np.round(ends[index], 4).tolist()} m, "
+            f"where no node is; expected a point of {OBSTACLES}/{number} or {FIXED}/{number}"
         )
-
-    def _match(self, number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
-        """Which nodes the edges (2 E, 3) join, (E, 2); looked up only when it has changed."""
-        if len(ends) % 2:
-            raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
-        known = self._edges.get(number)
-        if known is not None and known.size == len(ends) and known.max(initial=-1) < len(nodes):
-            off = np.abs(nodes[known.ravel()] - ends).max(initial=0.0)
-            if off <= _MATCH:
-                return known
-        # An edge without any nodes ends far away from one.
-        distances, nearest = cKDTree(nodes if len(nodes) else np.full((1, 3), 1e9)).query(ends)
-        if distances.max(initial=0.0) > _MATCH:
-            index = int(distances.argmax())
-            raise InputError(
-                f"obstacles: marker {EDGES}/{number}: edge {index // 2} ends at {np.round(ends[index], 4).tolist()} m, "
-                f"where no node is; expected a point of {OBSTACLES}/{number} or {FIXED}/{number}"
-            )
-        self._edges[number] = nearest.reshape(-1, 2)
-        return self._edges[number]
+    return nearest.reshape(-1, 2).astype(np.intp)
 
 
-class _Part(NamedTuple):
-    """The fields of `Spheres` for one body."""
-
-    center: Array
-    rest: Array
-    radius: Array
-    stiffness: Array
-    damping: Array
-    edges: NDArray[np.intp]
-    edge_stiffness: Array
-
-
-_EMPTY = _Part(
-    np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2), np.intp), np.zeros(0)
-)
+def _refusal(marker: _Marker, why: str) -> InputError:
+    return InputError(f"obstacles: marker {marker.namespace}/{marker.id} {why}")
 
 
 def _checked(marker: _Marker, kind: str) -> _Marker:
     """A marker of spheres or edges; raises `InputError` if it does not fit its namespace."""
-    types = _TYPES[kind]
+    types, size = _TYPES[kind], marker.scale[0]
     if marker.action != _ADD or marker.type not in types:
-        raise InputError(
-            f"obstacles: marker {marker.name} has type {marker.type} and action {marker.action}; expected "
-            f"{' or '.join(types.values())}, to ADD"
-        )
-    size = marker.scale[0]
-    if kind in (OBSTACLES, FIXED) and not 0.0 < size < np.inf:
-        raise InputError(f"obstacles: marker {marker.name}: scale.x = {size}; expected a diameter in m")
-    if kind in (OBSTACLES, FIXED) and not all(
-        side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale
+        expected = " or ".join(types.values())
+        raise _refusal(marker, f"has type {marker.type} and action {marker.action}; expected {expected}, to ADD")
+    if kind in (OBSTACLES, FIXED) and not (
+        0.0 < size < np.inf and all(side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale)
     ):
-        raise InputError(
-            f"obstacles: marker {marker.name}: scale = {list(marker.scale)}; expected one diameter in x, y and z, or "
-            "in x alone: cover an ellipsoid with several spheres, or with one as large as its longest axis"
+        raise _refusal(
+            marker,
+            f"has scale = {list(marker.scale)}; expected one diameter, m, in x, y and z, or in x alone: cover an "
+            "ellipsoid with several spheres, or with one as large as its longest axis",
         )
     if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
-        raise InputError(f"obstacles: marker {marker.name} has a pose; expected none, and its points in the frame")
+        raise _refusal(marker, "has a pose; expected none, and its points in the frame")
     points = np.array([marker.position]) if marker.type == _SPHERE else marker.points
     if not np.isfinite(points).all():
         index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(
-            f"obstacles: marker {marker.name}: point {index} is {points[index].tolist()}; expected finite values"
-        )
+        raise _refusal(marker, f"has point {index} at {points[index].tolist()}; expected finite values")
     return marker._replace(points=points)
 
 
 def _rigid_body(marker: _Marker) -> RigidBody:
     """The rigid body of a CUBE, named by its text; raises `InputError` if it has no pose or size."""
     if marker.action != _ADD:
-        raise InputError(f"obstacles: marker {marker.name} has action {marker.action}; expected CUBE, to ADD")
+        raise _refusal(marker, f"has action {marker.action}; expected CUBE, to ADD")
+    name = marker.text or f"{marker.namespace}/{marker.id}"
     try:
-        block = Block(marker.text or marker.name, marker.position, marker.scale, marker.orientation)
+        block = Block(name, marker.position, marker.scale, marker.orientation)
     except InputError as error:
-        raise InputError(f"obstacles: marker {marker.name}: {error}") from error
+        raise _refusal(marker, f"is no body: {error}") from error
     if marker.namespace != PLANE:
         return block
     up = block.axes[:, 2]
@@ -267,58 +243,43 @@ def _rigid_body(marker: _Marker) -> RigidBody:
 
 def _markers_in(data: bytes) -> list[_Marker]:
     """The markers of a serialised MarkerArray; raises `InputError` if the bytes are none."""
-    markers, at = [], HEADER + COUNT.size
     try:
-        if data[:2] != PLAIN_CDR[:2]:
-            raise ValueError("not in plain CDR, little-endian")
-        for _ in range(*COUNT.unpack_from(data, HEADER)):
-            marker, end = _marker_at(data, HEADER + -(-(at - HEADER) // 4) * 4)
-            markers.append(marker)
-            at = end
-        if at > len(data):
-            raise ValueError("cut off")
+        cursor = Cursor(data)
+        markers = [_next_marker(cursor) for _ in range(cursor.count())]
     except (struct.error, ValueError) as error:
-        raise InputError(
-            f"obstacles: {len(data)} bytes that are no MarkerArray; expected a serialised MarkerArray ({error})"
-        ) from error
+        raise no_message(data, "MarkerArray", "obstacles", error) from error
     return markers
 
 
-def _marker_at(data: bytes, at: int) -> tuple[_Marker, int]:
-    """The marker at a place of a message, and its end."""
-    seconds, nanosec = STAMP.unpack_from(data, at)
-    frame_at = at + STAMP.size
-    namespace_at = after_string(data, frame_at)
-    ids_at = after_string(data, namespace_at)
-    identifier, kind, action = _IDS.unpack_from(data, ids_at)
-    place_at = aligned(ids_at + _IDS.size)
-    place = _POSE_AND_SCALE.unpack_from(data, place_at)
-    at = place_at + _POSE_AND_SCALE.size + _COLOR_TO_LOCKED
-    count_at = -(-at // 4) * 4
-    (count,) = COUNT.unpack_from(data, count_at)
-    end = after_list(data, count_at, 24, alignment=8)
-    points = np.frombuffer(data, "<f8", 3 * count, end - 24 * count).reshape(-1, 3)
-    at = after_list(data, end, 16)  # colors
-    at = after_string(data, at)  # texture_resource
-    at = after_string(data, at + STAMP.size)  # texture.header
-    at = after_string(data, at)  # texture.format
-    at = after_list(data, -(-after_list(data, at, 1) // 4) * 4, 8)  # texture.data, uv_coordinates
-    text_place = at
-    at = after_string(data, after_string(data, after_string(data, at)))  # text, mesh_resource, mesh_file.filename
-    at = after_list(data, at, 1) + 1  # mesh_file.data, mesh_use_embedded_materials
-    return (
-        _Marker(
-            seconds * NANOSECONDS + nanosec,
-            text_at(data, frame_at),
-            text_at(data, namespace_at),
-            identifier,
-            kind,
-            action,
-            place[:3],
-            place[3:7],
-            place[7:],
-            points,
-            text_at(data, text_place),
-        ),
-        at,
+def _next_marker(cursor: Cursor) -> _Marker:
+    """The marker at the cursor, which then stands behind it."""
+    seconds, nanosec = cursor.numbers(STAMP)
+    frame, namespace = cursor.text(), cursor.text()
+    identifier, kind, action = cursor.numbers(_IDS)
+    place = cursor.numbers(_POSE_AND_SCALE, 8)
+    cursor.at += _COLOR_TO_LOCKED
+    start, end = cursor.skip(24, 8)
+    points = np.frombuffer(cursor.data, "<f8", (end - start) // 8, start if end > start else 0).reshape(-1, 3)
+    cursor.skip(16, 4)  # colors
+    cursor.skip(1)  # texture_resource
+    cursor.numbers(STAMP)  # texture.header
+    for _ in range(3):  # frame_id, texture.format, texture.data
+        cursor.skip(1)
+    cursor.skip(8, 4)  # uv_coordinates
+    text = cursor.text()
+    for _ in range(3):  # mesh_resource, mesh_file.filename, mesh_file.data
+        cursor.skip(1)
+    cursor.numbers(_FLAG, 1)  # mesh_use_embedded_materials
+    return _Marker(
+        seconds * NANOSECONDS + nanosec,
+        frame,
+        namespace,
+        identifier,
+        kind,
+        action,
+        place[:3],
+        place[3:7],
+        place[7:],
+        points,
+        text,
     )

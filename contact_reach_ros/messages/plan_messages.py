@@ -96,7 +96,7 @@ _GHOST = 0.25
 
 
 class PlanMarkers:
-    """Markers of one plan after the other; those that the next one does not have are deleted."""
+    """Markers of plans; each message replaces the one before."""
 
     def __init__(self, arm: Arm, permitted_force: float) -> None:
         """`permitted_force`: contact of this force is red, N."""
@@ -104,7 +104,6 @@ class PlanMarkers:
         self._permitted_force = permitted_force
         places = {link: place for place, link in enumerate(arm.contact_links)}
         self._places = [places[arm.link_names[capsule.link - 1]] for capsule in arm.capsules]
-        self._shown: set[tuple[str, int]] = set()
 
     def show(self, plan: Plan) -> MarkerArray:
         """Paths of flange and elbow, the arm at the end of the plan, and each link's largest contact force.
@@ -118,33 +117,28 @@ class PlanMarkers:
         forces = plan.predicted_contact_forces.max(axis=0)
         shares = np.clip(forces / self._permitted_force, 0.0, 1.0)
         starts, ends = capsule_segments(arm, plan.predicted_q[-1])
-        used: set[int] = set()
         for index, (capsule, place) in enumerate(zip(arm.capsules, self._places, strict=True)):
-            share, identifier = shares[place], capsule.link
-            while identifier in used:
-                identifier += arm.n
+            share = shares[place]
             color = (0.5 + 0.5 * share, 0.5 - 0.4 * share, 0.5 - 0.4 * share, _GHOST)
-            markers.append(_cylinder(identifier, starts[index], ends[index], capsule.radius, color))
-            if forces[place] >= _SHOWN_FORCE and capsule.link not in used:
+            markers.append(_cylinder(index, starts[index], ends[index], capsule.radius, color))
+            is_first = place not in self._places[:index]
+            if forces[place] >= _SHOWN_FORCE and is_first:
                 knot = int(plan.predicted_contact_forces[:, place].argmax())
                 middle = np.mean(capsule_segments(arm, plan.predicted_q[knot + 1]), axis=0)[index]
                 markers.append(_text(capsule.link, middle, f"{forces[place]:.1f} N", share))
-            used.add(identifier)
-        shown = {(marker.ns, marker.id) for marker in markers}
-        for namespace, identifier in sorted(self._shown - shown):
-            markers.append(Marker(ns=namespace, id=identifier, action=Marker.DELETE))
-        self._shown = shown
-        for marker in markers:
-            marker.header.frame_id = arm.base_frame
-            set_time(marker.header.stamp, plan.effect_ns)
-        return MarkerArray(markers=markers)
+        return self._replacing(markers, plan.effect_ns)
 
     def clear(self) -> MarkerArray:
         """Deletes all that is shown."""
-        self._shown = set()
-        marker = Marker(action=Marker.DELETEALL)
-        marker.header.frame_id = self._arm.base_frame
-        return MarkerArray(markers=[marker])
+        return self._replacing([], 0)
+
+    def _replacing(self, markers: list[Marker], stamp_ns: int) -> MarkerArray:
+        """These markers instead of all that were shown before."""
+        message = MarkerArray(markers=[Marker(action=Marker.DELETEALL), *markers])
+        for marker in message.markers:
+            marker.header.frame_id = self._arm.base_frame
+            set_time(marker.header.stamp, stamp_ns)
+        return message
 
 
 def _path(namespace: str, points: Array, color: tuple[float, ...]) -> Marker:

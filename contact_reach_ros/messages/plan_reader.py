@@ -17,8 +17,8 @@ ARM = "arm"
 CONTACT = "contact"
 """Namespaces of the markers."""
 
-_ADD, _DELETEALL = 0, 3
-"""Actions of a visualization_msgs/msg/Marker."""
+_ADD = 0
+"""Action of a visualization_msgs/msg/Marker."""
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,16 @@ class PlanPicture:
 
 
 def read_plan(message: Any) -> PlanPicture | None:
-    """The plan in a MarkerArray of plan/markers; None if the message withdraws the plan.
+    """The plan in a MarkerArray of plan/markers; None if the message has none, which withdraws it.
 
     Raises `InputError` if a place is none.
     """
     paths = {FLANGE: np.zeros((0, 3)), ELBOW: np.zeros((0, 3))}
     for marker in message.markers:
-        if marker.action == _DELETEALL:
-            return None
         if marker.action == _ADD and marker.ns in paths:
             paths[marker.ns] = np.array([vector(point) for point in marker.points]).reshape(-1, 3)
+    if not len(paths[FLANGE]):
+        return None
     picture = PlanPicture(paths[FLANGE], paths[ELBOW])
     for name, values in vars(picture).items():
         if not (np.abs(values) < FARTHEST).all():

@@ -24,7 +24,7 @@ DISTRUST = "distrust"
 """Key of what is wrong with the joint states or the model, on which a compliant stop relies."""
 
 DOUBT = "doubt"
-"""Key of why the arm must not be started; without it the observer vouches for the state."""
+"""Key of why the arm must not be started."""
 
 TORQUE = "acting torque"
 """Key of whether the acting torque is known."""
@@ -73,7 +73,7 @@ def read_level(message: Any) -> int:
 
 
 def is_stopped(message: Any) -> bool:
-    """Whether a safety state, of whatever node, is that of a stop.
+    """Whether a safety state of any node reports a stop.
 
     An observer that missed states is in error, but the controller decides whether to stop the arm for that.
     """
@@ -82,7 +82,7 @@ def is_stopped(message: Any) -> bool:
 
 
 def read_verdict(message: Any) -> Verdict:
-    """The verdict in the observer's safety state; messages of earlier versions doubt nothing."""
+    """The verdict in the observer's safety state; raises `InputError` if its numbers are malformed."""
     values = {item.key: item.value for item in message.values}
     reason = read_reason(message)
     try:
@@ -101,12 +101,12 @@ def read_in_force(message: Any, before: bool) -> bool:
 
 
 def observer_values(is_required: bool) -> dict[str, str]:
-    """The controller's value for whether it starts only an arm that an observer vouches for."""
+    """The controller's value for whether it starts only an arm that an observer watches."""
     return {_WATCHED: "required" if is_required else _UNWATCHED}
 
 
 def requires_observer(message: Any) -> bool:
-    """Whether a controller with this safety state requires an observer, which earlier versions did not publish."""
+    """Whether a controller with this safety state requires an observer."""
     return all(item.value != _UNWATCHED for item in message.values if item.key == _WATCHED)
 
 

@@ -1,12 +1,12 @@
 """Messages of the 1 kHz topics as the bytes that the middleware carries.
 
 Making message objects and taking them apart is most of what a tick in rclpy costs. From one tick to the next only the
-numbers in these messages change: they are read and written in place. What does not look like the message before it is
-decoded in the usual way.
+numbers in these messages change: they are read and written in place.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +16,7 @@ from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import (
     ARRAY_COUNT,
@@ -27,16 +28,19 @@ from contact_reach_ros.messages.cdr import (
     PLAIN_CDR,
     STAMP,
     STAMP_END,
-    after_string,
+    Cursor,
     aligned,
     joint_state_counts,
+    joint_state_names,
     joint_state_starts,
+    no_message,
 )
-from contact_reach_ros.messages.serialization import decode, encode
+from contact_reach_ros.messages.serialization import encode
 from contact_reach_ros.messages.values import JointOrder, checked_stamp
 from contact_reach_ros.timing import NANOSECONDS
 
 _DOUBLE = np.dtype("<f8")
+_SIZE_AND_STRIDE = struct.Struct("<2I")
 
 
 class JointStateReader:
@@ -56,12 +60,9 @@ class JointStateReader:
         self._order = JointOrder(joints)
         self._topic = topic
         self._with_effort = with_effort
-        # Parts of the last decoded message: with the same ones, another has its numbers at the same places.
-        self._size = -1
-        self._names = self._count = b""
-        self._names_end = self._velocity_count = 0
-        self._start = self._values = 0
-        self._position = self._velocity = self._effort = slice(0)
+        # Frame and names of the last message, which seldom change, and what follows from them.
+        self._names, self._names_end = b"", STAMP_END
+        self._count = 0
         self._indices: list[int] | None = None
 
     def read(self, data: bytes) -> JointState:
@@ -70,53 +71,43 @@ class JointStateReader:
         Raises `InputError` if the bytes are no JointState, joints are missing, a field has not one value for each name,
         or the stamp is no time.
         """
-        at = self._velocity_count
-        if (
-            len(data) != self._size
-            or data[STAMP_END : self._names_end] != self._names
-            or data[at : at + 4] != self._count
-            or not data.startswith(PLAIN_CDR)
-        ):
-            return self._decode(data)
-        seconds, nanosec = STAMP.unpack_from(data, HEADER)
-        values = np.frombuffer(data, _DOUBLE, self._values, self._start).copy()
-        position, velocity, effort = values[self._position], values[self._velocity], values[self._effort]
-        if self._indices is not None:
-            position, velocity = position[self._indices], velocity[self._indices]
-            effort = effort[self._indices] if len(effort) else effort
-        stamp_ns = checked_stamp(seconds, nanosec, self._topic)
-        return JointState(stamp_ns, position, velocity, effort if len(effort) else None)
+        values, at = [], self._names_end
+        try:
+            if not self._names or data[STAMP_END:at] != self._names:
+                at = self._learn(data)
+            seconds, nanosec = STAMP.unpack_from(data, HEADER)
+            for _ in JOINT_STATE_FIELDS:
+                (count,) = COUNT.unpack_from(data, at)
+                at = aligned(at + COUNT.size) if count else at + COUNT.size
+                values.append(np.frombuffer(data, _DOUBLE, count, at if count else 0))
+                at += 8 * count
+        except (struct.error, ValueError) as error:
+            self._names = b""
+            raise no_message(data, JointStateMessage.__name__, self._topic, error) from error
+        position, velocity, effort = values
+        has_effort = self._with_effort and len(effort) > 0
+        return JointState(
+            checked_stamp(seconds, nanosec, self._topic),
+            self._wanted(position, "position"),
+            self._wanted(velocity, "velocity"),
+            self._wanted(effort, "effort") if has_effort else None,
+        )
 
-    def _decode(self, data: bytes) -> JointState:
-        self._size = -1
-        message: JointStateMessage = decode(data, JointStateMessage, self._topic)
-        effort = None
-        position = self._order.pick(message, "position", self._topic)
-        velocity = self._order.pick(message, "velocity", self._topic)
-        if self._with_effort and message.effort:
-            effort = self._order.pick(message, "effort", self._topic)
-        stamp = message.header.stamp
-        stamp_ns = checked_stamp(stamp.sec, stamp.nanosec, self._topic)
-        self._remember(data, message)
-        return JointState(stamp_ns, position, velocity, effort)
-
-    def _remember(self, data: bytes, message: JointStateMessage) -> None:
-        """Find the numbers in a message whose positions and velocities are complete."""
-        if not data.startswith(PLAIN_CDR):
-            return
-        count = len(message.name)
-        starts = joint_state_starts(data)
-        self._start, self._names_end = starts[0], joint_state_counts(data)[0] + 4
+    def _learn(self, data: bytes) -> int:
+        """Look for the joints among the names of this message; returns where its fields begin."""
+        names = joint_state_names(data)
+        self._indices = self._order.indices(list(names), self._topic)
+        self._count = len(names)
+        self._names_end = joint_state_counts(data)[0]
         self._names = data[STAMP_END : self._names_end]
-        self._velocity_count = starts[0] + 8 * count
-        self._count = COUNT.pack(count)
-        # Between two fields stands the number of values in the second, padded to the size of one value.
-        self._position, self._velocity = slice(0, count), slice(count + 1, 2 * count + 1)
-        self._values, self._effort = 2 * count + 1, slice(0)
-        if self._with_effort and message.effort:
-            self._values, self._effort = 3 * count + 2, slice(2 * count + 2, 3 * count + 2)
-        self._indices = self._order.indices(message.name, self._topic)
-        self._size = len(data)
+        return self._names_end
+
+    def _wanted(self, values: Array, field: str) -> Array:
+        if len(values) != self._count:
+            raise InputError(
+                f"{self._topic}: {field} has {len(values)} values; expected one for each of {self._count} names"
+            )
+        return values.copy() if self._indices is None else values[self._indices]
 
 
 class JointStateWriter:
@@ -155,7 +146,9 @@ class WrenchWriter:
         message = WrenchStamped()
         message.header.frame_id = frame_id
         data = encode(message)
-        start = aligned(after_string(data, STAMP_END))
+        header = Cursor(data, STAMP_END)
+        header.skip(1)
+        start = aligned(header.at)
         self._buffer = bytearray(data[: start + 6 * _DOUBLE.itemsize])
         self._values = np.frombuffer(self._buffer, _DOUBLE, 6, start)
 
@@ -185,8 +178,18 @@ def read_command(data: bytes) -> Array:
 
     Raises `InputError` if the bytes are no Float64MultiArray.
     """
-    if data.startswith(PLAIN_CDR + NO_LAYOUT) and len(data) > ARRAY_START:
-        (count,) = COUNT.unpack_from(data, ARRAY_COUNT)
-        if len(data) == ARRAY_START + 8 * count:
-            return np.frombuffer(data, _DOUBLE, count, ARRAY_START).copy()
-    return np.array(decode(data, Float64MultiArray, topics.COMMANDS.name).data, dtype=float)
+    try:
+        at = ARRAY_COUNT if data[:ARRAY_COUNT] == PLAIN_CDR + NO_LAYOUT else _after_layout(data)
+        (count,) = COUNT.unpack_from(data, at)
+        return np.frombuffer(data, _DOUBLE, count, aligned(at + COUNT.size) if count else 0).copy()
+    except (struct.error, ValueError) as error:
+        raise no_message(data, Float64MultiArray.__name__, topics.COMMANDS.name, error) from error
+
+
+def _after_layout(data: bytes) -> int:
+    cursor = Cursor(data)
+    for _ in range(cursor.count()):
+        cursor.skip(1)  # label
+        cursor.numbers(_SIZE_AND_STRIDE)
+    cursor.numbers(COUNT)  # data_offset
+    return cursor.at

@@ -41,7 +41,7 @@ _SERVICE_S = 1.0
 """Wait for a service that stops or releases the arm: another node may offer it, too."""
 _ANSWER_S = 3.0
 _SETTLED_S = 1.0
-"""Time without a new safety state after which all nodes have been heard."""
+"""Time in which the rest of a node's last safety states follows the first, and other nodes are discovered."""
 _JUDGED_S = 8.0
 """Longest time until diagnostics, which come once a second, show whether a goal is taken."""
 _SILENCE_S = 5.0
@@ -121,14 +121,12 @@ class Client(Services):
     ----------
     node
         No other executor may serve it.
-    refuse
-        Takes what handling a message raises, and what was being handled; ignored by default, since nodes that receive
-        malformed messages report them.
     """
 
-    def __init__(self, node: Node, refuse: Callable[[str, Exception], None] = lambda what, error: None) -> None:
+    def __init__(self, node: Node) -> None:
         super().__init__(node, self._serve)
-        self.inbox = Inbox(node, refuse)
+        # Malformed messages are reported by the nodes that receive them.
+        self.inbox = Inbox(node, lambda what, error: None)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
 
@@ -212,25 +210,21 @@ class StackClient(Client):
             raise ContactReachError(f"not heard: {', '.join(self.missing())}; run contact-reach doctor")
 
     def hear_everybody(self) -> None:
-        """Wait until the safety states of the controller and of all who publish one are known, and no new one comes.
+        """Wait until the safety states of the controller and of all who publish one are known.
 
         Raises `ContactReachError` if the controller does not report it.
         """
-        known: Any = None
-        since = time.monotonic()
-        deadline = since + _FOUND_S
-        while time.monotonic() < deadline:
-            self.spin(_LOOK_S)
-            # The last events of each come first, perhaps in pieces: of a stop before that of its release.
-            heard, publishers = len(self._heard), self.node.count_publishers(topics.SAFETY_STATE.name)
-            if known != (heard, self.stops) or heard < publishers or CONTROLLER not in self._heard:
-                known, since = (heard, dict(self.stops)), time.monotonic()
-            elif time.monotonic() > since + _SETTLED_S:
-                return
+        name = topics.SAFETY_STATE.name
+
+        def everybody() -> bool:
+            return CONTROLLER in self._heard and len(self._heard) >= self.node.count_publishers(name)
+
+        self.until(everybody, _FOUND_S)
         if CONTROLLER not in self._heard:
-            raise ContactReachError(
-                f"not heard: {topics.SAFETY_STATE.name} of the {CONTROLLER}; run contact-reach doctor"
-            )
+            raise ContactReachError(f"not heard: {name} of the {CONTROLLER}; run contact-reach doctor")
+        # The last events of each come first, perhaps in pieces: of a stop before that of its release.
+        self.spin(_SETTLED_S)
+        self.until(everybody, _FOUND_S)
 
     def go(self, position: Array, rotation: Array | None) -> Outcome:
         """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
@@ -318,13 +312,10 @@ def judge_goal(state: GoalState | None, before: Mapping[str, str], now: Mapping[
         return None
     if state.phase.is_over:
         return Outcome(False, f"the planner did not take the goal: {describe(state)}")
-
-    def more(*keys: str) -> bool:
-        return any(int(now.get(key, 0)) > int(before.get(key, 0)) for key in keys)
-
-    if more(_FOLLOWED):
+    grown = {key for key in (_FOLLOWED, *_REFUSED) if int(now.get(key, 0)) > int(before.get(key, 0))}
+    if _FOLLOWED in grown:
         return Outcome(True, "the goal is taken: the controller follows the plans for it")
-    if more(*_REFUSED):
-        reasons = [text for key, text in now.items() if key.replace("last refusal of", "refused") in _REFUSED]
+    if grown:
+        reasons = [now.get(key.replace("refused", "last refusal of"), "") for key in sorted(grown)]
         return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
     return None

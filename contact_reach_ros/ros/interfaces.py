@@ -182,7 +182,7 @@ INTERFACES = {
     "bringup": _node(
         [],
         [topics.JOINT_STATES],
-        ["~/restart"],
+        [],
         [*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
     ),
     DOCTOR: _node(

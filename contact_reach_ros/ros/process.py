@@ -103,7 +103,8 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
     initialise(arguments or [name, *in_namespace(namespace)], discovery)
     try:
         try:
-            node = Node(name)
+            # Nobody changes its parameters, and requests that are malformed cannot end it.
+            node = Node(name, start_parameter_services=False)
         except RuntimeError as error:
             raise ContactReachError(f"ROS cannot start node {name}: {error}") from error
         try:

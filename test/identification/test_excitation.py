@@ -39,7 +39,3 @@ def test_a_table_in_the_way_is_named():
     table = Plane("table", (0.0, 0.0, 0.15))
     with pytest.raises(InputError, match=r"on the way to goal .* deep in the table"):
         check_clearance(ARM, HOME, Spheres.none((table,)))
-
-
-def test_a_posture_that_is_far_away_is_no_reason_to_refuse():
-    check_clearance(ARM, HOME + 0.3, obstacles("free"))

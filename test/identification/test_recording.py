@@ -33,13 +33,6 @@ def test_a_gap_and_unknown_torques_split_the_recording():
     assert np.abs(samples.torque - expected)[moves].max() < 0.4
 
 
-def test_states_that_are_missing_or_repeated_change_nothing():
-    keep = np.delete(np.arange(len(RECORDING.q)), np.arange(50, 11000, 97))
-    thinned = make_recording(*(each[np.r_[keep, keep[:100]]] for each in RECORDING))
-    for found, expected in zip(make_samples(thinned, MOMENTUM)[:4], make_samples(RECORDING, MOMENTUM)[:4], strict=True):
-        np.testing.assert_allclose(found[:400], expected[:400], atol=5e-3)
-
-
 def test_torques_of_a_slow_drive_are_compared_with_a_motion_as_late():
     cutoff, keep = 10.0, np.exp(-2.0 * np.pi * 10.0 * 0.001)
     slow = np.empty_like(RECORDING.torque)

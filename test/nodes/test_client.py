@@ -17,6 +17,7 @@ from contact_reach_ros.messages.diagnostics import to_status, to_stop_state
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module
+from contact_reach_ros.ros.client import judge_goal
 
 
 @pytest.fixture
@@ -96,3 +97,25 @@ def test_messages_that_are_none_end_nothing(client):
     client.inbox.give(topics.SAFETY_STATE, b"\0\1")
     hear(client, topics.GOAL_STATE, DiagnosticStatus(name="planner"))
     assert client.goal_state is None
+
+
+BEFORE = {"plans accepted": "7"}
+RUNNING = GoalState(GoalPhase.RUNNING)
+
+
+def test_a_goal_is_taken_when_the_controller_follows_plans_for_it():
+    for state in (None, GoalState(GoalPhase.ACCEPTED), RUNNING):
+        assert judge_goal(state, BEFORE, BEFORE) is None
+    later = {"plans accepted": "8"}
+    assert judge_goal(RUNNING, BEFORE, later).done
+    assert judge_goal(None, BEFORE, later) is None, "these are plans for another goal"
+
+
+def test_a_goal_that_planner_or_controller_refuse_comes_with_the_reason():
+    for phase in (GoalPhase.REFUSED, GoalPhase.WITHDRAWN, GoalPhase.TIMED_OUT):
+        outcome = judge_goal(GoalState(phase, "out of reach"), BEFORE, BEFORE)
+        assert not outcome.done and f"{phase.value}: out of reach" in outcome.text
+    for what in ("references", "plans"):
+        now = {**BEFORE, f"refused {what}": "1", f"last refusal of {what}": "other gains"}
+        outcome = judge_goal(RUNNING, BEFORE, now)
+        assert not outcome.done and "other gains" in outcome.text

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import math
 import subprocess
 import sys
 from collections import Counter
@@ -18,8 +17,6 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.goal_state import read_goal_state
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.world.obstacle_kinds import WallSettings
-from contact_reach_ros.world.spheres import MAX_SPHERES
 
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
@@ -84,11 +81,7 @@ def test_the_goal_is_reached_and_reported(ball):
     assert set(report["plan_ms"]) == {"p50", "p95", "max"} and report["plan_ms"]["p50"] > 0.0
     assert 0.0 < report["plan_age_ms_max"] < 300.0
     assert "reached" in result.stdout and "Traceback" not in result.stdout + result.stderr
-
-
-def test_the_bag_has_a_report(ball):
-    _, report = ball
-    assert "goal reached" in Path(report["bag"]).with_suffix(".html").read_text()
+    assert Path(report["plot"]).read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_bag_opens_with_the_mcap_library(ball):
@@ -191,43 +184,7 @@ def test_a_run_beside_a_busy_program_is_the_same_to_the_last_digit(ball, tmp_pat
         assert len(data) > 10 and data == second[name], name
 
 
-@pytest.mark.slow
-def test_walls_are_shown_and_planned_with(tmp_path):
-    """The start of a reach is enough to see what driver and planner tell each other."""
-    result = demo(tmp_path, "--scene", "wall", "--timeout", "0.4")
-    assert result.returncode == 1 and "not reached" in result.stdout, result.stdout + result.stderr
-    report = json.loads((tmp_path / "r.json").read_text())
-    (file,) = Path(report["bag"]).glob("*.mcap")
-    obstacles, pictures, diagnostics, plans = [], [], {}, []
-    with file.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for _, channel, _, message in reader.iter_decoded_messages():
-            if channel.topic == "/obstacles":
-                obstacles.append({(marker.ns, marker.id): len(marker.points) for marker in message.markers})
-            elif channel.topic == "/plan/markers":
-                pictures.append({marker.ns for marker in message.markers})
-            elif channel.topic == "/diagnostics" and message.status[0].name == "planner":
-                diagnostics |= {entry.key: entry.value for entry in message.status[0].values}
-            elif channel.topic == "/plan/statistics":
-                plans.append({entry.key: entry.value for entry in message.status[0].values})
-    wall = WallSettings()
-    nodes = math.prod(wall.nodes)
-    assert obstacles and all(shown == obstacles[0] for shown in obstacles)
-    for index in range(2):
-        movable, fixed = obstacles[0]["obstacles", index], obstacles[0]["fixed", index]
-        assert movable + fixed == nodes and obstacles[0]["rest", index] == movable
-        assert obstacles[0]["edges", index] > 2 * nodes
-    assert pictures and {"flange", "elbow", "arm"} <= pictures[0]
-    assert diagnostics and "refused obstacles" not in diagnostics
-    assert plans and {int(plan["spheres left out"]) for plan in plans} == {2 * nodes - MAX_SPHERES}
-
-
 def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):
     result = demo(tmp_path, "--goal", "2.0", "0.0", "0.5")
     assert result.returncode == 2
     assert "2.0" in result.stderr and "Traceback" not in result.stderr
-
-
-def test_the_version_is_printed():
-    result = subprocess.run([*module("cli"), "--version"], capture_output=True, text=True, check=True)
-    assert result.stdout.startswith("contact-reach ")

@@ -34,8 +34,6 @@ def test_without_a_stack_and_without_states_it_is_refused(tmp_path):
         run_identification(unmoved, ["bags/sample"], output=tmp_path / "none.yaml")
     with pytest.raises(BagError, match="does not exist"):
         run_identification(unmoved, [tmp_path / "nowhere"])
-    with pytest.raises(InputError, match="expected no --without beside it"):
-        run_identification(unmoved, ["bags/sample"], ["bags/sample"], links=True)
 
 
 @pytest.mark.slow

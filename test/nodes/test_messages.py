@@ -29,29 +29,19 @@ def test_joints_are_picked_by_name_from_any_order_and_among_others():
         assert np.array_equal(order.pick(state(names), "position", "joint_states"), expected)
 
 
-def test_missing_joints_are_named():
+def test_missing_joints_and_fields_of_the_wrong_length_are_named():
     order = JointOrder(iiwa14.ARM.joint_names)
     with pytest.raises(InputError, match=r"joint_states: field name lacks lbr_A3, lbr_A7; expected all of lbr_A1"):
         order.pick(state([name for name in iiwa14.ARM.joint_names if name[-1] not in "37"]), "position", "joint_states")
-
-
-def test_a_field_of_the_wrong_length_is_named():
-    order = JointOrder(iiwa14.ARM.joint_names)
     with pytest.raises(InputError, match="velocity has 0 values"):
         order.pick(state(iiwa14.ARM.joint_names), "velocity", "joint_states")
 
 
 def test_times_survive_the_way_to_a_message_and_back():
-    for time_ns in (0, 1, 999_999_999, 1_000_000_000, 1_795_233_693_122_143_135):
-        assert nanoseconds(to_time(time_ns)) == time_ns
+    for time_ns in (0, 999_999_999, 1_795_233_693_122_143_135):
         stamp = to_time(0)
         set_time(stamp, time_ns)
-        assert nanoseconds(stamp) == time_ns
-
-
-def test_a_quarter_turn_about_z_is_the_known_quaternion():
-    quaternion = to_quaternion(rotation_about((0, 0, 1), np.pi / 2))
-    assert quaternion.z == pytest.approx(np.sqrt(0.5)) and quaternion.w == pytest.approx(np.sqrt(0.5))
+        assert nanoseconds(to_time(time_ns)) == nanoseconds(stamp) == time_ns
 
 
 class MemoryInUse(ctypes.Structure):

@@ -26,7 +26,7 @@ def test_a_file_counts_in_a_namespace_as_in_the_root(tmp_path):
 
 
 def test_remappings_of_bringup_hold_for_all_nodes():
-    given = ["bringup", "--ros-args", "-r", "__ns:=/left", "--remap", "a:=b", "-p", "seed:=1", "-r", "/c:=d"]
+    given = ["bringup", "--ros-args", "-r", "__ns:=/left", "--remap", "a:=b", "-p", "view:=true", "-r", "/c:=d"]
     assert _remappings(given) == ["--remap", "a:=b", "-r", "/c:=d"]
 
 

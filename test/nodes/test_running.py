@@ -69,7 +69,7 @@ def test_beside_a_stack_nothing_is_started(tmp_path):
 
 def test_a_file_whose_parameters_bring_up_would_not_pass_on_is_refused(tmp_path, capsys):
     file = tmp_path / "own.yaml"
-    file.write_text("bringup: {ros__parameters: {seed: 3}}\nplanner: {ros__parameters: {period: 0.1}}\n")
+    file.write_text("bringup: {ros__parameters: {view: true}}\nplanner: {ros__parameters: {period: 0.1}}\n")
     assert bringup.run_bringup(["bringup", "--ros-args", "--params-file", str(file)]) == 2
     assert f"for planner; give the nodes' file as -p parameters:={file}" in capsys.readouterr().err
 

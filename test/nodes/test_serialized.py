@@ -62,25 +62,19 @@ def test_joint_states_of_any_layout_are_read_like_decoded_ones(with_effort):
                 assert state.torque is None
 
 
-def test_renamed_joints_are_refused_though_all_sizes_are_the_same():
-    random = np.random.default_rng(0)
-    reader = JointStateReader(NAMES, "joint_states")
-    for _ in range(2):
-        reader.read(serialize_message(joint_state(NAMES, random)))
-    with pytest.raises(InputError, match="field name lacks lbr_A7"):
-        reader.read(serialize_message(joint_state([*NAMES[:6], "lbr_A8"], random)))
-
-
-def test_values_that_moved_to_another_field_are_refused_though_the_size_is_the_same():
+def test_other_names_or_counts_are_noticed_though_the_size_is_the_same():
     random = np.random.default_rng(0)
     reader = JointStateReader(NAMES, "joint_states", with_effort=True)
     message = joint_state(NAMES, random)
-    for _ in range(2):
-        reader.read(serialize_message(message))
+    state = reader.read(serialize_message(message))
+    with pytest.raises(InputError, match="field name lacks lbr_A7"):
+        reader.read(serialize_message(joint_state([*NAMES[:6], "lbr_A8"], random)))
+    first = message.position.tolist()
     message.velocity, message.effort = [0.0] * 6, [0.0] * 8
     with pytest.raises(InputError, match="velocity has 6 values"):
         reader.read(serialize_message(message))
     assert reader.read(serialize_message(joint_state(NAMES, random))).q.shape == (7,)
+    assert state.q.tolist() == first, "a state is overwritten by later messages"
 
 
 def test_an_effort_of_the_wrong_length_is_refused_only_by_who_reads_it():
@@ -92,17 +86,7 @@ def test_an_effort_of_the_wrong_length_is_refused_only_by_who_reads_it():
         JointStateReader(NAMES, "joint_states", with_effort=True).read(data)
 
 
-def test_samples_are_not_overwritten_by_later_messages():
-    random = np.random.default_rng(0)
-    reader = JointStateReader(NAMES, "joint_states")
-    first = joint_state(NAMES, random)
-    reader.read(serialize_message(first))
-    state = reader.read(serialize_message(first))
-    reader.read(serialize_message(joint_state(NAMES, random)))
-    assert state.q.tolist() == first.position.tolist()
-
-
-@pytest.mark.parametrize("fields", [("position", "velocity", "effort"), ("effort",), ("position", "effort")])
+@pytest.mark.parametrize("fields", [("position", "velocity", "effort"), ("position", "effort")])
 @pytest.mark.parametrize("names", [NAMES, ["a", "bcdef", ""]])
 def test_written_joint_states_are_decoded_by_rclpy(fields, names):
     random = np.random.default_rng(0)
@@ -120,7 +104,7 @@ def test_written_joint_states_are_decoded_by_rclpy(fields, names):
             assert getattr(message, field).tolist() == expected
 
 
-@pytest.mark.parametrize("frame_id", ["", "x", "lbr_link_0"])
+@pytest.mark.parametrize("frame_id", ["x", "lbr_link_0"])
 def test_written_wrenches_are_decoded_by_rclpy(frame_id):
     values = np.random.default_rng(0).standard_normal(6)
     data = WrenchWriter(frame_id).write(STAMP_NS, values)
@@ -139,34 +123,24 @@ def test_a_wrong_number_of_values_is_not_written():
         CommandWriter(7).write(np.zeros(8))
 
 
-def test_commands_survive_the_way_to_bytes_and_back():
-    torque = np.random.default_rng(0).standard_normal(7)
-    data = CommandWriter(7).write(torque)
-    assert data.endswith(torque.tobytes())
-    assert deserialize_message(data, Float64MultiArray).data.tolist() == torque.tolist()
-    assert np.array_equal(read_command(data), torque)
-
-
-@pytest.mark.parametrize("count", [0, 1, 7, 8])
 @pytest.mark.parametrize("labelled", [False, True])
-def test_commands_of_any_layout_are_read(count, labelled):
-    message = Float64MultiArray(data=np.arange(count, dtype=float).tolist())
-    if labelled:
-        message.layout.dim = [MultiArrayDimension(label="joints", size=count, stride=count)]
-        message.layout.data_offset = 1
-    assert read_command(serialize_message(message)).tolist() == message.data.tolist()
+def test_commands_of_any_layout_are_read(labelled):
+    for count in (0, 7, 8):
+        message = Float64MultiArray(data=np.arange(count, dtype=float).tolist())
+        if labelled:
+            message.layout.dim = [MultiArrayDimension(label="joints", size=count, stride=count)]
+            message.layout.data_offset = 1
+        assert read_command(serialize_message(message)).tolist() == message.data.tolist()
+        assert read_command(CommandWriter(count).write(np.array(message.data))).tolist() == message.data.tolist()
 
 
-def test_bytes_that_are_no_joint_state_are_refused():
+def test_bytes_that_are_no_message_are_refused():
     reader = JointStateReader(NAMES, "joint_states", with_effort=True)
     message = serialize_message(joint_state(NAMES, np.random.default_rng(0)))
     for data in garbage(message):
         with pytest.raises(InputError, match=f"^joint_states: {len(data)} bytes that are no JointState; expected"):
             reader.read(data)
         assert reader.read(message).q.shape == (7,)
-
-
-def test_bytes_that_are_no_command_are_refused():
     for data in garbage(CommandWriter(7).write(np.ones(7))):
         with pytest.raises(InputError, match=f"commands: {len(data)} bytes that are no Float64MultiArray; expected"):
             read_command(data)
