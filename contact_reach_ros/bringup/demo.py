@@ -21,7 +21,8 @@ from contact_reach_ros.bringup.processes import BringupOptions, page_address, pr
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.report.page import run_report
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE, Episode, EpisodeSummary
 from contact_reach_ros.ros.interfaces import DEMO, RECORDER
 from contact_reach_ros.ros.process import bare_node
@@ -181,7 +182,7 @@ def _stay_up(stack: StackProcesses) -> None:
 
 
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
-    """Read the bag, print the summary and write JSON and the report of the bag; None if there is nothing to judge."""
+    """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
     try:
         signals = read_signals(BagReader(bag), model.arm.joint_names)
         end = None if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
@@ -193,15 +194,17 @@ def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOption
     verdict = "reached" if summary.reached else "not reached"
     if summary.safety_events:
         verdict += ", stopped"
+    plot = bag.with_suffix(".png")
+    title = f"scene {options.scene}, seed {options.seed}: goal {verdict}"
+    draw_episode(episode, title, load_budget().resolve(model.arm), plot)
     if options.json is not None:
-        numbers = {**summary.as_json(), "lockstep": options.lockstep, "bag": str(bag)}
+        numbers = {**summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
         options.json.write_text(json.dumps(numbers, indent=2) + "\n")
-    _print_summary(verdict, summary, bag)
-    run_report([bag])
+    _print_summary(verdict, summary, bag, plot)
     return summary
 
 
-def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path) -> None:
+def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path, plot: Path) -> None:
     trip, plan = summary.round_trip_us, summary.plan_ms
     took = f"{summary.duration_s:.2f} s for {summary.distance_m:.3f} m"
     took += f", {summary.time_ratio:.2f} x the limit" if summary.limit_s > 0.0 else ", where the arm was already"
@@ -220,6 +223,7 @@ def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path) -> None:
         ("plan age", _known(f"{summary.plan_age_ms_max:.0f} ms at most", "no plan took effect")),
         *(("stop", f"{stop['source']}: {stop['reason']}") for stop in summary.safety_events),
         ("bag", str(bag)),
+        ("plot", str(plot)),
     ]
     print()
     for label, text in rows:

@@ -10,7 +10,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
-from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
+from contact_reach_ros.bags.signals import EpisodeSignals, Series, goal_distance
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -150,6 +150,22 @@ class Episode:
     def shown_from(self) -> float:
         """Start of the time range to show, s: shortly before the goal was sent, or before an earlier stop."""
         return min([self.start, *(self.start + stop["time_s"] for stop in self._stops())]) - BEFORE
+
+    def curves(self) -> tuple[Series, Series, Series]:
+        """Distance to the goal, m, contact forces, N, and external torques, N m, over s since the goal was sent."""
+        series = (self.distance, self._signals.contact_force, self._signals.external_torque)
+        shown = (each.between(self.shown_from, self._end) for each in series)
+        distance, force, torque = (dataclasses.replace(each, time=each.time - self.start) for each in shown)
+        return distance, force, torque
+
+    def moments(self) -> dict[str, float]:
+        """When the goal was sent and reached, and each node's first stop: s since the goal was sent, by label."""
+        moments = {"goal sent": 0.0} if self.has_goal else {}
+        if self.reached is not None:
+            moments["reached"] = self.reached - self.start
+        for stop in reversed(self._stops()):
+            moments[f"{stop['source']} stop"] = stop["time_s"]
+        return moments
 
     def summary(self) -> EpisodeSummary:
         """The numbers."""
