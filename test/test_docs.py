@@ -21,9 +21,7 @@ from ros_domains import fresh_domain
 
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bringup.bringup import CHANGEABLE
-from contact_reach_ros.bringup.bringup import SECTIONS as BRINGUP
-from contact_reach_ros.bringup.processes import BringupOptions
+from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.cli import _parser
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes import replay
