@@ -8,7 +8,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.world.obstacle_kinds import BallSettings, BoxSettings, ObstacleSettings
+from contact_reach_ros.world.obstacle import BallSettings, BoxSettings, ObstacleSettings
 from contact_reach_ros.world.rigid import Plane
 from contact_reach_ros.world.scene_file import SceneFile, TargetSettings
 

@@ -206,12 +206,9 @@ def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterVal
     values: dict[str, float] = {}
     for obstacle in anywhere(scene):
         prefix, material = "node" if obstacle.is_deformable else "sphere", obstacle.material
-        found = {
-            f"{prefix}_stiffness": material.planner_scale * material.stiffness,
-            f"{prefix}_damping": material.damping,
-        }
+        found = {f"{prefix}_stiffness": material.stiffness, f"{prefix}_damping": material.damping}
         if obstacle.is_deformable:
-            found["edge_stiffness"] = material.planner_scale * material.edge_stiffness
+            found["edge_stiffness"] = material.edge_stiffness
         values |= {name: max(value, values.get(name, 0.0)) for name, value in found.items()}
     capacity: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
     chosen = parameters_in(parameter_file, "planner")

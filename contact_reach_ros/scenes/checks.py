@@ -1,63 +1,21 @@
-"""Scenes that are refused: obstacles in the arm, targets in obstacles or out of reach."""
+"""Impossible scenes: obstacles in the arm, or targets in obstacles."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_name, shape_segments
-from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.errors import InputError, SceneError
-from contact_reach_ros.scenes.overlap import on_hand, on_middle
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.scenes.paths import on_hand
 from contact_reach_ros.world.collision import check_hand, nearest, overlap_depths
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.obstacle import Obstacle
-from contact_reach_ros.world.obstacle_kinds import bodies
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.scene_file import SceneFile, TargetSettings
 
 _TOLERANCE = 1e-9
 """m."""
-
-
-def check_placement(file: SceneFile, arm: Arm) -> None:
-    """Refuse a scene that is impossible for this arm with any seed.
-
-    Raises
-    ------
-    SceneError
-        If the scene is impossible; the message gives the numbers and what to change.
-    SettingsError
-        If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
-    """
-    target = file.target
-    arm.inertias(file.mismatch.inertia_set)
-    start = target.start_of(arm)
-    given = [section for section in file.obstacles if section.center is not None]
-    if len(given) < len(file.obstacles) and not (on_middle(arm).any() and on_hand(arm).any()):
-        raise SceneError(
-            f"obstacles are placed by the capsules of middle links and hand, and arm '{arm.name}' lacks them on one of "
-            "these; give each obstacle a center"
-        )
-    if target.position is None:
-        _check_box(arm, target)
-    # Without a target of its own, the scene is checked only at the start.
-    position = np.array((np.nan,) * 3 if target.position is None else target.position)
-    obstacles = bodies(given, [np.array(section.center) for section in given])
-    reason = conflict(Scene(file.name, arm, 0, start, position, obstacles, environment=file.environment))
-    if reason:
-        raise SceneError(reason)
-
-
-def _check_box(arm: Arm, target: TargetSettings) -> None:
-    nearest_point = np.clip(arm.shoulder, target.minimum, target.maximum)
-    if np.linalg.norm(nearest_point - arm.shoulder) > arm.reach:
-        raise SceneError(
-            f"target: the nearest point of the box from minimum = {list(target.minimum)} to maximum = "
-            f"{list(target.maximum)} {unreachable(arm, nearest_point)}; move the box"
-        )
 
 
 def conflict(scene: Scene) -> str:

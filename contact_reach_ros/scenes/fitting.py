@@ -16,11 +16,11 @@ from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.scenes.free_path import free_path
-from contact_reach_ros.scenes.overlap import capsule_links, on_hand, postures_at
+from contact_reach_ros.scenes.paths import capsule_links, free_path, on_hand, postures_at
+from contact_reach_ros.scenes.placing import target_clearance
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.world.collision import capsule_segments
-from contact_reach_ros.world.obstacle_kinds import ObstacleSettings, WallSettings
+from contact_reach_ros.world.obstacle import ObstacleSettings, WallSettings
 from contact_reach_ros.world.scene_file import SceneFile, TargetSettings
 
 _PLACES = ("center", "position")
@@ -81,7 +81,7 @@ def with_gap(section: ObstacleSettings, arm: Arm, postures: Array) -> ObstacleSe
     """
     if not isinstance(section, WallSettings):
         return section
-    depth = section.size[0] + section.target_clearance
+    depth = section.size[0] + target_clearance(arm)
     return dataclasses.replace(section, gap=_GAP_SHARE * min(_height(arm, q, depth) for q in postures))
 
 

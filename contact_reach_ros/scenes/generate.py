@@ -13,13 +13,13 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import ContactReachError, SceneError, SettingsError
-from contact_reach_ros.scenes.checks import check_placement, conflict
+from contact_reach_ros.scenes.checks import conflict
 from contact_reach_ros.scenes.fitting import fitted
-from contact_reach_ros.scenes.free_path import free_path
+from contact_reach_ros.scenes.paths import free_path, on_hand, on_middle
 from contact_reach_ros.scenes.placing import place
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Goal
-from contact_reach_ros.world.obstacle_kinds import WallSettings, bodies
+from contact_reach_ros.world.obstacle import WallSettings, bodies
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile, read_scene
 
@@ -104,7 +104,9 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
 
 
 def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Scene:
-    check_placement(file, arm)
+    arm.inertias(file.mismatch.inertia_set)
+    start = file.target.start_of(arm)
+    _check_placed(file, arm, start)
     random = np.random.default_rng(seed)
     given = file.target.position if target is None else target
     tries = _TARGET_TRIES
@@ -112,7 +114,6 @@ def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Sc
         tries = min(tries, _TARGET_TRIES_WITH_WALLS)
     if given is not None and all(section.center is not None for section in file.obstacles):
         tries = 1
-    start = file.target.start_of(arm)
     reason = ""
     for wanted, path in _targets(file, RobotModel(arm), given, tries, random):
         centers = []
@@ -136,6 +137,21 @@ def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Sc
         f"{'widen the box of the target' if given is None else 'choose another target'}, relax the limits of the "
         "obstacles, or give them a center"
     )
+
+
+def _check_placed(file: SceneFile, arm: Arm, start: Array) -> None:
+    """Refuse what no seed makes possible; raises `SceneError`."""
+    placed = [section for section in file.obstacles if section.center is not None]
+    if len(placed) < len(file.obstacles) and not (on_middle(arm).any() and on_hand(arm).any()):
+        raise SceneError(
+            f"obstacles are placed by the capsules of middle links and hand, and arm '{arm.name}' lacks them on one of "
+            "these; give each obstacle a center"
+        )
+    # Without a target of its own, the scene is checked only at the start.
+    target = np.full(3, np.nan) if file.target.position is None else np.array(file.target.position)
+    obstacles = bodies(placed, [np.array(section.center) for section in placed])
+    if reason := conflict(Scene(file.name, arm, 0, start, target, obstacles, environment=file.environment)):
+        raise SceneError(reason)
 
 
 def _targets(

@@ -1,13 +1,25 @@
-"""Obstacles of any kind: bodies of soft spheres."""
+"""Obstacles, bodies of soft spheres, and their kinds in scene files: balls, boxes and walls."""
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.settings import Settings, setting
+
+_WALL_HARDENING = 0.3
+"""Of the springs in a wall: with it and the default stiffness, nodes pressed with 10 N yield within 15 % as far as
+those of the planner's mesh, which does not harden."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +42,6 @@ class Material:
         k of the spring along an edge, N/m.
     hardening
         h: a simulated edge of length l whose ends have moved apart by s has the stiffness k (1 + h (s / l)²).
-    planner_scale
-        Factor on `stiffness` and `edge_stiffness` in the planner's model, which does not harden.
     """
 
     mass: float
@@ -41,7 +51,6 @@ class Material:
     friction: float
     edge_stiffness: float = 0.0
     hardening: float = 0.0
-    planner_scale: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,3 +95,156 @@ class Obstacle:
     def is_deformable(self) -> bool:
         """Whether it is a mesh of joined spheres, rather than spheres that move on their own."""
         return len(self.edges) > 0
+
+
+@dataclass(frozen=True)
+class ObstacleSettings(Settings, ABC):
+    """Section of a scene file that puts obstacles of one kind into the scene; `KIND` is its key."""
+
+    KIND: ClassVar[str]
+
+    center: tuple[float, ...] | None = setting(
+        None,
+        "its centre, instead of a random one on the arm's free path",
+        unit="m",
+        minimum=-1.5,
+        maximum=1.5,
+        optional_length=3,
+    )
+    contact_stiffness: float = setting(1000.0, "stiffness of its surface", unit="N/m", minimum=50.0, maximum=50000.0)
+    friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
+
+    @property
+    @abstractmethod
+    def material(self) -> Material:
+        """Material of its spheres and edges."""
+
+    @abstractmethod
+    def at(self, center: Array) -> tuple[Obstacle, ...]:
+        """The obstacles around `center` (3,), m, base frame."""
+
+
+@dataclass(frozen=True)
+class BallSettings(ObstacleSettings):
+    """A foam-like ball that a spring holds in place."""
+
+    KIND: ClassVar[str] = "ball"
+
+    radius: float = setting(0.1, "radius", unit="m", minimum=0.01, maximum=0.5)
+    mass: float = setting(0.1, "mass", unit="kg", minimum=0.001, maximum=10.0)
+    stiffness: float = setting(100.0, "spring that holds it in place", unit="N/m", minimum=1.0, maximum=5000.0)
+    damping: float = setting(30.0, "damping of its motion", unit="N s/m", minimum=0.0, maximum=500.0)
+
+    @property
+    def material(self) -> Material:
+        """Material of the ball."""
+        return Material(self.mass, self.stiffness, self.damping, self.contact_stiffness, self.friction)
+
+    def at(self, center: Array) -> tuple[Obstacle, ...]:
+        """The ball at `center` (3,), m."""
+        return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.zeros(1, bool)),)
+
+
+@dataclass(frozen=True)
+class MeshSettings(ObstacleSettings):
+    """A deformable body: a box-shaped lattice of spheres, the nodes, joined by springs along its axes.
+
+    The surfaces of the outer nodes touch the sides of the box. Edges hold the nodes, one level of which is fixed.
+    """
+
+    size: tuple[float, ...] = setting((0.2, 0.2, 0.3), "size along x, y, z", unit="m", minimum=0.02, maximum=3.0)
+    nodes: tuple[int, ...] = setting((3, 3, 4), "number of nodes along x, y, z", minimum=2, maximum=50)
+    node_radius: float = setting(0.025, "radius of a node", unit="m", minimum=0.005, maximum=0.2)
+    node_mass: float = setting(0.01, "mass of a node", unit="kg", minimum=0.001, maximum=1.0)
+    edge_stiffness: float = setting(
+        40.0, "spring between two nodes, when hardly deformed", unit="N/m", minimum=1.0, maximum=5000.0
+    )
+    damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
+
+    @property
+    def material(self) -> Material:
+        """Material of nodes and edges."""
+        return Material(
+            self.node_mass, 0.0, self.damping, self.contact_stiffness, self.friction, edge_stiffness=self.edge_stiffness
+        )
+
+    def points(self, center: Array) -> Array:
+        """Centres of the nodes (N, 3), m, z counting fastest, of a box around `center` (3,)."""
+        extents = 0.5 * np.array(self.size) - self.node_radius
+        axes = [np.linspace(-extent, extent, count) for extent, count in zip(extents, self.nodes, strict=True)]
+        return center + np.array(list(itertools.product(*axes)))
+
+    def edges(self) -> NDArray[np.intp]:
+        """Pairs (E, 2) of neighbours along the three axes."""
+        index = np.arange(np.prod(self.nodes)).reshape(self.nodes)
+        along = (np.moveaxis(index, axis, 0) for axis in range(3))
+        return np.concatenate([np.stack([line[:-1].ravel(), line[1:].ravel()], axis=1) for line in along])
+
+    def level(self, number: int) -> NDArray[np.bool_]:
+        """(N,) true for the nodes on one level along z; -1 is the top."""
+        mask = np.zeros(self.nodes, bool)
+        mask[:, :, number] = True
+        return mask.ravel()
+
+    def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
+        fixed = self.level(fixed_level)
+        return Obstacle(
+            self.KIND, name, points, self.node_radius, self.material, fixed, edges=self.edges(), lattice=self.nodes
+        )
+
+
+@dataclass(frozen=True)
+class BoxSettings(MeshSettings):
+    """A deformable box whose lowest nodes are fixed."""
+
+    KIND: ClassVar[str] = "box"
+
+    center: tuple[float, ...] = setting((0.5, -0.3, 0.15), "its centre", unit="m", minimum=-1.5, maximum=1.5)
+    angles: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "roll, pitch and yaw about the axes of the base", unit="rad", minimum=-6.3, maximum=6.3
+    )
+
+    def at(self, center: Array) -> tuple[Obstacle, ...]:
+        """The box around `center` (3,), m."""
+        turned = Rotation.from_euler("xyz", self.angles).apply(self.points(np.zeros(3)))
+        return (self._body("the box", center + turned, 0),)
+
+
+@dataclass(frozen=True)
+class WallSettings(MeshSettings):
+    """Two deformable walls, one above the other, with a gap that the arm cannot pass without pushing.
+
+    `center` is the middle of the gap; the row of nodes farthest from it is fixed.
+    """
+
+    KIND: ClassVar[str] = "wall"
+
+    size: tuple[float, ...] = setting((0.1, 1.0, 0.2), "size of one wall: x, y, z", unit="m", minimum=0.02, maximum=3.0)
+    nodes: tuple[int, ...] = setting((2, 11, 3), "number of nodes of one wall along x, y, z", minimum=2, maximum=50)
+    gap: float = setting(0.15, "gap between the walls", unit="m", minimum=0.0, maximum=1.0)
+
+    @property
+    def material(self) -> Material:
+        """Material of both walls."""
+        return dataclasses.replace(super().material, hardening=_WALL_HARDENING)
+
+    def at(self, center: Array) -> tuple[Obstacle, ...]:
+        """The lower and the upper wall around a gap whose centre is at `center` (3,), m."""
+        offset = np.array([0.0, 0.0, 0.5 * (self.gap + self.size[2])])
+        lower = self._body("the lower wall", self.points(center - offset), 0)
+        upper = self._body("the upper wall", self.points(center + offset), -1)
+        return lower, upper
+
+
+KINDS: dict[str, type[ObstacleSettings]] = {kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings)}
+"""The kinds by the key of their section; a scene lists its obstacles in this order."""
+
+
+def bodies(sections: Sequence[ObstacleSettings], centers: Sequence[Array]) -> tuple[Obstacle, ...]:
+    """The obstacles of sections around their centres (3,), m, with their numbers as ids; equal names get the id."""
+    found = [body for section, center in zip(sections, centers, strict=True) for body in section.at(center)]
+    count = Counter(body.name for body in found)
+    return tuple(
+        dataclasses.replace(body, id=number, name=body.name if count[body.name] == 1 else f"{body.name} {number}")
+        for number, body in enumerate(found)
+    )

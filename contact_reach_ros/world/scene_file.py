@@ -17,8 +17,7 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
-from contact_reach_ros.world.obstacle import Obstacle
-from contact_reach_ros.world.obstacle_kinds import KINDS, BallSettings, ObstacleSettings, WallSettings, bodies
+from contact_reach_ros.world.obstacle import KINDS, Obstacle, ObstacleSettings, bodies
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
@@ -285,20 +284,9 @@ def _check(scene: SceneFile) -> None:
     target = scene.target
     if any(low > high for low, high in zip(target.minimum, target.maximum, strict=True)):
         raise SettingsError(f"target: minimum = {target.minimum}: expected at most maximum = {target.maximum}")
-    for section in scene.obstacles:
-        if isinstance(section, BallSettings | WallSettings) and section.min_overlap > section.max_overlap:
-            raise SettingsError(
-                f"{section.KIND}: min_overlap = {section.min_overlap:g}: expected at most max_overlap = "
-                f"{section.max_overlap:g} m"
-            )
     everything = anywhere(scene)
     for obstacle in everything:
         check_stable(obstacle)
-    identifiers = [obstacle.id for obstacle in everything]
-    if len(set(identifiers)) < len(identifiers):
-        raise SettingsError(
-            f"obstacles have the ids {identifiers}, those of walls count from the lower one; expected each once"
-        )
     count = sum(len(obstacle.rest) for obstacle in everything)
     free = sum(int((~obstacle.fixed).sum()) for obstacle in everything)
     if count > _MOST_SPHERES or free > _MOST_FREE:

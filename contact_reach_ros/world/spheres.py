@@ -124,10 +124,10 @@ def obstacle_spheres(scene: Scene, positions: Array) -> Spheres:
     for obstacle in scene.obstacles:
         material, count = obstacle.material, len(obstacle.rest)
         edges.append(obstacle.edges + len(radius))
-        edge_stiffness += [material.planner_scale * material.edge_stiffness] * len(obstacle.edges)
+        edge_stiffness += [material.edge_stiffness] * len(obstacle.edges)
         radius += [obstacle.radius] * count
         damping += [material.damping] * count
-        stiffness += np.where(obstacle.fixed, FIXED_STIFFNESS, material.planner_scale * material.stiffness).tolist()
+        stiffness += np.where(obstacle.fixed, FIXED_STIFFNESS, material.stiffness).tolist()
     return Spheres(
         center=positions,
         rest=rest_positions(scene),

@@ -18,9 +18,9 @@ from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import term_weights
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.scenes.free_path import MIN_MOBILITY
+from contact_reach_ros.scenes.paths import MIN_MOBILITY
 from contact_reach_ros.world.collision import clearances
-from contact_reach_ros.world.obstacle_kinds import BallSettings
+from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 

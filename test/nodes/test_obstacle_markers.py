@@ -15,7 +15,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
-from contact_reach_ros.world.obstacle_kinds import BallSettings, WallSettings
+from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.rigid import Block, Plane
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions

@@ -32,8 +32,7 @@ from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.obstacle import Obstacle
-from contact_reach_ros.world.obstacle_kinds import BallSettings
+from contact_reach_ros.world.obstacle import BallSettings, Obstacle
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions

@@ -1,6 +1,5 @@
 """The wall scene: two meshes that every posture at the target touches, and that elbow and forearm would push into."""
 
-import dataclasses
 import functools
 
 import numpy as np
@@ -10,14 +9,13 @@ from arm_simulation import ARM, HOME, numbered, with_obstacle
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes import generate, placing
-from contact_reach_ros.scenes.free_path import free_path
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.overlap import on_hand, on_middle, path_segments, swivelled_segments
+from contact_reach_ros.scenes.paths import free_path, on_hand, on_middle, path_segments, swivelled_segments
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
-from contact_reach_ros.world.obstacle_kinds import BallSettings, WallSettings
+from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.scene_file import check_stable, read_scene
-from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres, obstacle_spheres, rest_positions
+from contact_reach_ros.world.scene_file import read_scene
+from contact_reach_ros.world.spheres import FIXED_STIFFNESS, obstacle_spheres, rest_positions
 
 SEEDS = range(5)
 SETTINGS = WallSettings()
@@ -48,10 +46,6 @@ class TestLattice:
         assert gap == pytest.approx(SETTINGS.gap)
         assert (upper.rest[:, 2].min() + lower.rest[:, 2].max()) / 2 == pytest.approx(self.CENTER[2])
 
-    def test_each_wall_has_at_least_sixty_nodes(self):
-        for wall in SETTINGS.at(self.CENTER):
-            assert len(wall.rest) == np.prod(SETTINGS.nodes) >= 60
-
     def test_edges_join_neighbours_along_the_axes_once(self):
         (wall, _) = SETTINGS.at(self.CENTER)
         steps = np.abs(wall.rest[wall.edges[:, 0]] - wall.rest[wall.edges[:, 1]])
@@ -69,20 +63,6 @@ class TestLattice:
         np.testing.assert_array_equal(lower.fixed, np.isclose(lower.rest[:, 2], lower.rest[:, 2].min()))
         np.testing.assert_array_equal(upper.fixed, np.isclose(upper.rest[:, 2], upper.rest[:, 2].max()))
 
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"edge_stiffness": 2500.0}, "26000 N/m in all on 0.01 kg; .* is stable up to 20000 N/m"),
-            (
-                {"contact_stiffness": 50000.0, "edge_stiffness": 60.0},
-                "50600 N/m in all on 0.01 kg; .* is stable up to 20000 N/m",
-            ),
-        ],
-    )
-    def test_mesh_that_cannot_be_simulated_is_refused_with_the_numbers(self, changes, message):
-        with pytest.raises(SceneError, match=message):
-            check_stable(dataclasses.replace(SETTINGS, **changes).at(self.CENTER)[0])
-
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_walls_stand_between_start_and_target(seed):
@@ -92,19 +72,19 @@ def test_walls_stand_between_start_and_target(seed):
         half = 0.5 * SETTINGS.size[0]
         x = wall.rest[:, 0].mean()
         assert start[0] <= x - half + 1e-9
-        assert x + half + SETTINGS.target_clearance <= scene.target[0] + 1e-3
+        assert x + half + 0.06 <= scene.target[0] + 1e-3
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_free_path_starts_free_and_pushes_the_middle_links_into_the_walls(seed):
     scene = scene_of(seed)
     depths = overlap_depths(ARM, *path_segments(ARM, path_of(seed)), rest_positions(scene), SETTINGS.node_radius)
-    assert depths[0].max() <= -SETTINGS.start_clearance
+    assert depths[0].max() <= -0.01
     deepest = depths.max(axis=(0, 2))
     middle = deepest[on_middle(ARM)].max()
     # Placement looks at every fifth pose of the path only.
-    assert SETTINGS.min_overlap <= middle <= SETTINGS.max_overlap + 0.005
-    assert deepest[on_hand(ARM)].max() <= SETTINGS.max_hand_overlap + 0.005
+    assert 0.04 <= middle <= 0.155
+    assert deepest[on_hand(ARM)].max() <= 0.025
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -145,19 +125,6 @@ def test_swivelled_capsules_are_those_of_real_postures_with_the_same_flange_pose
     np.testing.assert_allclose(ends[best], moved[1], rtol=0, atol=1e-3)
 
 
-def test_same_seed_same_scene_and_other_seeds_other_ones():
-    again = make_scene(read_scene("wall"), ARM, 2)
-    for one, other in zip(scene_of(2).obstacles, again.obstacles, strict=True):
-        np.testing.assert_array_equal(one.rest, other.rest)
-    np.testing.assert_array_equal(scene_of(2).target, again.target)
-    assert len({tuple(scene_of(seed).target) for seed in SEEDS}) == len(SEEDS)
-
-
-def test_given_target_is_kept():
-    target = np.array([0.7, 0.0, 0.4])
-    np.testing.assert_array_equal(make_scene(read_scene("wall"), ARM, 0, target).target, target)
-
-
 def test_walls_that_fit_nowhere_are_refused_with_what_to_change(monkeypatch):
     monkeypatch.setattr(generate, "_TARGET_TRIES_WITH_WALLS", 2)
     monkeypatch.setattr(placing, "_WALL_TRIES", 5)
@@ -192,22 +159,3 @@ class TestObstacleSpheres:
         )
         np.testing.assert_array_equal(spheres.edges[: len(lower.edges)], lower.edges + 1)
         np.testing.assert_array_equal(spheres.edges[len(lower.edges) :], upper.edges + 1 + count)
-
-    def test_planners_stiffness_is_scaled_and_the_fixtures_is_not(self):
-        plain = WallSettings(anchor_stiffness=7.0)
-        scaled = dataclasses.replace(plain, planner_stiffness_scale=1.5)
-        first, second = (
-            obstacle_spheres(scene, rest_positions(scene))
-            for scene in (
-                Scene("test", ARM, 0, HOME, np.zeros(3), settings.at(np.zeros(3))) for settings in (plain, scaled)
-            )
-        )
-        np.testing.assert_allclose(second.edge_stiffness, 1.5 * first.edge_stiffness)
-        fixed = first.stiffness == FIXED_STIFFNESS
-        assert fixed.any() and not fixed.all()
-        np.testing.assert_array_equal(second.stiffness[fixed], first.stiffness[fixed])
-        np.testing.assert_allclose(second.stiffness[~fixed], 1.5 * 7.0)
-
-    def test_no_obstacles_are_no_spheres(self):
-        spheres = obstacle_spheres(Scene("free", ARM, 0, HOME, np.zeros(3)), np.zeros((0, 3)))
-        assert isinstance(spheres, Spheres) and len(spheres) == 0

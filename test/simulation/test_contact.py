@@ -12,8 +12,7 @@ from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
-from contact_reach_ros.world.obstacle import Obstacle
-from contact_reach_ros.world.obstacle_kinds import BallSettings
+from contact_reach_ros.world.obstacle import BallSettings, Obstacle
 from contact_reach_ros.world.spheres import rest_positions
 
 ELBOW = 4

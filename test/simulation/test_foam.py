@@ -14,7 +14,7 @@ from contact_reach_ros.simulation.obstacles import Foam
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
-from contact_reach_ros.world.obstacle_kinds import BallSettings, WallSettings
+from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions

@@ -8,7 +8,7 @@ from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION, ideal_plant, n
 
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.world.collision import nearest
-from contact_reach_ros.world.obstacle_kinds import BallSettings
+from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.rigid import Block, Plane
 from contact_reach_ros.world.scene import Scene
 

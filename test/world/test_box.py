@@ -5,7 +5,6 @@ import pytest
 from arm_simulation import ARM, IDEAL_SENSORS
 
 from benchmarks.press import press_in_model, press_in_plant
-from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
@@ -36,9 +35,3 @@ def test_it_gives_way_as_the_planner_expects(file):
     expected = press_in_model(obstacle_spheres(scene, rest_positions(scene)), top, force, np.array([np.inf]))[0]
     assert moved[0] > 0.01
     np.testing.assert_allclose(moved, expected, rtol=0.02, atol=1e-4)
-
-
-def test_a_mesh_too_fine_is_refused(file):
-    file.write_text("box: {nodes: [8, 8, 8], node_radius: 0.01}\n")
-    with pytest.raises(SceneError, match="512 spheres and nodes, 448 of which can move"):
-        read_scene(str(file))

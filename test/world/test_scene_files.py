@@ -12,10 +12,10 @@ from contact_reach_ros.errors import SceneError, SettingsError
 from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.world.collision import check_hand, nearest
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.obstacle_kinds import BallSettings
+from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.rigid import Plane
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
-from contact_reach_ros.world.scene_file import TargetSettings, matching_scene_names, read_scene, scene_names
+from contact_reach_ros.world.scene_file import TargetSettings, read_scene, scene_names
 
 
 @pytest.fixture
@@ -32,44 +32,28 @@ def test_scenes_of_the_package_can_be_read():
     assert read_scene("ball").target == TargetSettings(reach=ARM.reach)
 
 
-@pytest.mark.parametrize("name", ["bal", "", "ball/", "missing/scene"])
+@pytest.mark.parametrize("name", ["bal", "", "missing/scene", "missing.yaml"])
 def test_unknown_scene_lists_the_scenes(name):
     with pytest.raises(SceneError) as raised:
         read_scene(name)
-    assert f"scene '{name}' is unknown" in str(raised.value)
+    assert str(raised.value).startswith(f"scene '{name}'")
     assert all(scene in str(raised.value) for scene in scene_names())
-
-
-@pytest.mark.parametrize("name", ["missing.yaml", "/no/such/place.yml"])
-def test_a_missing_file_is_named_as_one(name):
-    with pytest.raises(SceneError, match=rf"^scene '{name}': no such file; expected the path of a YAML"):
-        read_scene(name)
-
-
-def test_own_file_replaces_what_it_names(file):
-    file.write_text("target:\n  min_distance: 0.3\nball:\n  radius: 0.05\n")
-    scene = read_scene(str(file))
-    assert scene.name == "own"
-    assert scene.target == TargetSettings(min_distance=0.3)
-    assert scene.obstacles == (BallSettings(radius=0.05),)
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("bal: {}", "unknown key 'bal'; did you mean 'ball'?"),
-        ("1: {}", "unknown key '1'; known keys: ball, base, box, environment, mismatch, obstacles, target, wall"),
-        ("target:", "target = None; expected a mapping"),
-        ("ball: [1]", "ball = [1]; expected a mapping"),
-        ("target: {start_posture: 1}", "target: unknown key 'start_posture'"),
-        ("ball: {raduis: 0.1}", "ball: unknown key 'raduis'; did you mean 'radius'?"),
-        ("ball: {radius: 0.9}", "ball: radius = 0.9: expected a number in [0.01, 0.5] m"),
-        ("ball: {stiffness: soft}", "ball: stiffness = 'soft': expected a number"),
-        ("target: {minimum: [0, 0]}", "target: minimum = [0, 0]: expected a list of 3 values"),
-        ("target: {minimum: [0.3, 0, 0], maximum: [0.2, 1, 1]}", "target: minimum = (0.3, 0.0, 0.0): expected at most"),
-        ("ball: {min_overlap: 0.1}", "ball: min_overlap = 0.1: expected at most max_overlap = 0.05 m"),
+        ("bal: {}", "'bal'; did you mean 'ball'?"),
+        ("target:", "target = None"),
+        ("ball: {raduis: 0.1}", "ball: unknown key 'raduis'"),
+        ("ball: {radius: 0.9}", "ball: radius = 0.9"),
+        ("target: {minimum: [0.3, 0, 0], maximum: [0.2, 1, 1]}", "target: minimum"),
+        ("obstacles: [{kind: cube}]", "obstacles[0]: kind = 'cube'"),
+        ("obstacles: [{kind: ball, size: 1}]", "obstacles[0]: unknown key 'size'"),
+        ("environment: {table: {sise: [1, 1, 1]}}", "environment: table: unknown key 'sise'"),
+        ("environment: {floor: {normal: [0, 0, 0]}}", "environment: floor: normal"),
+        ("environment: {floor: 0.1}", "environment: floor = 0.1"),
         ("", "holds NoneType"),
-        ("target: {", "not valid YAML"),
     ],
 )
 def test_file_is_named_when_it_is_refused(file, content, message):
@@ -95,18 +79,6 @@ def test_start_that_the_arm_cannot_take_is_refused_when_the_scene_is_made(file, 
     assert message in str(raised.value)
 
 
-def test_target_is_three_numbers():
-    np.testing.assert_array_equal(parse_target(" 0.5 -0.1  3e-1 "), [0.5, -0.1, 0.3])
-    assert parse_target("") is None
-    assert parse_target("  ") is None
-
-
-@pytest.mark.parametrize("text", ["0.5 0.1", "1 2 3 4", "a b c", "0.5, 0.1, 0.2", "nan 0 0", "inf 0 0"])
-def test_target_that_is_not_is_refused(text):
-    with pytest.raises(SceneError, match="expected three finite numbers 'x y z' in m"):
-        parse_target(text)
-
-
 class TestBase:
     def test_sections_are_taken_over_key_by_key(self, file):
         file.write_text("base: ball\ntarget: {min_distance: 0.3}\nball: {mass: 0.2}\nmismatch: {}\n")
@@ -123,11 +95,6 @@ class TestBase:
         (tmp_path / "top.yaml").write_text("base: folder/middle.yaml\nball: {friction: 0.5}\n")
         assert read_scene(str(tmp_path / "top.yaml")).obstacles == (BallSettings(radius=0.08, mass=0.3, friction=0.5),)
 
-    def test_null_takes_back_what_the_base_places(self, tmp_path, file):
-        (tmp_path / "placed.yaml").write_text("ball: {center: [0.5, 0.0, 0.3]}\n")
-        file.write_text("base: placed.yaml\nball: {center: null}\n")
-        assert read_scene(str(file)).obstacles == (BallSettings(),)
-
     def test_circle_is_refused_with_the_files(self, tmp_path, file):
         file.write_text("base: other.yaml\n")
         (tmp_path / "other.yaml").write_text("base: ./own.yaml\n")
@@ -137,18 +104,10 @@ class TestBase:
         with pytest.raises(SceneError, match="leads back to where it started"):
             read_scene(str(file))
 
-    @pytest.mark.parametrize("base", ["moon", "missing.yaml", "[ball]", "7"])
+    @pytest.mark.parametrize("base", ["moon", "missing.yaml", "7"])
     def test_unknown_base_is_refused_with_the_scenes(self, file, base):
         file.write_text(f"base: {base}\n")
-        with pytest.raises(
-            SceneError, match=r"own\.yaml: base = .*expected .*one of ball, ball_mismatch, ball_misplaced, free"
-        ):
-            read_scene(str(file))
-
-    def test_wrong_value_is_named_with_the_file_that_has_it(self, tmp_path, file):
-        (tmp_path / "below.yaml").write_text("ball: {raduis: 0.1}\n")
-        file.write_text("base: below.yaml\n")
-        with pytest.raises(SettingsError, match=r"below\.yaml: ball: unknown key 'raduis'"):
+        with pytest.raises(SceneError, match=r"own\.yaml: base = .*expected .*one of ball, ball_mismatch"):
             read_scene(str(file))
 
 
@@ -159,10 +118,6 @@ class TestMismatch:
         assert with_mismatch.mismatch == MismatchSettings()
         assert plain.mismatch == NO_MISMATCH
         assert dataclasses.replace(with_mismatch, name=name, mismatch=NO_MISMATCH) == plain
-
-    def test_scenes_without_it_are_told_apart(self):
-        assert matching_scene_names() == ["ball", "free", "wall"]
-        assert set(scene_names()) > set(matching_scene_names())
 
     def test_wrong_inertia_set_lists_those_there_are(self, file):
         file.write_text("base: free\nmismatch: {inertia_set: other}\n")
@@ -175,28 +130,14 @@ class TestWhatNoSeedMakesPossible:
         ("content", "message"),
         [
             # The flange starts at (0.528, 0, 0.378); the forearm ends 0.126 m above it.
-            (
-                "ball: {center: [0.528, 0.0, 0.6]}",
-                r"at the start lbr_link_\d lies \d+\.\d mm deep in the ball \(at \[0\.528, 0\.0, 0\.6\] m, radius",
-            ),
+            ("ball: {center: [0.528, 0.0, 0.6]}", r"at the start lbr_link_\d lies \d+\.\d mm deep in the ball"),
             ("ball: {center: [0.0, 0.15, 0.2]}", r"at the start lbr_link_0 lies 60\.0 mm deep in the ball"),
             (
-                "base: wall\nwall: {center: [0.4, 0.0, 0.5]}",
-                r"deep in node \(\d, \d+, \d\) of the (lower|upper) wall",
-            ),
-            (
                 "target: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.26, 0.3]}",
-                r"target \[0\.5, 0\.2, 0\.3\] m lies 40\.0 mm inside the ball \(at \[0\.5, 0\.26, 0\.3\] m",
+                r"target .* lies 40\.0 mm in",
             ),
-            (
-                "target: {position: [0.9, 0.3, 0.3]}",
-                r"goal: position is 0\.951 m from the shoulder .* reaches 0\.85 m",
-            ),
+            ("target: {position: [0.9, 0.3, 0.3]}", r"position is 0\.951 m from the shoulder"),
             ("target: {position: [0.05, 0.0, 0.2]}", r"there lbr_link_7 lies 120\.0 mm deep in lbr_link_0"),
-            (
-                "target: {minimum: [0.9, 0.1, 0.3], maximum: [1.0, 0.2, 0.5]}",
-                r"nearest point of the box .* is 0\.906 m from the shoulder .* reaches 0\.85 m; move the box",
-            ),
         ],
     )
     def test_is_refused_for_the_arm(self, file, content, message):
@@ -204,30 +145,6 @@ class TestWhatNoSeedMakesPossible:
         with pytest.raises(SceneError, match=message) as raised:
             make_scene(read_scene(str(file)), ARM, 0)
         assert str(raised.value).startswith(f"{file}: ")
-
-    @pytest.mark.parametrize(
-        ("content", "message"),
-        [
-            (
-                "base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}",
-                "840 spheres and nodes, 672 of which",
-            ),
-            (
-                "ball: {mass: 0.001, stiffness: 2500.0}",
-                "ball: .* of 3500 N/m in all .* stable up to 2000 N/m",
-            ),
-        ],
-    )
-    def test_is_refused_when_the_file_is_read(self, file, content, message):
-        file.write_text(content)
-        with pytest.raises(SceneError, match=message) as raised:
-            read_scene(str(file))
-        assert str(raised.value).startswith(f"{file}: ")
-
-    def test_what_just_fits_is_accepted(self, file):
-        file.write_text("target: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.301, 0.3]}\n")
-        scene = make_scene(read_scene(str(file)), ARM, 0)
-        np.testing.assert_array_equal(scene.obstacles[0].rest[0], (0.5, 0.301, 0.3))
 
 
 class TestEnvironment:
@@ -262,23 +179,6 @@ class TestEnvironment:
             lowest = np.array([*scene.target[:2], read_scene(name).target.minimum[2]])
             check_hand(ARM, Target(lowest, link_frames(ARM, scene.start)[0][-1]), scene.environment)
 
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            (
-                "environment: {table: {sise: [1, 1, 1]}}",
-                "environment: table: unknown key 'sise'; did you mean 'size'",
-            ),
-            ("environment: {table: {size: [1, 0, 1]}}", "environment: table: size = .* expected a list of 3 values"),
-            ("environment: {floor: {normal: [0, 0, 0]}}", "environment: floor: normal = .* expected a vector"),
-            ("environment: {floor: 0.1}", "environment: floor = 0.1; expected a mapping"),
-            ("environment: 3", "environment = 3; expected a mapping"),
-        ],
-    )
-    def test_what_is_no_body_is_refused(self, tmp_path, text, message):
-        with pytest.raises(SettingsError, match=message):
-            self.read(tmp_path, text + "\n")
-
     def test_a_start_in_a_body_and_a_target_beneath_one_are_refused_with_numbers(self, tmp_path):
         table = "environment: {table: {center: [0.5, 0.0, 0.1], size: [0.4, 0.6, 0.3]}}\n"
         with pytest.raises(SceneError, match=r"at the start lbr_link_7 lies 4\d\.\d mm deep in the table; move"):
@@ -286,3 +186,24 @@ class TestEnvironment:
         lower = table.replace("0.3]", "0.2]") + "target: {position: [0.5, 0.1, 0.2]}\n"
         with pytest.raises(SceneError, match=r"there lbr_link_7 lies 45\.0 mm deep in the table; .* by 50\.0 mm"):
             make_scene(self.read(tmp_path, lower), ARM, 0)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 spheres and nodes, 672 of which can move"),
+        ("ball: {mass: 0.001, stiffness: 2500.0}", "ball: .* of 3500 N/m in all .* stable up to 2000 N/m"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_with_the_numbers(file, content, message):
+    file.write_text(content)
+    with pytest.raises(SceneError, match=message):
+        read_scene(str(file))
+
+
+def test_target_is_three_numbers():
+    np.testing.assert_array_equal(parse_target(" 0.5 -0.1  3e-1 "), [0.5, -0.1, 0.3])
+    assert parse_target("  ") is None
+    for text in ("0.5 0.1", "a b c", "nan 0 0"):
+        with pytest.raises(SceneError, match="three finite numbers"):
+            parse_target(text)

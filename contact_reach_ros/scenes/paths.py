@@ -1,4 +1,4 @@
-"""Which links obstacles are placed by, and the postures in which the arm may meet them."""
+"""Paths, postures and links that random scenes are built around, by kinematics alone."""
 
 from __future__ import annotations
 
@@ -11,8 +11,18 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.world.collision import capsule_segments
 
+MIN_MOBILITY = 0.05
+"""Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration counts as singular."""
+
+_STEP = 0.004
+"""Of a free path along its line, m."""
+_SETTLING = 5
+"""Iterations at the end of a free path."""
+_PATH_MARGIN, _POSTURE_MARGIN = 0.2, 0.1
+"""Least distances of joints from their limits along a free path, and in postures with one tip pose, rad."""
 _HAND_LINKS = 2
 """Number of links, counted from the tip, that make up the hand."""
 _FIRST_MIDDLE_LINK = 3
@@ -21,8 +31,34 @@ _MEETING = 1e-6
 _SWIVELS = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
 _SEEDS = 200
 """Random postures from which the search for those with one tip pose starts."""
-_LIMIT_MARGIN = 0.1
-"""Least distance of their joints from the limits, rad."""
+
+
+def free_path(model: RobotModel, start: Array, target: Array) -> Array | None:
+    """Joint angles (N, n) along the straight line to a flange position, orientation held, least joint motion.
+
+    Inverse kinematics in steps of a few millimetres with the dynamically consistent inverse, as the impedance law would
+    move the arm. None if the line leaves the workspace, or comes near a singularity (`MIN_MOBILITY`) or within 0.2 rad
+    of a joint limit.
+    """
+    lower, upper = model.arm.lower + _PATH_MARGIN, model.arm.upper - _PATH_MARGIN
+    q, v = start.copy(), np.zeros_like(start)
+    model.update(q, v)
+    origin, rotation = model.position.copy(), model.rotation.copy()
+    count = int(np.ceil(np.linalg.norm(target - origin) / _STEP))
+    path = [q.copy()]
+    for share in (*np.linspace(0.0, 1.0, count + 1)[1:], *np.ones(_SETTLING)):
+        error = np.empty(6)
+        error[:3] = model.position - origin - share * (target - origin)
+        error[3:] = 0.5 * sum(np.cross(rotation[:, k], model.rotation[:, k]) for k in range(3))
+        if model.smallest_mobility() < MIN_MOBILITY:
+            return None
+        inverse_mass_jacobian = np.linalg.solve(model.mass_matrix, model.jacobian.T)
+        q = q - inverse_mass_jacobian @ np.linalg.solve(model.jacobian @ inverse_mass_jacobian, error)
+        if ((q < lower) | (q > upper)).any():
+            return None
+        path.append(q.copy())
+        model.update(q, v)
+    return np.array(path) if np.linalg.norm(model.position - target) < 1e-3 else None
 
 
 @functools.cache
@@ -89,4 +125,4 @@ def postures_at(arm: Arm, position: Array, rotation: Array) -> Array:
     seeds = np.random.default_rng(0).uniform(
         np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (_SEEDS, arm.n)
     )
-    return solve_ik(arm, position, rotation, seeds, _LIMIT_MARGIN)
+    return solve_ik(arm, position, rotation, seeds, _POSTURE_MARGIN)
