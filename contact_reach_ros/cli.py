@@ -187,7 +187,6 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("what", nargs="?", default="control", type=_fitness, help=argparse.SUPPRESS)
     bench.add_argument("--seconds", type=float, help="time that is measured, s (default: 60)")
     bench.add_argument("--load", type=int, help="programs beside the stack that never sleep (default: 0)")
-    bench.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
     _add_json(bench)
     return parser
 

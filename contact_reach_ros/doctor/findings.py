@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from contact_reach_ros.errors import ContactReachError, InputError
-
-_P = ParamSpec("_P")
 
 
 class Verdict(Enum):
@@ -41,41 +39,33 @@ class Finding:
         The facts, in one line.
     fix
         What to do; empty only when the check passed.
-    values
-        Numbers behind it, for the JSON report.
     """
 
     verdict: Verdict
     found: str
     fix: str = ""
-    values: Mapping[str, Any] = field(default_factory=dict)
 
 
 Report = Mapping[str, Mapping[str, Finding]]
 """Findings by the part of the system, and by the name of the check."""
 
 
-def graded(found: str, fix: str, *, fail: bool = False, warn: bool = False, **values: Any) -> Finding:
+def graded(found: str, fix: str, *, fail: bool = False, warn: bool = False) -> Finding:
     """Make a finding that fails or warns under these conditions, else passes without the fix."""
     if fail or warn:
-        return Finding(Verdict.FAIL if fail else Verdict.WARN, found, fix, values)
-    return Finding(Verdict.PASS, found, values=values)
+        return Finding(Verdict.FAIL if fail else Verdict.WARN, found, fix)
+    return Finding(Verdict.PASS, found)
 
 
-def passed(found: str, **values: Any) -> Finding:
-    """Make a finding that needs no action."""
-    return graded(found, "", **values)
-
-
-def failed(found: str, fix: str, **values: Any) -> Finding:
+def failed(found: str, fix: str) -> Finding:
     """Make a finding that must be fixed before a run."""
-    return graded(found, fix, fail=True, **values)
+    return Finding(Verdict.FAIL, found, fix)
 
 
-def attempt(check: Callable[_P, Finding], *args: _P.args, **kwargs: _P.kwargs) -> Finding:
+def attempt(check: Callable[..., Finding], *args: Any) -> Finding:
     """Make a check; it fails where it raises `ContactReachError` or `OSError`."""
     try:
-        return check(*args, **kwargs)
+        return check(*args)
     except (ContactReachError, OSError) as error:
         return failed(str(error), "correct what the message names")
 
@@ -112,7 +102,7 @@ def print_table(report: Report, console: Console) -> None:
 
 
 def write_json(report: Report, file: Path) -> None:
-    """Write {exit_code, verdicts: {pass, warn, fail}, checks: [{part, name, verdict, found, fix, values}]}."""
+    """Write {exit_code, verdicts: {pass, warn, fail}, checks: [{part, name, verdict, found, fix}]}."""
     counts = verdicts(report)
     content = {
         "exit_code": exit_code(report),

@@ -16,10 +16,10 @@ from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
     Finding,
     Report,
+    Verdict,
     attempt,
     exit_code,
     failed,
-    passed,
     print_table,
     write_json,
 )
@@ -98,7 +98,7 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
 def _parameters(file: Path) -> Finding:
     """Check the whole parameter file as bring-up does; raises `ContactReachError` where it would not start."""
     check_parameters(file)
-    return passed(f"{file}: valid for {', '.join(NODES)}")
+    return Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")
 
 
 def _gravity(record: joints.JointRecord, file: Path, settings: Mapping[str, Any]) -> Finding:

@@ -79,14 +79,9 @@ class Graph:
 def discovery_in_use() -> Finding:
     """Check who can hear nodes that are started from here."""
     heard, domain = reach(os.environ), os.environ.get("ROS_DOMAIN_ID", "0")
-    stalls = "; Fast DDS also uses shared memory, in which publishers stall" if heard.shared_memory else ""
-    return graded(
-        f"{heard.text}, domain {domain}{stalls}",
-        "leave discovery at host, and unset the variable that is named: the package keeps to 127.0.0.1 by itself; else "
-        "use a network of its own or SROS 2: docs/security.md",
-        warn=heard.choice != "host" or heard.shared_memory,
-        choice=heard.choice,
-    )
+    shared = "; Fast DDS also uses shared memory, where publishers stall" if heard.shared_memory else ""
+    fix = "leave discovery at host and unset the variable, or use a network of its own or SROS 2: docs/security.md"
+    return graded(f"{heard.text}, domain {domain}{shared}", fix, warn=heard.choice != "host" or heard.shared_memory)
 
 
 def nodes(graph: Graph) -> Finding:
@@ -108,7 +103,7 @@ def nodes(graph: Graph) -> Finding:
     restart = "look into the log of {0}, end it and start it again"
     idle = [fixes.get(state, restart).format(node) for node, state in states.items() if state != "active"]
     found = ", ".join(f"{node} is {state or 'silent'}" for node, state in states.items())
-    return graded(found, "; ".join(idle), fail=bool(idle), nodes=sorted(graph.nodes))
+    return graded(found, "; ".join(idle), fail=bool(idle))
 
 
 def safety_state(graph: Graph) -> Finding:
@@ -148,9 +143,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
     elif wanted in _NEEDED_TOPICS and not publishers:
         owners = [name for name, interface in MANAGED.items() if wanted.name in interface.publishes]
         fix = f"start {' or '.join(owners)}, or remap your topic to this name"
-    sides = {"publishers": publishers, "subscriptions": subscriptions}
-    names = {side: [endpoint.node for endpoint in endpoints] for side, endpoints in sides.items()}
-    return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix, {"type": wanted.type_name, **names})
+    return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix)
 
 
 def _incompatible(publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:

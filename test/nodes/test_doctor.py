@@ -91,7 +91,7 @@ def test_joints_in_another_order_and_a_second_commander_fail(tmp_path):
     assert "ros2 run contact_reach_ros observer" in nodes["fix"]
     assert "start planner" in found["reference/pose"]["fix"]
     rate = found["driver rate"]
-    assert rate["verdict"] == "fail" and "1000 Hz" in rate["fix"] and rate["values"]["rate_hz"] < 200.0
+    assert rate["verdict"] == "fail" and "1000 Hz" in rate["fix"]
     gravity = found["gravity against torque"]
     assert gravity["verdict"] == "warn" and "not compared" in gravity["found"] and "torque_source" in gravity["fix"]
 
@@ -110,9 +110,7 @@ def test_without_a_stack_it_says_what_to_start(tmp_path):
 @pytest.mark.parametrize(
     ("variables", "verdict", "words"),
     [
-        ({"ROS_LOCALHOST_ONLY": "1"}, Verdict.WARN, "ROS_LOCALHOST_ONLY"),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, Verdict.WARN, "docs/security.md"),
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, Verdict.WARN, "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"}, Verdict.WARN, "own.xml"),
     ],
 )
@@ -167,14 +165,8 @@ def test_a_good_stack_passes(stack, tmp_path):
     expected += [topic.name for topic in topics.ALL]
     others = {name: found[name] for name in expected if found[name]["verdict"] != "pass"}
     assert not others
-    assert set(found["nodes"]["values"]["nodes"]) >= {"/bringup", "/driver", "/controller", "/observer", "/planner"}
-    commands = found["effort_controller/commands"]["values"]
-    assert {**commands, "subscriptions": sorted(commands["subscriptions"])} == {
-        "type": "std_msgs/msg/Float64MultiArray",
-        "publishers": ["/controller"],
-        "subscriptions": ["/driver", "/recorder"],
-    }
-    assert max(map(abs, found["gravity against torque"]["values"]["residual_nm"])) < 1.0
+    publisher, _, subscribers = found["effort_controller/commands"]["found"].partition(" → ")
+    assert publisher == "controller" and sorted(subscribers.split(", ")) == ["driver", "recorder"]
     assert "controller: holding" in found["safety state"]["found"]
     assert sum(report["verdicts"].values()) == len(report["checks"])
     # A warning or failure without a way out is worth nothing.
