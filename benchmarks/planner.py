@@ -21,7 +21,8 @@ from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.world.scene_file import matching_scene_names, read_scene
+from contact_reach_ros.world.scene import NO_MISMATCH
+from contact_reach_ros.world.scene_file import read_scene, scene_names
 
 METHODS = (paper.METHOD, paper.JOINT_TORQUE)
 _CLOSED_LOOP_S, _LATENCY_S = 4.0, 0.1
@@ -63,7 +64,9 @@ class PlannerBench:
 def bench_planner(bench: PlannerBench, file: Path | None) -> Report:
     """Run, print a table in Markdown and write JSON to `file`."""
     setup = Setup(arm=bench.arm, planning=bench.settings, budget=load_budget(), timeout=_CLOSED_LOOP_S)
-    scenes = [read_scene(name) for name in bench.scenes or matching_scene_names()]
+    scenes = [read_scene(name) for name in bench.scenes or scene_names()]
+    if not bench.scenes:
+        scenes = [scene for scene in scenes if scene.mismatch == NO_MISMATCH]
     seeds = range(bench.seed, bench.seed + bench.targets)
     tasks = [
         EpisodeTask(Cell(scene.name, "hold", method, seed), scene, _LATENCY_S, setup)

@@ -26,7 +26,6 @@ hypothesis.settings.load_profile("reproducible")
 def pytest_addoption(parser):
     parser.addoption("--write-pictures", action="store_true", help="write the viewer's page to docs/viewer.png")
     parser.addoption("--quick", action="store_true", help="no slow tests, and a part of the fault matrix")
-    parser.addoption("--write-faults", action="store_true", help="write what test/faults finds to docs/faults.md")
 
 
 LONGEST = ("nodes", "planning", "benchmarks", "net", "faults", "reexecution", "examples", "test")

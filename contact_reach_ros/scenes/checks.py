@@ -74,8 +74,4 @@ def _conflict_with(obstacle: Obstacle, scene: Scene) -> str:
 
 def _sphere(obstacle: Obstacle, index: int) -> str:
     """Describe one sphere in words."""
-    place = f"at {np.round(obstacle.rest[index], 3).tolist()} m, radius {obstacle.radius:g} m"
-    if not obstacle.lattice:
-        return f"{obstacle.name} ({place})"
-    node = tuple(int(number) for number in np.unravel_index(index, obstacle.lattice))
-    return f"node {node} of {obstacle.name} ({place})"
+    return f"{obstacle.name} (at {np.round(obstacle.rest[index], 3).tolist()} m, radius {obstacle.radius:g} m)"

@@ -46,11 +46,9 @@ def load_scene(name: str, arm: Arm | None = None, seed: int = 0, target: ArrayLi
     Raises
     ------
     SceneError
-        As `read_scene` and `make_scene`, and if an argument has the wrong type or value.
+        As `read_scene` and `make_scene`, and if the seed is negative.
     """
-    if not (arm is None or isinstance(arm, Arm)):
-        raise SceneError(f"arm = {arm!r}: expected an Arm, from load_arm(name)")
-    if not isinstance(seed, int | np.integer) or seed < 0:
+    if seed < 0:
         raise SceneError(f"seed = {seed!r}: expected an integer from 0 on")
     return make_scene(read_scene(name), arm or load_arm(), seed, target)
 

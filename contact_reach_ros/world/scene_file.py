@@ -140,11 +140,6 @@ def scene_names() -> list[str]:
     return sorted(file.stem for file in _package_directory().glob("*.yaml"))
 
 
-def matching_scene_names() -> list[str]:
-    """The package's scenes whose simulated robot and foam match the planner's models."""
-    return [name for name in scene_names() if read_scene(name).mismatch == NO_MISMATCH]
-
-
 def scene_file(name: str, folder: Path = Path()) -> Path:
     """Path of a scene by its name, or by its path, which may be relative to `folder`; it may not exist."""
     return folder / name if name.endswith(_ENDINGS) else _package_directory() / f"{name}.yaml"

@@ -45,7 +45,6 @@ def stack(scene) -> cr.Stack:
     ("arguments", "message"),
     [
         ({"name": "bal"}, "scene 'bal' is unknown; expected one of ball, "),
-        ({"arm": "iiwa14"}, "arm = 'iiwa14': expected an Arm, from load_arm"),
         ({"seed": -1}, "seed = -1: expected an integer from 0 on"),
         ({"target": [np.nan, 0.0, 0.0]}, "goal: position = .*; expected (three|finite) numbers"),
         ({"target": [5.0, 0.0, 0.0]}, "the arm reaches 0.85 m"),

@@ -1,12 +1,10 @@
-"""Running the cases of the fault matrix, each once."""
+"""Running the cases of the fault matrix."""
 
 import dataclasses
 import functools
 
-import pytest
 from arm_simulation import ARM
-from cases import CASES, Case, shortcomings
-from page import write
+from cases import Case, shortcomings
 
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.scripted import ScriptedPlanner
@@ -29,8 +27,6 @@ TABLE = Block("table", (0.45, -0.14, -0.16), (0.4, 0.4, 0.2))
 PERIOD = 0.05
 """Between plans, s."""
 
-_outcomes: dict[str, tuple] = {}
-
 
 @functools.cache
 def scene(name):
@@ -47,27 +43,17 @@ def small_planner():
     return RecedingHorizonPlanner(ARM, SMALL_PLANNER, ImpedanceSettings(), ContactBudget().permitted_force, capacity=1)
 
 
-def run_case(case: Case) -> tuple:
-    """Outcome of a case and what it lacks."""
-    if case.name not in _outcomes:
-        planner = ScriptedPlanner(scene(case.scene)) if case.planner == "scripted" else small_planner()
-        options = EpisodeOptions(
-            period=PERIOD,
-            rate=case.rate,
-            settle=0.0 if case.from_start else 0.6,
-            timeout=case.timeout or (4.0 if case.scene == "free" else TIMEOUT),
-            linger=1.0,
-            faults=tuple(case.faults),
-            watchdog=WatchdogSettings(),
-        )
-        result = run_episode(scene(case.scene), Method(planner, CONTROLLER), options)
-        _outcomes[case.name] = (result, shortcomings(case, result, CONTROLLER.limits))
-    return _outcomes[case.name]
-
-
-@pytest.fixture(scope="session", autouse=True)
-def written_page(request):
-    """With --write-faults: the page with what this run found."""
-    yield
-    if request.config.getoption("--write-faults"):
-        write({case.name: run_case(case) for case in CASES})
+def run_case(case: Case) -> list[str]:
+    """What the outcome of a case lacks."""
+    planner = ScriptedPlanner(scene(case.scene)) if case.planner == "scripted" else small_planner()
+    options = EpisodeOptions(
+        period=PERIOD,
+        rate=case.rate,
+        settle=0.0 if case.from_start else 0.6,
+        timeout=case.timeout or (4.0 if case.scene == "free" else TIMEOUT),
+        linger=1.0,
+        faults=tuple(case.faults),
+        watchdog=WatchdogSettings(),
+    )
+    result = run_episode(scene(case.scene), Method(planner, CONTROLLER), options)
+    return shortcomings(case, result, CONTROLLER.limits)

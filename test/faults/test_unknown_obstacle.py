@@ -26,7 +26,7 @@ def episode(reaction: str, stiffness: float) -> EpisodeResult:
     return run_episode(scene("ball"), Method(small_planner(), CONTROLLER), options)
 
 
-@pytest.mark.parametrize("stiffness", [500.0, 1000.0])
+@pytest.mark.parametrize("stiffness", [500.0])
 def test_the_arm_that_retreats_touches_more_lightly_and_is_not_stopped(stiffness):
     ignored, retreated = episode("ignore", stiffness), episode("retreat", stiffness)
     assert "sudden external torque" in ignored.reasons["observer"]

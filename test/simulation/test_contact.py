@@ -59,16 +59,7 @@ def depth(plant: Plant) -> float:
     return -float(contact.dist)
 
 
-def test_no_force_while_apart():
-    plant = braked(ball_beside(ELBOW, 0.001))
-    for _ in range(200):
-        plant.step()
-        assert not plant.contact_forces().any()
-    np.testing.assert_allclose(plant.obstacle_positions(), plant.scene.obstacles[0].rest, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("stiffness", [50.0, 500.0])
-@pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize(("stiffness", "friction"), [(50.0, 0.0), (500.0, 1.0)])
 def test_contact_force_is_that_of_the_balls_spring_when_at_rest(stiffness, friction):
     plant = braked(ball_beside(FOREARM, -0.02, stiffness=stiffness, friction=friction))
     settle(plant)
@@ -79,8 +70,7 @@ def test_contact_force_is_that_of_the_balls_spring_when_at_rest(stiffness, frict
     assert forces[touched] > 0.5
 
 
-@pytest.mark.parametrize("link", [ELBOW, FOREARM, 7])
-@pytest.mark.parametrize("mass", [0.02, 0.5])
+@pytest.mark.parametrize(("link", "mass"), [(ELBOW, 0.02), (7, 0.5)])
 def test_fixed_nodes_are_as_stiff_as_declared_at_any_link(link, mass):
     def stiffness() -> float:
         settle(plant, 0.5)
@@ -93,24 +83,14 @@ def test_fixed_nodes_are_as_stiff_as_declared_at_any_link(link, mass):
     assert stiffness() == pytest.approx(1500.0, rel=0.01)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize(("contact_stiffness", "mass"), [(300.0, 0.1), (1000.0, 0.1), (1000.0, 0.5), (10_000.0, 0.1)])
+@pytest.mark.parametrize(
+    ("contact_stiffness", "mass", "friction"), [(300.0, 0.1, 0.2), (1000.0, 0.5, 0.0), (10_000.0, 0.1, 1.0)]
+)
 def test_foam_is_as_stiff_as_declared_whatever_friction_and_mass(contact_stiffness, mass, friction):
     material = {"contact_stiffness": contact_stiffness, "mass": mass, "friction": friction, "stiffness": 200.0}
     plant = braked(ball_beside(FOREARM, -0.02, **material))
     settle(plant)
     assert plant.contact_forces().max() / depth(plant) == pytest.approx(contact_stiffness, rel=0.06)
-
-
-def test_force_on_a_body_is_the_sum_of_its_contacts():
-    # From left and right with the same force: nothing is left.
-    left = ball_beside(FOREARM, -0.01)
-    right = mirrored(left)
-    one, both = braked(left), braked(left, right)
-    for plant in (one, both):
-        settle(plant, 1.0)
-    assert one.contact_forces().max() > 0.5
-    assert both.contact_forces().max() < 0.01 * one.contact_forces().max()
 
 
 def test_forces_are_those_that_mujoco_tells_of_each_contact():
@@ -187,20 +167,3 @@ def test_arm_that_pushes_a_ball_slowly_feels_its_spring():
     plant = loop.plant
     assert spring_force(plant)[1] > 2.0
     assert plant.contact_forces().max() == pytest.approx(np.linalg.norm(spring_force(plant)), rel=0.03)
-
-
-def test_contact_is_felt_by_the_joints_as_its_jacobian_says():
-    ball = ball_beside(FOREARM, -0.02)
-    plant = braked(ball)
-    settle(plant)
-    starts, ends = capsule_segments(ARM, HOME)
-    middle = (starts[capsule_of(FOREARM)] + ends[capsule_of(FOREARM)]) / 2
-    force = -spring_force(plant)
-    # A1 turns about the vertical axis through the base.
-    contact_torque = plant.data.qfrc_constraint[0] - brake_torque(plant)
-    assert contact_torque == pytest.approx(np.cross(middle, force)[2], rel=0.05)
-
-
-def brake_torque(plant: Plant) -> float:
-    """Torque of the first joint's brake: the friction rows come before the contacts."""
-    return float(plant.data.efc_force[0])

@@ -88,29 +88,6 @@ def test_command_during_the_damped_hold_takes_over_again(bench):
     assert not bench.drive.stop_reason
 
 
-def test_commands_that_keep_coming_keep_the_arm_going(bench):
-    for _ in range(20):
-        bench.command()
-        assert set(bench.tick(20)) == {Actuation.COMMANDED}
-
-
-def test_stop_is_latched_and_the_first_reason_kept(bench):
-    bench.command()
-    bench.tick(150)
-    bench.drive.stop("another")
-    bench.command()
-    assert set(bench.tick(50)) == {Actuation.BRAKED}
-    assert bench.drive.stop_reason == "no command for 101 ms"
-
-
-def test_stop_on_demand_closes_the_brakes_at_once(bench):
-    bench.command()
-    bench.tick()
-    bench.drive.stop("button")
-    assert bench.tick() == [Actuation.BRAKED]
-    assert bench.drive.stop_reason == "button"
-
-
 def test_after_a_reset_the_brakes_open_with_the_next_command(bench):
     bench.command()
     bench.tick(150)
@@ -143,10 +120,7 @@ def test_falling_arm_is_caught(bench):
     ("command", "message"),
     [
         (np.zeros(6), "data has 6 values; expected 7"),
-        (np.zeros(0), "data has 0 values; expected 7"),
-        (np.zeros((7, 1)), "expected 7"),
         (np.array([0, 0, math.nan, 0, 0, 0, 0]), "expected finite torques"),
-        (np.array([0, 0, math.inf, -math.inf, 0, 0, 0]), "expected finite torques"),
     ],
 )
 def test_bad_commands_are_refused_and_counted_and_the_last_one_stays(bench, command, message):
@@ -169,18 +143,9 @@ def test_bad_commands_do_not_feed_the_watchdog(bench):
     assert bench.drive.stop_reason
 
 
-def test_bad_first_command_does_not_open_the_brakes(bench):
-    with pytest.raises(InputError):
-        bench.command(np.full(ARM.n, math.nan))
-    assert set(bench.tick(50)) == {Actuation.BRAKED}
-
-
-@pytest.mark.parametrize(("hold_after", "stop_after"), [(0.1, 0.1), (0.2, 0.1)])
-def test_a_stop_that_comes_no_later_than_the_hold_is_refused(hold_after, stop_after):
-    message = f"hold_after = {hold_after:g}: expected less than stop_after, 0.1 s"
-    with pytest.raises(SettingsError, match=message):
-        WatchdogSettings(hold_after=hold_after, stop_after=stop_after)
-    assert WatchdogSettings(hold_after=0.099, stop_after=stop_after).stop_after == stop_after
+def test_a_stop_that_comes_no_later_than_the_hold_is_refused():
+    with pytest.raises(SettingsError, match=r"hold_after = 0\.1: expected less than stop_after, 0\.1 s"):
+        WatchdogSettings(hold_after=0.1, stop_after=0.1)
 
 
 @pytest.mark.parametrize(("speed", "stops"), [(1.09, False), (1.11, True)])
@@ -195,15 +160,6 @@ def test_a_joint_that_is_too_fast_closes_the_brakes(bench, speed, stops):
         assert bench.drive.stop_reason.startswith("lbr_A5 moves with 2.5")
         bench.tick(200)
         assert np.abs(bench.drive.plant.data.qvel).max() < 1e-3
-
-
-def test_without_a_speed_limit_the_drive_goes_on():
-    drive = Drive(ideal_plant(), WatchdogSettings(open_after=0.0, speed_share=0.0))
-    drive.command(GRAVITY, 0)
-    drive.tick(0)
-    drive.plant.data.qvel[4] = 3.0 * VELOCITY_LIMITS[4]
-    drive.tick(TICK_NS)
-    assert not drive.stop_reason
 
 
 def test_a_drive_that_carries_the_arm_holds_it_without_any_torque():

@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION
+from arm_simulation import ARM, HOME, IDEAL_SENSORS, numbered
 
 from benchmarks.press import press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.errors import SceneError
@@ -16,7 +16,7 @@ from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.scene_file import read_scene
+from contact_reach_ros.world.scene_file import check_stable, read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 FOREARM = 3
@@ -43,7 +43,7 @@ def scene_beside_the_forearm(depth: float, **changes) -> Scene:
     touching = end[lower.rest[end, 2].argmax()]
     place = middle + np.array([0.0, 0.08 + settings.node_radius - depth, 0.0]) - lower.rest[touching]
     moved = tuple(dataclasses.replace(wall, rest=wall.rest + place) for wall in (lower, upper))
-    return Scene("test", ARM, 0, HOME, np.zeros(3), moved)
+    return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(moved))
 
 
 def node_at(scene: Scene, wall: int, x: int, y: int, z: int) -> int:
@@ -93,9 +93,7 @@ def test_contact_with_a_node_is_as_stiff_as_declared(contact_stiffness):
         (1, 0, 5, 0),  # upper wall: middle of the lower edge, front
         (1, 1, 5, 1),  # back, next to the fixed row
         (1, 0, 0, 0),  # corner
-        (1, 0, 2, 1),
-        (0, 0, 5, 2),  # lower wall: middle of the upper edge
-        (0, 1, 10, 1),
+        (0, 1, 10, 1),  # lower wall
     ],
 )
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.6, 0.8)])
@@ -144,17 +142,9 @@ def test_contact_and_spring_of_a_ball_are_scaled(scale):
     assert force == pytest.approx(-scale * ball.material.contact_stiffness * contact.dist, rel=0.06)
 
 
-def test_a_fixed_node_does_not_give_way():
-    scene = wall_scene()
-    number = node_at(scene, 1, 0, 5, 2)
-    assert not press_in_plant(braked(scene), number, np.array([PRESS, 0.0, 0.0]), 50).any()
-    spheres = obstacle_spheres(scene, rest_positions(scene))
-    assert press_in_model(spheres, number, np.array([PRESS, 0.0, 0.0]), np.array([np.inf])).max() < 2e-4
-
-
 class TestFoam:
     def scene(self, **changes) -> Scene:
-        return Scene("test", ARM, 0, HOME, np.zeros(3), WallSettings(**changes).at(np.zeros(3)))
+        return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(WallSettings(**changes).at(np.zeros(3))))
 
     def test_small_displacements_are_answered_by_the_planners_stiffness(self):
         scene = self.scene()
@@ -166,7 +156,11 @@ class TestFoam:
         np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-9)
 
     def test_large_ones_are_answered_more_stiffly_by_the_hardening(self):
-        soft, hard = (Foam(self.scene(hardening=hardening).obstacles) for hardening in (0.0, 0.5))
+        material = WallSettings().material
+        soft, hard = (
+            Foam([dataclasses.replace(wall, material=changed) for wall in self.scene().obstacles])
+            for changed in (dataclasses.replace(material, hardening=h) for h in (0.0, 0.5))
+        )
         # One end node of the lower wall, whose three springs are 0.05, 0.095 and 0.075 m long.
         settings = WallSettings()
         moved = np.zeros((2 * 44, 3))
@@ -179,25 +173,13 @@ class TestFoam:
         assert hard.forces(moved.ravel()).reshape(-1, 3)[corner, 1] == pytest.approx(-stiffer)
 
 
-def test_same_scene_same_motion_bit_for_bit():
-    tracks = []
-    for _ in range(2):
-        plant = Plant(scene_beside_the_forearm(0.03), IDEAL_SENSORS, NO_FRICTION)
-        rows = []
-        for _ in range(200):
-            plant.step()
-            rows.append(np.concatenate([plant.obstacle_positions().ravel(), plant.contact_forces()]))
-        tracks.append(np.array(rows))
-    np.testing.assert_array_equal(*tracks)
-
-
 def test_the_stiffest_mesh_that_is_accepted_comes_to_rest():
     """Half of what semi-implicit Euler steps hold, so that there is room for hardening."""
     scene = wall_scene()
     settings = WallSettings(edge_stiffness=1900.0, node_mass=0.01, damping=0.1)
-    walls = settings.at(np.array([0.55, 0.0, 0.4]))
+    walls = numbered(settings.at(np.array([0.55, 0.0, 0.4])))
     with pytest.raises(SceneError, match="use softer foam or more mass"):
-        dataclasses.replace(settings, edge_stiffness=1901.0).at(np.zeros(3))
+        check_stable(dataclasses.replace(settings, edge_stiffness=1901.0).at(np.zeros(3))[0])
     scene = dataclasses.replace(scene, obstacles=walls)
     track = press_in_plant(braked(scene), node_at(scene, 1, 0, 5, 0), np.array([3 * PRESS, 0.0, 0.0]), 3000)[:, 0]
     settled = press_in_model(
