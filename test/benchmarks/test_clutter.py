@@ -10,8 +10,7 @@ from benchmarks import pictures
 from benchmarks.clutter import Clutter, bench_clutter, clutter_table, summary
 from benchmarks.clutter_scenes import MAX_BODIES, clutter_scene
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.scenes.checks import conflict
-from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.scenes.generate import conflict, make_scene
 from contact_reach_ros.simulation.robot import SimulatedRobot
 
 

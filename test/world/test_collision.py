@@ -30,16 +30,6 @@ def test_the_iiwa_touches_itself_with_forearm_and_hand_at_the_base():
     assert links_of(SIX_AXIS) == [(0, 4), (0, 5)]
 
 
-def test_capsules_are_where_the_frames_have_them():
-    starts, ends = shape_segments(ARM, HOME[None])
-    rotations, origins = link_frames(ARM, HOME)
-    for index, shape in enumerate(shapes(ARM)):
-        link = shape.link - 1
-        rotation, origin = (rotations[link], origins[link]) if shape.link else (np.eye(3), np.zeros(3))
-        np.testing.assert_allclose(starts[0, index], origin + rotation @ shape.start, atol=1e-12)
-        np.testing.assert_allclose(ends[0, index], origin + rotation @ shape.end, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     "body",
     [
