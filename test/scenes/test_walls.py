@@ -4,11 +4,9 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, numbered, with_obstacle
+from arm_simulation import ARM, HOME, numbered
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import SceneError
-from contact_reach_ros.scenes import generate, placing
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.paths import free_path, on_hand, on_middle, path_segments, swivelled_segments
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
@@ -123,14 +121,6 @@ def test_swivelled_capsules_are_those_of_real_postures_with_the_same_flange_pose
     best = np.linalg.norm(starts[:, 2] - moved[0][2], axis=1).argmin()
     np.testing.assert_allclose(starts[best], moved[0], rtol=0, atol=1e-3)
     np.testing.assert_allclose(ends[best], moved[1], rtol=0, atol=1e-3)
-
-
-def test_walls_that_fit_nowhere_are_refused_with_what_to_change(monkeypatch):
-    monkeypatch.setattr(generate, "_TARGET_TRIES_WITH_WALLS", 2)
-    monkeypatch.setattr(placing, "_WALL_TRIES", 5)
-    narrow = with_obstacle(read_scene("wall"), gap=0.05)
-    with pytest.raises(SceneError, match=r"no target with the wall on the path found in 2 tries; .*relax the limits"):
-        make_scene(narrow, ARM, 0)
 
 
 def test_the_scene_file_says_what_the_code_has_as_default():

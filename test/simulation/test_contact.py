@@ -5,10 +5,8 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, ClosedLoop, ideal_plant, offer_plan
+from arm_simulation import ARM, HOME, ideal_plant
 
-from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
@@ -144,26 +142,3 @@ def test_balls_do_not_fall_and_do_not_touch_each_other():
     plant = braked(ball, dataclasses.replace(ball, rest=ball.rest + np.array([0.05, 0.0, 0.0])))
     settle(plant, 0.5)
     np.testing.assert_allclose(plant.obstacle_positions(), rest_positions(plant.scene), rtol=0, atol=1e-9)
-
-
-def test_arm_that_pushes_a_ball_slowly_feels_its_spring():
-    ball = ball_beside(FOREARM, 0.005, stiffness=100.0)
-    loop = ClosedLoop(ideal_plant(obstacles=(ball,)))
-    loop.finish(0.6)
-    start = loop.reference()
-    # The whole arm turns about the first joint, towards the ball.
-    turned = HOME + 0.15 * np.eye(ARM.n)[0]
-    goal = Reference(*loop.controller.model.tip_pose(turned), turned)
-    now_ns, count = loop.now_ns, 40
-    knots, ends = [], []
-    for k in range(count):
-        share = min(1.0, (k + 1) / (count - 20))
-        q = start.posture + share * (goal.posture - start.posture)
-        knots.append(Reference(*loop.controller.model.tip_pose(q), q))
-        ends.append(100_000_000 * (k + 1))
-    offer_plan(loop.controller, knots, now_ns, tuple(ends), now_ns)
-    loop.finish(3.9)
-    assert loop.controller.mode is Mode.TRACKING
-    plant = loop.plant
-    assert spring_force(plant)[1] > 2.0
-    assert plant.contact_forces().max() == pytest.approx(np.linalg.norm(spring_force(plant)), rel=0.03)

@@ -111,11 +111,6 @@ class TestMessages:
             stamps += [state.stamp_ns // MS for state in faults.joint_states(STATE._replace(stamp_ns=tick * MS))]
         assert stamps == expected
 
-    def test_no_effort(self):
-        faults = playing(NotFinite("states"), Lost("efforts"))
-        (state,) = faults.joint_states(STATE)
-        assert state.torque is None and np.isfinite(state.q).all()
-
     def test_a_second_publisher_of_commands_has_the_last_word(self):
         faults = playing(RivalCommands(3.0), Late("commands", 0.001, at=0.01))
         faults.send_command(np.ones(7), 0)

@@ -161,10 +161,6 @@ class TestSensors:
             assert np.abs(errors.mean(axis=0)).max() < 0.1 * spread, name
             assert np.abs(np.corrcoef(errors.T) - np.eye(ARM.n)).max() < 0.1, name
 
-    def test_positions_are_multiples_of_the_resolution(self):
-        steps = ideal_plant(sensors=self.NOISY).read().position / self.NOISY.position_resolution
-        np.testing.assert_allclose(steps, np.rint(steps), rtol=0, atol=1e-6)
-
     @pytest.mark.parametrize("actuation", [Actuation.BRAKED, Actuation.DAMPED_HOLD])
     def test_torque_is_unknown_unless_commanded(self, actuation):
         plant = ideal_plant(sensors=self.NOISY)

@@ -65,12 +65,6 @@ def test_the_arm_touches_itself_where_its_shapes_overlap():
     assert before < -0.01 < 0.0 < least_distance(plant)
 
 
-def test_in_other_postures_it_does_not():
-    plant = ideal_plant()
-    assert not len(plant.contacts().links)
-    assert not plant.contact_forces().any()
-
-
 def test_soft_obstacles_and_the_base_may_lie_in_rigid_bodies():
     ball = BallSettings(radius=0.05).at(np.array([0.6, 0.2, 0.08]))
     plant = plant_among(dataclasses.replace(FLOOR, point=(0.0, 0.0, 0.02)), TABLE, obstacles=ball)

@@ -45,11 +45,6 @@ def test_a_list_has_any_number_of_obstacles_of_each_kind(read, scene):
     assert sphere_capacity(file) == sphere_capacity(scene) == 12
 
 
-def test_sections_stand_for_one_obstacle_each_before_the_list(read):
-    file = read("wall: {center: [0.7, 0, 0.4]}\nball: {center: [0.7, 0, 0.9]}\nobstacles: [{kind: ball, radius: 0.05}]")
-    assert [section.KIND for section in file.obstacles] == ["ball", "wall", "ball"]
-
-
 def test_a_list_replaces_that_of_its_base(read, tmp_path):
     (tmp_path / "below.yaml").write_text(LIST)
     file = read("base: below.yaml\nobstacles: [{kind: ball, center: [0.7, 0, 0.9]}]")
