@@ -3,13 +3,10 @@
 import json
 
 import pytest
-from arm_simulation import ARM
 from bench_command import bench
 
 from benchmarks import foam
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.world.scene_file import read_scene
 
 
 def test_report_holds_every_node(tmp_path, monkeypatch, capsys):
