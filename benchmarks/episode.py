@@ -21,7 +21,7 @@ from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import ReplanningSettings
-from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+from contact_reach_ros.planning.settings import UnexpectedContactSettings
 from contact_reach_ros.simulation.faults import AnyFault, Fault, Late, WrongPlans
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot

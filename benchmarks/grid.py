@@ -23,8 +23,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.planner import ReplanningSettings
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+from contact_reach_ros.planning.settings import PlanningSettings, UnexpectedContactSettings
 from contact_reach_ros.presets import preset
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.drive import WatchdogSettings

@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.speed_limit import least_duration
+from contact_reach_ros.planning.settings import PlanningSettings, least_duration
 from contact_reach_ros.simulation.plant import TICK
 
 _END_TICKS = 10

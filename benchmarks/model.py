@@ -26,7 +26,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.objectives import ReferenceSpace
+from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant

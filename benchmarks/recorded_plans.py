@@ -15,14 +15,13 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
+from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import SceneFile

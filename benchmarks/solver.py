@@ -22,11 +22,11 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.planning.objectives import ReferenceSpace
-from contact_reach_ros.planning.problem import Problem
+from contact_reach_ros.planning.cost import SIGMA, ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import make_solver
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solver
+from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.scene_file import read_scene
 
@@ -41,16 +41,22 @@ LABELS = {"hybrid": "hybrid, Algorithm 1", "cma": "plain CMA-ES", "gradient": "t
 """Names of the solvers in tables and pictures."""
 
 
+def make_tireless(name: str, cost: CostFunction[Problem], size: int, settings: PlanningSettings) -> Solver[Problem]:
+    """The solver of this name, whose searches end at the greatest number of steps only."""
+    solver: HybridSolver[Problem] = HybridSolver(cost, size, dataclasses.replace(settings, solver=name, deadline=0.0))
+    solver.stagnation_steps = 1_000_000
+    return solver
+
+
 def run_race(
     cost: CostFunction[Problem], size: int, settings: PlanningSettings, states: Sequence[RecordedPlan], seconds: float
 ) -> Report:
     """Search for `seconds` with every solver from every state, from standing still and from the plan before."""
-    settings = dataclasses.replace(settings, deadline=0.0, stagnation_tolerance=0.0, stagnation_steps=100)
-    still, spread = np.zeros(size), np.full(size, settings.sigma)
+    still, spread = np.zeros(size), np.full(size, SIGMA)
     solvers: dict[str, Solver[Problem]] = {}
     times: dict[str, list[float]] = {}
     for name in LABELS:
-        solver = solvers[name] = make_solver(cost, size, dataclasses.replace(settings, solver=name))
+        solver = solvers[name] = make_tireless(name, cost, size, settings)
         step = min(solver.warm_up(states[0].problem, solver.init(still, spread)) for _ in range(3))
         # Reserve, since steps take less time back to back.
         solver.max_steps = math.ceil(1.3 * seconds / step)

@@ -15,15 +15,12 @@ import numpy as np
 
 from benchmarks.output import Report, command_line, given, machine, run_command, table, write_report
 from benchmarks.recorded_plans import RecordedPlan
-from benchmarks.solver import make_cost_of, states_of
+from benchmarks.solver import make_cost_of, make_tireless, states_of
 from benchmarks.statistics import estimate
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.planning.detour import NAME as DETOUR
-from contact_reach_ros.planning.objectives import ReferenceSpace, initial_spread
-from contact_reach_ros.planning.problem import Number, Problem
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import SOLVERS, make_solver
-from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.planning.cost import ReferenceSpace
+from contact_reach_ros.planning.settings import SOLVERS, PlanningSettings
+from contact_reach_ros.planning.terms import Number, Problem, term_weights
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.presets import preset
 
@@ -32,7 +29,7 @@ PAPER = {"hybrid": 0.34, "cma": 0.22, "gradient": 0.40}
 
 STEPS = 10
 
-_BUDGET = ("horizon", "substeps", "gradient_steps", "population", "elite", "line_search_points")
+_BUDGET = ("horizon", "substeps", "population", "line_search_points")
 
 SHIPPED, LITERAL = PRESETS = ("shipped", "paper_linear")
 """The planner as it is, and the paper's cost, sampling and boundary penalty as printed, with the same budget."""
@@ -72,14 +69,14 @@ def _decreases(preset_name: str, settings: PlanningSettings, states: Sequence[Re
     gains, ramped = preset(preset_name).controller.impedance, preset_name == SHIPPED
     space = ReferenceSpace(load_arm(), settings, gains)
     cost, size = space.cost, len(space.bounds)
-    still, spread = np.zeros(size), initial_spread(settings, space.bounds)
-    limited = dataclasses.replace(settings, max_steps=STEPS, stagnation_steps=STEPS)
+    still, spread = np.zeros(size), space.spread
+    limited = dataclasses.replace(settings, max_steps=STEPS)
     problems = [_problem(state.problem, settings, ramped) for state in states]
     cost_of = make_cost_of(cost, size, settings)
     decreases: dict[str, list[float]] = {}
     seconds: dict[str, list[float]] = {}
     for name in SOLVERS:
-        solver = make_solver(cost, size, dataclasses.replace(limited, solver=name))
+        solver = make_tireless(name, cost, size, limited)
         solver.warm_up(problems[0], solver.init(still, spread))
         decreases[name], seconds[name] = [], []
         for number, problem in enumerate(problems):
@@ -105,7 +102,7 @@ def _problem(problem: Problem, settings: PlanningSettings, ramped: bool) -> Prob
     # Zero where the goal leaves the orientation free.
     weights["orientation"] = problem.weights["orientation"]
     # None of the states is on a detour.
-    weights.pop(DETOUR, None)
+    weights.pop("detour", None)
     return problem._replace(weights=weights, detour=None, before=problem.before if ramped else None)
 
 

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from contact_reach_ros.observer.observer import Observer, SafetyReport
     from contact_reach_ros.observer.settings import ObserverSettings
     from contact_reach_ros.planning.plan import Plan
-    from contact_reach_ros.planning.planner import Planner, ReplanningSettings
-    from contact_reach_ros.planning.settings import PlanningSettings
-    from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+    from contact_reach_ros.planning.planner import Planner
+    from contact_reach_ros.planning.settings import PlanningSettings, ReplanningSettings, UnexpectedContactSettings
     from contact_reach_ros.presets import preset
     from contact_reach_ros.resources import VERSION as __version__
     from contact_reach_ros.scenes.generate import load_scene
@@ -49,7 +48,7 @@ _WHERE = {
     "Planner": "planning.planner",
     "PlanningSettings": "planning.settings",
     "References": "control.references",
-    "ReplanningSettings": "planning.planner",
+    "ReplanningSettings": "planning.settings",
     "Result": "stack",
     "Robot": "stack",
     "SafetyReport": "observer.observer",
@@ -61,7 +60,7 @@ _WHERE = {
     "Task": "world.goal",
     "Tick": "stack",
     "Tool": "arm.tool",
-    "UnexpectedContactSettings": "planning.unexpected_contact",
+    "UnexpectedContactSettings": "planning.settings",
     "load_arm": "arms",
     "load_budget": "observer.budget",
     "load_scene": "scenes.generate",

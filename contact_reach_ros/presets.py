@@ -17,12 +17,12 @@ from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
-from contact_reach_ros.planning.node_settings import (
+from contact_reach_ros.planning.settings import (
     PLANNER_SECTIONS,
+    PlanningSettings,
     ReplanningSettings,
     UnexpectedContactSettings,
 )
-from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import (
     DEFAULT_PARAMETERS,

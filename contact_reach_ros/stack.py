@@ -20,12 +20,10 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.plan import Plan, PlanningCore, Request
 from contact_reach_ros.planning.planner import Planner, ReplanningSettings
-from contact_reach_ros.planning.planning_core import PlanningCore, Request
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import make_solver
-from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
+from contact_reach_ros.planning.settings import PlanningSettings, UnexpectedContactSettings
+from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import NANOSECONDS, PERIOD
 from contact_reach_ros.world.goal import Target, Task
@@ -453,7 +451,7 @@ def make_planner(
     controller: ControllerSettings | None = None,
     budget: ContactBudget | None = None,
     unexpected_contact: UnexpectedContactSettings | None = None,
-    solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = make_solver,
+    solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] | None = None,
     core: PlanningCore | None = None,
 ) -> Planner:
     """Assemble a planner that makes plans by the package's own method.
@@ -469,7 +467,7 @@ def make_planner(
     controller
         Settings of the controller that follows the plans.
     solver
-        Makes the solver from a cost, the number of its variables and the settings; by default the one that the
+        Makes the solver from a cost, the number of its variables and the settings; None for the one that the
         settings name.
     core
         Makes the plans instead of the package's own method.
@@ -480,8 +478,9 @@ def make_planner(
     if core is None:
         # JAX takes a while to import.
         from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+        from contact_reach_ros.planning.solver.hybrid import HybridSolver
 
         force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
-        core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver)
+        core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver or HybridSolver)
     reaction = ContactReaction(arm, unexpected_contact or UnexpectedContactSettings())
     return Planner(arm, core, reaction, replanning or ReplanningSettings(), task=gains.task)

@@ -1,7 +1,7 @@
 """Your own cost term: the tip approaches its goal from above.
 
-A term is a function and a setting for its weight. The weight is no part of the compiled program, so both runs below
-share one, which takes up to a minute to compile the first time.
+A term is a function that names the setting for its weight. The weight is no part of the compiled program, so both runs
+below share one, which takes up to a minute to compile the first time.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from contact_reach_ros.planning.terms import Context, term
 from contact_reach_ros.settings import setting
 
 
-@term
+@term("from_above_weight")
 def from_above(context: Context) -> jax.Array:
     """Distance of the tip below a cone that stands on the goal with its tip, m, (H, B)."""
     offset = context.position[:, 1:] - context.problem.goal_position[:, None]

@@ -166,7 +166,7 @@ ENDLESS = {
 WITH_STACK = r"contact-reach (goto|home|speed|stop|reset|doctor)"
 OTHER_CODES = {r"contact-reach doctor": (0, 1), r"\.venv/bin/(?!replay|contact-reach)": (0,)}
 """The doctor may find fault with the machine; a node that has just become active ends by the signal itself."""
-SMALL = {"planner": {"planning": {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}}}
+SMALL = {"planner": {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}}
 ANY_PORT = {"viewer": {"port": 0}}
 
 

@@ -30,7 +30,7 @@ def test_shipped_is_what_the_nodes_run():
 def test_the_papers_presets_have_its_solver_latch_and_time_of_a_plan(name):
     found = preset(name)
     planning = found.planning
-    assert (planning.sampling, planning.boundary_penalty) == ("paper", "paper")
+    assert planning.sampling == "paper"
     assert (planning.population, planning.elite, planning.max_steps) == (200, 50, 100)
     assert planning.deadline == planning.null_motion_weight == planning.lead_change_weight == 0.0
     assert (planning.goal_weight, planning.progress_weight) == (1.0, 0.2)

@@ -18,7 +18,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSet
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import load_scene
@@ -29,7 +29,7 @@ from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres
 
-SMALL = PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
+SMALL = PlanningSettings(population=32, line_search_points=16, max_steps=3, deadline=0.0)
 FREE_SCENE = load_scene("free")
 GOAL = Goal(FREE_SCENE.target)
 BEYOND = Goal([5.0, 0.0, 0.0])

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.planning.collisions import nearest_bodies
+from contact_reach_ros.planning.obstacles import nearest_bodies
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion, place_capsules
-from contact_reach_ros.planning.transfer.kinematics import capsule_segments, link_frames
+from contact_reach_ros.planning.transfer.dynamics import capsule_segments, link_frames
 from contact_reach_ros.planning.transfer.lanes import dot, make_keep, single
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.collision import nearest

@@ -21,12 +21,11 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.objectives import make_objective
-from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.cost import make_objective
+from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.prediction import HeldReference, Piece, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.runtime import configure_jax
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.settings import POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -99,8 +98,8 @@ class CollisionFreePlanner:
         self._predictor = Predictor(make_objective(arm, settings, gains).system)
         # While Kp pulls against Kd, a reference that stays this far ahead moves a joint at its speed limit.
         lead = np.array(arm.velocity_limits) * gains.task_damping / max(gains.task_stiffness, 1e-9)
-        self._bounds = np.array([settings.translation_bound] * 3 + [settings.rotation_bound] * 3)
-        self._joint_bounds = np.minimum(lead, settings.posture_bound)
+        self._bounds = np.array([settings.translation_bound] * 3 + [ROTATION_BOUND] * 3)
+        self._joint_bounds = np.minimum(lead, POSTURE_BOUND)
         self._plans: deque[Plan] = deque(maxlen=16)
         self._number = 0
         self._goal: Target | None = None
@@ -241,7 +240,7 @@ class CollisionFreePlanner:
         error = self._errors(slice(progress, progress + 1), here)[0]
         translation = _scaled(error[:3], self._bounds[:3])
         turn = Rotation.from_rotvec(_scaled(error[3:], self._bounds[3:])).as_matrix()
-        posture = q + _scaled(points.postures[progress] - q, np.full(self._arm.n, self._settings.posture_bound))
+        posture = q + _scaled(points.postures[progress] - q, np.full(self._arm.n, POSTURE_BOUND))
         return HeldReference(here.position + translation, turn @ here.rotation, posture)
 
 

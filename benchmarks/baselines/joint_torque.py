@@ -28,19 +28,17 @@ from contact_reach_ros.control.kernels import repulsion_torque
 from contact_reach_ros.control.law import ImpedanceLaw
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.cost import Objective
-from contact_reach_ros.planning.objectives import ReferenceSpace, knot_bounds, make_objective
+from contact_reach_ros.planning.cost import Objective, ReferenceSpace, knot_bounds, make_objective
 from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory
 from contact_reach_ros.planning.prediction import Predictor, reference_at
-from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.solver import Solution
+from contact_reach_ros.planning.terms import Problem, Rollout
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.closed_loop import Reference, driven_acceleration
 from contact_reach_ros.planning.transfer.contact import contact_step
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
-from contact_reach_ros.planning.transfer.kinematics import link_frames
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, State, System
 from contact_reach_ros.timing import PERIOD
@@ -139,7 +137,7 @@ class TorqueObjective(Objective):
 def make_torque_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> TorqueObjective:
     """The cost over the transfer model without the laws."""
     closed = make_objective(arm, dataclasses.replace(settings, pipeline="closed_loop"), gains)
-    return TorqueObjective(closed.system, closed.horizon, closed.substeps, closed.contact_measure)
+    return TorqueObjective(closed.system, closed.horizon, closed.substeps)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -176,6 +174,7 @@ class TorqueSpace(ReferenceSpace):
         bounds = torque_bounds(arm, settings, gains, np.array(arm.home))
         self.vectors = settings.horizon * settings.substeps
         self.bounds = np.tile(bounds, self.vectors)
+        self.spread = np.full_like(self.bounds, SIGMA)
 
     def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
         """Torques (H, n * substeps, B), N m, of points (N, B)."""

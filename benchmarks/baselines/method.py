@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.planning.planning_core import PlanningCore
+from contact_reach_ros.planning.plan import PlanningCore
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from benchmarks.baselines.collision_free import CollisionFreePlanner
 from benchmarks.baselines.contact_rrt import find_contact_path
-from benchmarks.baselines.joint_torque import SIGMA, TorqueController, TorquePlanner
+from benchmarks.baselines.joint_torque import TorqueController, TorquePlanner
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.reactive import ReactivePlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
@@ -113,7 +113,7 @@ def make_method(
         search = _search(name, permitted_force, settings.contact_stiffness)
         return Method(CollisionFreePlanner(arm, settings, controller.impedance, search, seed), controller)
     if name == "joint_torque":
-        settings = dataclasses.replace(settings, seed=seed, solver="hybrid", sigma=SIGMA)
+        settings = dataclasses.replace(settings, seed=seed, solver="hybrid")
         damping = stop_damping(arm, controller.supervision)
         planner = TorquePlanner(arm, settings, controller.impedance, permitted_force, capacity, damping)
         return Method(planner, controller, TorqueController)

@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.plan import Plan, Request
+from contact_reach_ros.planning.settings import ROTATION_BOUND, PlanningSettings
 
 
 class ReactivePlanner:
@@ -43,7 +42,7 @@ class ReactivePlanner:
         step = np.clip(way, -bound, bound)
         if goal.rotation is not None:
             turn = Rotation.from_matrix(goal.rotation @ rotation.T).as_rotvec()
-            bound = scale * settings.rotation_bound
+            bound = scale * ROTATION_BOUND
             rotation = Rotation.from_rotvec(np.clip(turn, -bound, bound)).as_matrix() @ rotation
         return Plan(
             number=self._number,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.planning.node_settings import SPEED_SCALE
+from contact_reach_ros.planning.settings import SPEED_SCALE
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.interfaces import STOPPABLE
 from contact_reach_ros.ros.process import in_namespace

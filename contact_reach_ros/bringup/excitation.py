@@ -14,7 +14,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Qos
-from contact_reach_ros.planning.node_settings import PlannerNodeSettings
+from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.world.goal import POSE

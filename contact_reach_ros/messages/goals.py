@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from contact_reach_ros.messages.values import quaternion, vector
-from contact_reach_ros.planning.node_settings import PlannerNodeSettings
+from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.world.goal import POSE, Goal
 
 
@@ -17,6 +17,4 @@ def to_goal(message: Any, settings: PlannerNodeSettings) -> Goal:
         quaternion(pose.orientation) if orientation == POSE else orientation,
         frame=message.header.frame_id,
         tolerance=settings.goal_tolerance,
-        angle_tolerance=settings.goal_angle_tolerance,
-        rest_speed=settings.rest_speed,
     )

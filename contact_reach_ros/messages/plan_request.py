@@ -12,10 +12,9 @@ import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.planning.detour import Detour
-from contact_reach_ros.planning.memory import Memory
-from contact_reach_ros.planning.patience import Approach
-from contact_reach_ros.planning.plan import HeldReference, ReferenceTrajectory
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.plan import HeldReference, ReferenceTrajectory, Request
+from contact_reach_ros.planning.receding_horizon import Memory
+from contact_reach_ros.planning.terms import Approach
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -56,8 +55,9 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         parts["last goal"] = _goal_numbers(memory.request.goal)
         parts["best"] = memory.best
         parts["approach"] = np.array(memory.approach)
-        if memory.detour is not None:
-            parts["detour"] = np.array([*memory.detour[:-1], *memory.detour.posture])
+        detour = memory.request.detour
+        if detour is not None:
+            parts["detour"] = np.array([*detour[:-1], *detour.posture])
         for index, trajectory in enumerate(_in_force(memory.trajectories, request.state_ns)):
             parts[f"{_TRAJECTORY}{index}"] = _trajectory_numbers(trajectory, request.state_ns)
     return {name: np.ravel(values).astype(float) for name, values in parts.items()}
@@ -92,9 +92,10 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
     if "detour" in parts:
         least, waited, number, is_on, arrived, *posture = parts["detour"].tolist()
         detour = Detour(least, waited, int(number), bool(is_on), bool(arrived), np.array(posture))
-    last = request._replace(goal=_goal(parts["last goal"]))
+    effect_ns = trajectories[-1].effect_ns
+    last = request._replace(effect_ns=effect_ns, goal=_goal(parts["last goal"]), detour=detour)
     approach, plans = Approach(*parts["approach"].tolist()), int(parts["plans since reset"][0])
-    return Memory(trajectories, last, parts["best"], None, approach, detour, plans)
+    return Memory(trajectories, last, parts["best"], None, approach, plans)
 
 
 def _goal_numbers(goal: Target) -> Array:

@@ -31,14 +31,11 @@ from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.detour import current
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
-from contact_reach_ros.planning.memory import Memory
-from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
-from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.planner import LatencyEstimate, Planner
-from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
+from contact_reach_ros.planning.settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.ros.frames import Frames
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, commanders_that_hear, rivalry
@@ -249,8 +246,7 @@ class PlannerNode(ManagedNode):
     def _report_detour(self) -> None:
         """Log a detour that begins: the arm moves away from its goal."""
         memory = None if self._core is None else self._core.memory
-        detour = None if memory is None else memory.detour
-        number = current(detour)
+        number, detour = (0, None) if memory is None else (memory.request.on_detour, memory.request.detour)
         if detour is not None and number > self._detour:
             posture = np.round(detour.posture, 2).tolist()
             self.get_logger().info(f"goal {self._goals}: no progress; a detour leads to the posture {posture} rad")

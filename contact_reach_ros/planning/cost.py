@@ -1,4 +1,4 @@
-"""The cost (5) of a plan: its actions rolled out in the transfer model, and the terms of the predicted motion."""
+"""The cost (5) of a plan: actions rolled out in the transfer model, and the decision variables that they stand for."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from dataclasses import dataclass, field
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
-from contact_reach_ros.planning.problem import Number, Problem, Rollout
-from contact_reach_ros.planning.terms import Context, weighted_terms
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
+from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.clearance import Capsules, place_capsules
+from contact_reach_ros.planning.transfer.closed_loop import N_TASK
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.kinematics import link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep, sum_over
+from contact_reach_ros.planning.transfer.dynamics import link_frames
+from contact_reach_ros.planning.transfer.lanes import make_keep, single
+from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, State, System
 
 
@@ -30,7 +36,6 @@ class Objective:
     """Its time step is the knot duration divided by `substeps`."""
     horizon: int
     substeps: int
-    contact_measure: str
     posture: jax.Array | None = field(default=None, kw_only=True)
     """(n, 1) q_d of law (6), or None to pull the joints by the actions' Δq."""
 
@@ -146,7 +151,7 @@ class Objective:
 
     def measure(self, link_force: jax.Array) -> jax.Array:
         """contact(·) (B,) of the forces (L, B) on the links."""
-        return link_force.max(axis=0) if self.contact_measure == "largest" else sum_over(link_force, 0)
+        return link_force.max(axis=0)
 
 
 def on_the_way(before: Reference | None, reference: Reference, share: Number | None) -> Reference:
@@ -163,3 +168,82 @@ def _spread(array: jax.Array, lanes: int) -> jax.Array:
 def _obstacles(obstacles: Obstacles | None, lanes: int) -> Obstacles | None:
     """The same obstacles in every lane; only the centres, which move, need one array per lane."""
     return None if obstacles is None else obstacles._replace(center=_spread(obstacles.center, lanes))
+
+
+SIGMA = 0.3
+"""Standard deviation of every variable of a fresh search as a share of its bound: few candidates lie outside."""
+PAPER_SIGMA = 0.01
+"""Standard deviation of every variable, m or rad, in line 1 of Algorithm 1."""
+
+
+def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> Objective:
+    """The cost over the transfer function that `settings.pipeline` names."""
+    system = System(arm_model(arm), gains, settings.contact_stiffness, settings.knot_duration / settings.substeps)
+    arguments = (system, settings.horizon, settings.substeps)
+    posture = None
+    if settings.null_space == "reference_posture":
+        posture = single(np.array(arm.default("reference_posture"))[:, None])
+    if settings.pipeline == "closed_loop":
+        return Objective(*arguments, posture=posture)
+    # Brax's own pipeline is for comparison, and slow to import.
+    from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective
+
+    return BraxObjective(*arguments, arm, posture=posture)
+
+
+def knot_bounds(arm: Arm, settings: PlanningSettings) -> Array:
+    """γ of an action, Δx and Δq, (6 + n,), m and rad."""
+    translation, rotation = [settings.translation_bound] * 3, [ROTATION_BOUND] * 3
+    return np.array(translation + rotation + [POSTURE_BOUND] * arm.n)
+
+
+def planned(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> NDArray[np.bool_]:
+    """Which components of an action are variables of the plan, (6 + n,); the others are zero.
+
+    The rows of Δx that law (1) controls; and Δq, unless it has no effect: under law (6), or where no joint is left to
+    the null space.
+    """
+    is_planned = np.zeros(N_TASK + arm.n, bool)
+    is_planned[: gains.rows] = True
+    is_planned[N_TASK:] = settings.null_space == "planned" and arm.n > gains.rows
+    return is_planned
+
+
+class ReferenceSpace:
+    """Decision variables of a plan: Δx and Δq of each knot, without the components that have no effect.
+
+    The solver searches points (N, B) in units of the bounds, within [-1, 1].
+
+    Attributes
+    ----------
+    objective
+        Cost of actions.
+    bounds
+        (N,) γ of the variables, knot after knot, m and rad.
+    spread
+        (N,) standard deviations of a fresh search, as shares of the bounds.
+    vectors
+        Number of vectors of variables in a plan, one after the other in time.
+    """
+
+    def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
+        self.objective = make_objective(arm, settings, gains)
+        is_planned = planned(arm, settings, gains)
+        self.bounds = np.tile(knot_bounds(arm, settings)[is_planned], settings.horizon)
+        self.spread = np.full_like(self.bounds, SIGMA) if settings.sampling == BOUNDS else PAPER_SIGMA / self.bounds
+        self.vectors = settings.horizon
+        self._planned = np.flatnonzero(is_planned)
+
+    def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
+        """Actions (H, 6 + n, B) of points (N, B), with zeros for the components that points leave out."""
+        actions = points * self.bounds[:, None] * problem.speed_scale
+        actions = actions.reshape(self.objective.horizon, -1, points.shape[1])
+        missing = self.objective.system.action_size - actions.shape[1]
+        if self._planned[-1] < len(self._planned):
+            return jnp.pad(actions, ((0, 0), (0, missing), (0, 0)))
+        whole = jnp.zeros((len(actions), self.objective.system.action_size, points.shape[1]), actions.dtype)
+        return whole.at[:, self._planned].set(actions)
+
+    def cost(self, problem: Problem, points: jax.Array) -> jax.Array:
+        """Cost (B,) of points (N, B), for the solver to minimise."""
+        return self.objective.cost(problem, self.actions(points, problem))

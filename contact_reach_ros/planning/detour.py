@@ -18,18 +18,13 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.planning.obstacles import Network
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.spheres import Spheres
 
-NAME = "detour"
-"""Of the term of the cost that leads to the posture."""
-
-_ON = {"goal": 0.0, "progress": 0.0, "orientation": 0.0, "contact": 5.0}
-"""Factors on the weights of the cost's terms on a detour, which has room to avoid contact."""
-_OFF = {NAME: 0.0}
-"""The same without one."""
+_ROOM = 5.0
+"""Factor on the weight of contact on a detour, which has room to avoid it."""
 
 _SPEEDS = 0.01, 0.1
 """Progress that counts: in `_distance`, 1/s, and of the joints on a detour, rad/s."""
@@ -71,68 +66,96 @@ class Detour(NamedTuple):
     posture: Array
     """(n,) rad, of the last detour; where there was none that of the arm."""
 
-
-def begin(q: Array) -> Detour:
-    """The state at joint angles `q` (n,), rad, with a new goal."""
-    return Detour(np.inf, 0.0, 0, False, False, q)
-
-
-def current(detour: Detour | None) -> int:
-    """Number of the detour that the arm is on; 0 for none."""
-    return detour.number if detour is not None and detour.is_on else 0
+    def weights(self, settings: PlanningSettings) -> dict[str, float]:
+        """Weights of terms for the next plan, by their names."""
+        if not self.is_on:
+            return {"detour": 0.0}
+        return {"goal": 0.0, "progress": 0.0, "orientation": 0.0, "contact": _ROOM * settings.contact_weight}
 
 
-def weight_factors(detour: Detour | None) -> dict[str, float]:
-    """Factors on the weights of the cost's terms; `detour` is None where the settings permit none."""
-    if detour is None:
-        return {}
-    return _ON if detour.is_on else _OFF
-
-
-def follow(
-    detour: Detour,
-    arm: Arm,
-    q: Array,
-    goal: Target,
-    spheres: Spheres,
-    elapsed: float,
-    settings: PlanningSettings,
-    permitted_force: float,
-    pace: float,
-) -> Detour:
-    """The state some time later.
+class Detours:
+    """Follows the progress of plans towards their goals, and chooses detours.
 
     Parameters
     ----------
-    q
-        (n,) measured joint angles, rad.
-    spheres
-        Obstacles, where they are now.
-    elapsed
-        Time since the last plan during which it was in force, s: without a plan the arm cannot make progress.
+    arm
+        Arm that plans move.
+    settings
+        Of the planner.
     permitted_force
         ε of (4d), N.
-    pace
-        Share of γ that plans use, 0 to 1: less progress is expected of a slow arm.
     """
-    distance, offset, angle = _distance(arm, q, goal)
-    remaining = float(np.linalg.norm(q - detour.posture)) if detour.is_on else distance
-    if remaining < detour.least - pace * _SPEEDS[detour.is_on] * settings.detour_patience:
-        detour = detour._replace(least=remaining, waited=0.0)
-    else:
-        detour = detour._replace(waited=detour.waited + elapsed)
-    is_there = offset < _THERE[0] and angle < _THERE[1]
-    if detour.is_on and (remaining < _NEAR or is_there):
-        detour = detour._replace(least=distance, waited=0.0, is_on=False)
-    detour = detour._replace(arrived=detour.arrived or is_there)
-    if detour.waited >= settings.detour_patience and not detour.arrived:
-        posture = _choose(arm, q, goal, spheres, detour, settings, permitted_force)
-        if posture is None:
-            detour = detour._replace(least=distance, waited=0.0, number=detour.number + 1, is_on=False)
+
+    def __init__(self, arm: Arm, settings: PlanningSettings, permitted_force: float) -> None:
+        self._arm = arm
+        self._settings = settings
+        self._permitted_force = permitted_force
+
+    def target(self, request: Request, last: Request | None) -> Request:
+        """The request with the progress towards its goal, and the detour that leads there.
+
+        Parameters
+        ----------
+        request
+            Request for a plan.
+        last
+            The one that the last plan was made for; None after a reset.
+        """
+        settings = self._settings
+        if not settings.takes_detours:
+            return request
+        if last is None or last.detour is None or not request.detours or not request.goal.same_as(last.goal):
+            return request._replace(detour=Detour(np.inf, 0.0, 0, False, False, request.q))
+        # Without a plan in force the arm cannot make progress.
+        elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)
+        goal = request.goal if settings.orientation_weight else Target(request.goal.position)
+        return request._replace(detour=self._follow(last.detour, request._replace(goal=goal), elapsed))
+
+    def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
+        """The progress `elapsed` seconds later."""
+        q, patience = request.q, self._settings.detour_patience
+        distance, offset, angle = _distance(self._arm, q, request.goal)
+        remaining = float(np.linalg.norm(q - detour.posture)) if detour.is_on else distance
+        # Less is expected of a slow arm.
+        if remaining < detour.least - request.speed_scale * _SPEEDS[detour.is_on] * patience:
+            detour = detour._replace(least=remaining, waited=0.0)
         else:
+            detour = detour._replace(waited=detour.waited + elapsed)
+        is_there = offset < _THERE[0] and angle < _THERE[1]
+        if detour.is_on and (remaining < _NEAR or is_there):
+            detour = detour._replace(least=distance, waited=0.0, is_on=False)
+        detour = detour._replace(arrived=detour.arrived or is_there)
+        if detour.waited < patience or detour.arrived:
+            return detour
+        posture = self._choose(request, detour)
+        if posture is None:
+            return detour._replace(least=distance, waited=0.0, number=detour.number + 1, is_on=False)
+        return Detour(float(np.linalg.norm(posture - q)), 0.0, detour.number + 1, True, False, posture)
+
+    def _choose(self, request: Request, detour: Detour) -> Array | None:
+        """The posture that costs least to get to: 1 for each radian, and 1 for each ε of the force on the way.
+
+        None if there is none without rigid bodies in the way, and without more force than permitted.
+        """
+        arm, q, spheres, permitted = self._arm, request.q, request.spheres, self._permitted_force
+        softness = np.zeros(0)
+        if len(spheres):
+            softness = 1.0 / self._settings.contact_stiffness + np.diag(Network(spheres).compliance)
+        best, least = None, np.inf
+        for posture in _postures(arm, q, request.goal, detour):
             length = float(np.linalg.norm(posture - q))
-            detour = Detour(length, 0.0, detour.number + 1, True, False, posture)
-    return detour
+            if length >= least:
+                break
+            way = q + np.linspace(0.0, 1.0, 1 + _STATIONS)[:, None] * (posture - q)
+            first, *later = [pair.distance for pair in nearest(arm, way, spheres.environment)] or [0.0]
+            if min(later, default=0.0) < min(first, 0.0):
+                continue
+            # At rest, of each sphere as if it were the only one.
+            depths = [np.maximum(-clearances(arm, station, spheres), 0.0) for station in way[1:]]
+            force = float((depths / softness).max(initial=0.0))
+            if force <= permitted and length + force / permitted < least:
+                best, least = posture, length + force / permitted
+        return best
 
 
 def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:
@@ -140,37 +163,6 @@ def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:
     rotations, origins = link_frames(arm, q)
     offset, angle = float(np.linalg.norm(origins[-1] - goal.position)), goal.angle(rotations[-1])
     return offset + _METRES_PER_RADIAN * angle, offset, angle
-
-
-def _choose(
-    arm: Arm,
-    q: Array,
-    goal: Target,
-    spheres: Spheres,
-    detour: Detour,
-    settings: PlanningSettings,
-    permitted_force: float,
-) -> Array | None:
-    """The posture that costs least to get to: a radian for each radian, and for each share ε of the force on the way.
-
-    None if there is none without rigid bodies in the way, and without more force than permitted.
-    """
-    softness = 1.0 / settings.contact_stiffness + np.diag(Network(spheres).compliance) if len(spheres) else np.zeros(0)
-    best, least = None, np.inf
-    for posture in _postures(arm, q, goal, detour):
-        length = float(np.linalg.norm(posture - q))
-        if length >= least:
-            break
-        way = q + np.linspace(0.0, 1.0, 1 + _STATIONS)[:, None] * (posture - q)
-        first, *later = [pair.distance for pair in nearest(arm, way, spheres.environment)] or [0.0]
-        if min(later, default=0.0) < min(first, 0.0):
-            continue
-        # At rest, of each sphere as if it were the only one.
-        depths = [np.maximum(-clearances(arm, station, spheres), 0.0) for station in way[1:]]
-        force = float((depths / softness).max(initial=0.0))
-        if force <= permitted_force and length + force / permitted_force < least:
-            best, least = posture, length + force / permitted_force
-    return best
 
 
 def _postures(arm: Arm, q: Array, goal: Target, detour: Detour) -> Iterator[Array]:

@@ -12,6 +12,9 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import Target, Task
 
+SETTLE_NS = NANOSECONDS // 5
+"""Time at rest within the goal's tolerances after which it has settled, ns: an overshoot would have left them."""
+
 
 class GoalPhase(Enum):
     """Phases of a goal. The values are an interface: `goal/state` carries them."""
@@ -61,21 +64,18 @@ class GoalProgress:
         What happened so far.
     """
 
-    def __init__(self, task: Task, settle_time: float, timeout: float) -> None:
+    def __init__(self, task: Task, timeout: float) -> None:
         """Follow an accepted task.
 
         Parameters
         ----------
         task
             Decides where the tip has to be, and how quietly.
-        settle_time
-            Time for which the tip has to stay there until it has settled, s.
         timeout
             Time to settle, s; 0 for any.
         """
         self.state = GoalState(GoalPhase.ACCEPTED)
         self._task = task
-        self._settle_ns = round(settle_time * NANOSECONDS)
         self._timeout_ns = round(timeout * NANOSECONDS)
         self._begun_ns: int | None = None
         self._there_ns: int | None = None
@@ -96,7 +96,7 @@ class GoalProgress:
                 self._there_ns = None
             elif self._there_ns is None or stamp_ns < self._there_ns:
                 self._there_ns = stamp_ns
-            if self._there_ns is not None and stamp_ns - self._there_ns >= self._settle_ns:
+            if self._there_ns is not None and stamp_ns - self._there_ns >= SETTLE_NS:
                 phase = GoalPhase.SETTLED
             elif phase is not GoalPhase.REACHED and self._task.reached(position, target):
                 phase = GoalPhase.REACHED

@@ -1,15 +1,24 @@
-"""Plans: references of several knots, and the motion that the planner predicts under them, without JAX."""
+"""Requests for plans, plans, and the interface of a core that makes one from the other, without JAX.
+
+A plan has references of several knots, and the motion that the planner predicts under them.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.references import References
+from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
+
+if TYPE_CHECKING:
+    from contact_reach_ros.planning.detour import Detour
 
 
 class HeldReference(NamedTuple):
@@ -132,3 +141,64 @@ def _between(start: HeldReference, end: HeldReference, share: float) -> HeldRefe
         rotation=Rotation.from_rotvec(share * turn).as_matrix() @ start.rotation,
         posture=start.posture + share * (end.posture - start.posture),
     )
+
+
+class Request(NamedTuple):
+    """Everything that a plan depends on, besides the previous plans."""
+
+    q: Array
+    """Measured joint positions (n,), rad."""
+    v: Array
+    """Measured joint velocities (n,), rad/s."""
+    state_ns: int
+    """Time of the measurement, ns."""
+    effect_ns: int
+    """Time at which the plan takes effect, ns; not before `state_ns`."""
+    goal: Target
+    """Target of the flange."""
+    spheres: Spheres
+    """Obstacles at `state_ns`."""
+    speed_scale: float = 1.0
+    """Share of γ that the plan may use, 0 to 1, and so of the speed."""
+    detours: bool = True
+    """Whether the plan may lead through another posture, if the settings permit it."""
+    detour: Detour | None = None
+    """Progress towards the goal and the detour that leads there, see `Detours.target`."""
+
+    @property
+    def on_detour(self) -> int:
+        """Number of the detour that the plan follows; 0 for none."""
+        return self.detour.number if self.detour is not None and self.detour.is_on else 0
+
+
+class PlanningCore(Protocol):
+    """Computes plans, each for a state that was measured some time before the plan takes effect.
+
+    Attributes
+    ----------
+    memory
+        What the next plan depends on besides its request. Setting it to an earlier value makes the core plan from
+        there; a core that remembers nothing has None.
+    """
+
+    memory: Any
+
+    def warm_up(self, progress: Callable[[str], None]) -> None:
+        """Prepare what the first plan would otherwise wait for; `progress` gets a line for the user at each stage."""
+
+    def reset(self) -> None:
+        """Forget the plans made so far."""
+
+    def reseed(self, seed: int) -> None:
+        """Forget the plans made so far and draw other random numbers from now on."""
+
+    def plan(self, request: Request) -> Plan:
+        """Make a plan; its `speed_scale` is the one that it was made for.
+
+        Raises
+        ------
+        InputError
+            If no motion from this state has a finite cost.
+        PlanningError
+            If there is no way to the goal, or only one through a rigid body.
+        """

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -18,32 +17,42 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.agreement import plan_basis
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.planning.collisions import check_motion, nearest_bodies
-from contact_reach_ros.planning.detour import Detour, current, follow, weight_factors
-from contact_reach_ros.planning.detour import begin as begin_detour
-from contact_reach_ros.planning.memory import Memory
-from contact_reach_ros.planning.objectives import ReferenceSpace, initial_spread
-from contact_reach_ros.planning.obstacles import ObstacleReader
-from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
-from contact_reach_ros.planning.plan import Held, HeldReference, Plan, ReferenceTrajectory
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.cost import ReferenceSpace
+from contact_reach_ros.planning.detour import Detours
+from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, nearest_bodies
+from contact_reach_ros.planning.plan import Held, HeldReference, Plan, ReferenceTrajectory, Request
 from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, followed, hold_at, pieces_between, reference_at
-from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.runtime import configure_jax
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import make_solver
-from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver, State
-from contact_reach_ros.planning.speed_limit import steady_speed
-from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.planning.settings import PlanningSettings, steady_speed
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
+from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver, State, shift_solution
+from contact_reach_ros.planning.terms import LEAST_SPEED, Approach, Number, Problem, Rollout, term_weights
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.warm_start import shift_solution
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Environment
 from contact_reach_ros.world.spheres import Spheres
+
+
+class Memory(NamedTuple):
+    """Everything that the next plan depends on besides its request and the seed."""
+
+    trajectories: tuple[ReferenceTrajectory, ...]
+    """The last plans, in order; one of them is in force when the next plan is made."""
+    request: Request
+    """What the last plan was made for."""
+    best: np.ndarray
+    """(N,) the last plan as a point of the solver's box."""
+    state: State | None
+    """State of the solver at the end of its search; None to search anew around `best`."""
+    approach: Approach
+    """Progress towards the goal."""
+    plans: int
+    """Number of plans since the planner was reset, which selects the random numbers together with the seed."""
+
 
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
@@ -90,7 +99,7 @@ class RecedingHorizonPlanner:
         permitted_force: float,
         capacity: int,
         max_position_error: float = SupervisionSettings().max_position_error,
-        solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = make_solver,
+        solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = HybridSolver,
     ) -> None:
         configure_jax(cache_directory() / "jax", settings.device)
         self.basis = plan_basis(arm, gains, max_position_error)
@@ -98,11 +107,12 @@ class RecedingHorizonPlanner:
         self._settings = settings
         self._obstacles = ObstacleReader(arm, capacity)
         self._permitted_force = permitted_force
+        self._detours = Detours(arm, settings, permitted_force)
         self._speed = steady_speed(settings, gains)
         self._max_position_error = max_position_error
         self._ramp_s = gains.reference_ramp
         self._space = self._make_space(gains)
-        self._spread = initial_spread(settings, self._space.bounds)
+        self._spread = self._space.spread
         self._predictor = self._make_predictor()
         self._solver = solver(self._space.cost, self.size, settings)
         self._evaluate = jax.jit(self._roll_out)
@@ -119,14 +129,14 @@ class RecedingHorizonPlanner:
         """
         begin = time.perf_counter()
         q, v = np.array(self._arm.home), np.zeros(self._arm.n)
-        request = Request(q, v, 0, 0, Target(hold_at(self._arm, q).position), Spheres.none())
+        target = Target(hold_at(self._arm, q).position)
+        request = self._detours.target(Request(q, v, 0, 0, target, Spheres.none()), None)
         obstacles, _ = self._obstacles.read(q, request.spheres)
         hold = self._hold(q)
         pieces = pieces_between((), hold, 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the programs (seconds if this machine has done it before, else up to a minute)")
-        detour = begin_detour(q) if self._settings.takes_detours else None
         predicted = self._predictor.predict(q, v, obstacles, pieces)
-        problem = self._problem(*predicted, request, self._bodies(q, ()), self._before(hold), detour)
+        problem = self._problem(*predicted, request, self._bodies(q, ()), self._before(hold))
         jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
         step = self._solver.warm_up(problem, self._solver.init(np.zeros(self.size), self._spread))
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
@@ -181,12 +191,13 @@ class RecedingHorizonPlanner:
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(plans, effect_ns) or hold)
+        last = None if self.memory is None else self.memory.request
         searched = time.perf_counter()
-        detour = self._detour_of(q, request)
+        request = self._detours.target(request._replace(q=q, v=v), last)
         searched = time.perf_counter() - searched
-        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before, detour)
+        problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before)
 
-        state, start_cost = self._start(problem, request, detour)
+        state, start_cost = self._start(problem, request)
         # The search of a posture takes longer than a plan, and the first plan on a detour has a new cost.
         until = begin + searched + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         memory = self.memory
@@ -199,14 +210,12 @@ class RecedingHorizonPlanner:
             )
         rollout, terms = self._evaluate(problem, _pair(solution.best))
         predicted_q = np.asarray(rollout.q)[..., 0].astype(float)
-        check_motion(self._arm, predicted_q, spheres.environment, self._settings.collision_tolerance)
+        check_motion(self._arm, predicted_q, spheres.environment)
         self._number += 1
         plan = self._plan_of(solution, rollout, terms, request, left_out, begin, before)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
-        approach = self._approach_of(plan, request.goal, detour)
-        trajectories = (*earlier, plan)
-        made_for = request._replace(q=q, v=v)
-        self.memory = Memory(trajectories, made_for, solution.best, solution.state, approach, detour, since_reset + 1)
+        approach, trajectories = self._approach_of(plan, request), (*earlier, plan)
+        self.memory = Memory(trajectories, request, solution.best, solution.state, approach, since_reset + 1)
         return plan
 
     def _make_space(self, gains: ImpedanceSettings) -> ReferenceSpace:
@@ -232,24 +241,10 @@ class RecedingHorizonPlanner:
         tip = hold_at(self._arm, q).position
         return followed(self.memory.trajectories, tip, state_ns, self._speed, self._max_position_error)
 
-    def _detour_of(self, q: Array, request: Request) -> Detour | None:
-        """Progress towards the goal, and the detour that leads there; None if there is to be none."""
-        if not self._settings.takes_detours:
-            return None
-        memory, goal = self.memory, request.goal
-        if not request.detours or memory is None or memory.detour is None or not goal.same_as(memory.request.goal):
-            return begin_detour(q)
-        settings, force, pace = self._settings, self._permitted_force, request.speed_scale
-        in_force = settings.horizon * settings.knot_duration
-        elapsed = min((request.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9, in_force)
-        if not settings.orientation_weight:
-            goal = Target(goal.position)
-        return follow(memory.detour, self._arm, q, goal, request.spheres, elapsed, settings, force, pace)
-
-    def _approach_of(self, plan: Plan, goal: Target, detour: Detour | None) -> Approach:
+    def _approach_of(self, plan: Plan, request: Request) -> Approach:
         """Progress towards the goal when the plan takes effect."""
-        distance, memory = math.dist(plan.predicted_positions[0], goal.position), self.memory
-        if memory is None or not goal.same_as(memory.request.goal) or current(detour):
+        distance, memory = math.dist(plan.predicted_positions[0], request.goal.position), self.memory
+        if memory is None or not request.goal.same_as(memory.request.goal) or request.on_detour:
             return Approach.begin(distance)
         settings = self._settings
         elapsed = (plan.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9
@@ -296,9 +291,8 @@ class RecedingHorizonPlanner:
         request: Request,
         bodies: Bodies | None,
         before: HeldReference | None,
-        detour: Detour | None,
     ) -> Problem:
-        goal = request.goal
+        goal, detour = request.goal, request.detour
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
         problem = Problem(
             q=q,
@@ -306,10 +300,8 @@ class RecedingHorizonPlanner:
             obstacles=obstacles,
             goal_position=single(goal.position[:, None]),
             goal_rotation=single(rotation[:, :, None]),
-            weights=self._weights_for(goal, detour),
+            weights=self._weights_for(request),
             permitted_force=single(self._permitted_force),
-            joint_limit_margin=single(self._settings.joint_limit_margin),
-            clearance_margin=single(self._settings.clearance_margin),
             bodies=bodies,
             speed_scale=single(request.speed_scale),
             before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
@@ -317,19 +309,17 @@ class RecedingHorizonPlanner:
         )
         return _on_device(problem)
 
-    def _weights_for(self, goal: Target, detour: Detour | None) -> dict[str, Number]:
-        """The weights of the settings, times the factors of a free orientation, patience with contact and detours."""
-        factors = [weight_factors(detour)]
-        if goal.rotation is None:
-            factors.append({"orientation": 0.0})
-        if self.memory is not None and goal.same_as(self.memory.request.goal) and not current(detour):
-            factors.append(self.memory.approach.weight_factors)
-        weights = term_weights(self._settings)
-        for name, factor in itertools.chain.from_iterable(each.items() for each in factors):
-            weights[name] *= factor
-        return {name: single(weight) for name, weight in weights.items()}
+    def _weights_for(self, request: Request) -> dict[str, Number]:
+        """The weights of the settings, with those that a free orientation, the approach and a detour change."""
+        settings, memory = self._settings, self.memory
+        changed = {} if request.goal.rotation is not None else {"orientation": 0.0}
+        if memory is not None and request.goal.same_as(memory.request.goal):
+            changed |= memory.approach.weights(settings)
+        if request.detour is not None:
+            changed |= request.detour.weights(settings)
+        return {name: single(weight) for name, weight in term_weights(settings, changed).items()}
 
-    def _start(self, problem: Problem, request: Request, detour: Detour | None) -> tuple[State, float]:
+    def _start(self, problem: Problem, request: Request) -> tuple[State, float]:
         """Start of the solver: the rest of the last plan, or standing still if that costs less."""
         points = _pair(self._still(problem))
         count, passed, carried = self._space.vectors, 0.0, None
@@ -340,7 +330,8 @@ class RecedingHorizonPlanner:
                 passed = elapsed * count / self._settings.horizon
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                is_same = request.goal.same_as(memory.request.goal) and current(detour) == current(memory.detour)
+                last = memory.request
+                is_same = request.goal.same_as(last.goal) and request.on_detour == last.on_detour
                 carried = memory.state if is_same else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)

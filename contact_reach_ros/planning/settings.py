@@ -1,19 +1,27 @@
-"""Settings of the planner: the optimisation problem (4)-(5), its transfer model and Algorithm 1."""
+"""Settings of the planner: the problem (4)-(5), its transfer model, Algorithm 1, and when plans are made."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from contact_reach_ros.errors import SettingsError
+import numpy as np
+
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.runtime import DEVICES
-from contact_reach_ros.planning.solver import SOLVERS
-from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.settings import Sections, Settings, setting
+from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.world.goal import HOLD, ORIENTATIONS, TOLERANCE
 
 PIPELINES = ("closed_loop", "generalized")
-BOUNDARY_PENALTIES = ("quadratic", "paper")
-SAMPLINGS = ("bounds", "paper")
-CONTACT_MEASURES = ("largest", "sum")
+BOUNDS, PAPER = SAMPLINGS = ("bounds", "paper")
+SOLVERS = {"hybrid": 1, "cma": 0, "gradient": 10}
+"""Gradient steps per solver step by the name of the solver: Algorithm 1, and those that the paper compares it with."""
 NULL_SPACES = ("planned", "reference_posture")
+
+ROTATION_BOUND = POSTURE_BOUND = 0.2
+"""γ of the rotation in Δx, each axis, and of Δq, each joint, rad, as in the paper; the speed is up to Δx."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +54,8 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=60.0,
     )
-    contact_measure: str = setting("largest", "contact(·) of (5) over the links", choices=CONTACT_MEASURES)
     orientation_weight: float = setting(
         0.2, "rotation error, for goals with an orientation", unit="1/rad", minimum=0.0, maximum=10.0
-    )
-    detour_weight: float = setting(
-        0.5,
-        "on a detour, distance of the joints from its posture, in place of the goal's terms; 0 for no detours",
-        unit="1/rad",
-        minimum=0.0,
-        maximum=10.0,
     )
     detour_patience: float = setting(
         1.0,
@@ -65,39 +65,12 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=60.0,
     )
-    joint_limit_weight: float = setting(
-        20.0, "squared intrusion of a joint into its limit margin", unit="1/rad²", minimum=0.0, maximum=1000.0
-    )
-    joint_limit_margin: float = setting(
-        0.1, "distance to a joint limit at which its cost starts", unit="rad", minimum=0.0, maximum=1.0
-    )
-    joint_speed_weight: float = setting(
-        0.3,
-        "squared excess of a joint's mean speed over a knot above its limit",
-        unit="s²/rad²",
-        minimum=0.0,
-        maximum=100.0,
-    )
     clearance_weight: float = setting(
         100.0,
         "squared intrusion of the arm into the margin around rigid bodies and its own links; 0 leaves it out",
         unit="1/m²",
         minimum=0.0,
         maximum=10000.0,
-    )
-    clearance_margin: float = setting(
-        0.02,
-        "distance from rigid bodies and its own links at which that cost starts",
-        unit="m",
-        minimum=0.0,
-        maximum=0.2,
-    )
-    collision_tolerance: float = setting(
-        0.002,
-        "predicted depth in a rigid body, or of the arm in itself, from which on a plan is refused unless it leads out",
-        unit="m",
-        minimum=0.0,
-        maximum=1.0,
     )
     null_motion_weight: float = setting(
         0.003,
@@ -118,44 +91,24 @@ class PlanningSettings(Settings):
         "what moves the redundant joints: Δq of the plan, or law (6) for comparison: a steady pull to one posture",
         choices=NULL_SPACES,
     )
-    reference_posture: tuple[float, ...] | None = setting(
-        None, "q_d of law (6), null for zeros", unit="rad", per_joint=True
-    )
     translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
-    rotation_bound: float = setting(0.2, "γ of the rotation in Δx, each axis", unit="rad", minimum=0.001, maximum=1.0)
-    posture_bound: float = setting(0.2, "γ of Δq, each joint", unit="rad", minimum=0.001, maximum=1.0)
     contact_stiffness: float = setting(
         1000.0, "force per penetration between a link and a sphere", unit="N/m", minimum=10.0, maximum=100000.0
     )
     solver: str = setting(
         "hybrid", "Algorithm 1, or the same without or with many gradient steps", choices=tuple(SOLVERS)
     )
-    gradient_steps: int = setting(10, "gradient steps per solver step of 'gradient'", minimum=2, maximum=100)
-    population: int = setting(200, "k: candidates per step", minimum=4, maximum=20000)
-    elite: int = setting(50, "k_top: candidates averaged into the next mean", minimum=2, maximum=10000)
+    population: int = setting(
+        200, "k: candidates per step, of which the best quarter makes the next mean", minimum=8, maximum=20000
+    )
     line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=20000)
     sampling: str = setting(
-        "bounds",
-        "initial standard deviations: a share of γ, or 0.01 for every variable as in line 1 of Algorithm 1",
+        BOUNDS,
+        "initial standard deviations and boundary penalty of candidates: relative to γ and to the spread of their "
+        "costs, or as in lines 1 and 9 of Algorithm 1",
         choices=SAMPLINGS,
     )
-    sigma: float = setting(
-        0.3, "initial standard deviation of the candidates as a share of γ", minimum=0.01, maximum=2.0
-    )
-    boundary_penalty: str = setting(
-        "quadratic", "for candidates outside γ: squared distance, or line 9 of Algorithm 1", choices=BOUNDARY_PENALTIES
-    )
-    boundary_weight: float = setting(
-        0.3,
-        "quadratic penalty at a distance of γ, relative to the spread of the elite's costs",
-        minimum=0.0,
-        maximum=10.0,
-    )
     max_steps: int = setting(100, "solver steps in one plan", minimum=1, maximum=1000)
-    stagnation_tolerance: float = setting(
-        1e-4, "decrease of the cost below which a step counts as stagnant", minimum=0.0, maximum=0.1
-    )
-    stagnation_steps: int = setting(3, "stagnant steps in a row that end the search", minimum=1, maximum=100)
     deadline: float = setting(
         0.03,
         "wall-clock time for one plan; 0 for no limit, which makes plans reproducible",
@@ -171,11 +124,136 @@ class PlanningSettings(Settings):
     @property
     def takes_detours(self) -> bool:
         """Whether plans may lead through another posture, which law (6), with one of its own, cannot follow."""
-        return self.detour_patience > 0.0 and self.detour_weight > 0.0 and self.null_space == "planned"
+        return self.detour_patience > 0.0 and self.null_space == "planned"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.elite >= self.population:
-            raise SettingsError(
-                f"PlanningSettings.elite = {self.elite}: expected less than the population, {self.population}"
-            )
+    @property
+    def elite(self) -> int:
+        """k_top: candidates averaged into the next mean, the paper's quarter of k."""
+        return self.population // 4
+
+
+SPEED_SCALE = "speed_scale"
+"""Name of the setting that may be changed while the planner runs."""
+
+IGNORE, RETREAT = REACTIONS = ("ignore", "retreat")
+"""Reaction to contact that no known obstacle explains."""
+
+
+@dataclass(frozen=True)
+class ReplanningSettings(Settings):
+    """When plans are made, and when they take effect."""
+
+    period: float = setting(0.03, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
+    latency: float = setting(
+        0.04,
+        "least time from a state to the effect of its plan; in lockstep exactly this time",
+        unit="s",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    speed_scale: float = setting(
+        1.0,
+        "share of γ that plans use, and so of the speed; may be changed while the node runs",
+        minimum=0.01,
+        maximum=1.0,
+    )
+    max_obstacle_age: float = setting(
+        0.5,
+        "age of the obstacles beyond which goals and plans are refused, 0 for none",
+        unit="s",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    require_obstacles: bool = setting(
+        True, "refuse goals and plans before the first message of obstacles; false declares the scene empty until then"
+    )
+    goal_timeout: float = setting(
+        0.0, "time without settling after which a goal is withdrawn, 0 for none", unit="s", minimum=0.0, maximum=3600.0
+    )
+
+    @property
+    def period_ns(self) -> int:
+        """`period` in ns."""
+        return int(self.period * NANOSECONDS)
+
+    @property
+    def latency_ns(self) -> int:
+        """`latency` in ns."""
+        return int(self.latency * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class UnexpectedContactSettings(Settings):
+    """How the planner reacts to a contact that no known obstacle explains."""
+
+    reaction: str = setting(
+        RETREAT,
+        "reaction to contact within the budget that no known obstacle explains: none; or a retreat of the flange "
+        "along its path, where the arm waits for another goal",
+        choices=REACTIONS,
+    )
+
+
+@dataclass(frozen=True)
+class PlannerNodeSettings(ReplanningSettings):
+    """When to plan, for which goals, and among which obstacles."""
+
+    goal_orientation: str = setting(
+        HOLD,
+        "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
+        choices=ORIENTATIONS,
+    )
+    goal_tolerance: float = setting(
+        TOLERANCE, "distance from a goal that counts as reached", unit="m", minimum=0.0001, maximum=1.0
+    )
+    contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
+    max_spheres: int = setting(
+        1, "nearest obstacle spheres that a plan takes into account; 0 plans without contact", minimum=0, maximum=64
+    )
+    sphere_stiffness: float = setting(
+        100.0, "spring that holds an obstacle sphere in place", unit="N/m", minimum=1.0, maximum=5000.0
+    )
+    sphere_damping: float = setting(
+        30.0, "damping of an obstacle sphere's motion", unit="N s/m", minimum=0.1, maximum=500.0
+    )
+    node_stiffness: float = setting(
+        0.0, "spring that holds a movable node of a deformable body in place", unit="N/m", minimum=0.0, maximum=5000.0
+    )
+    node_damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
+    edge_stiffness: float = setting(
+        60.0, "spring between two nodes joined by an edge", unit="N/m", minimum=1.0, maximum=5000.0
+    )
+
+
+PLANNER_SECTIONS: Sections = {
+    "": PlannerNodeSettings,
+    "unexpected_contact": UnexpectedContactSettings,
+    "planning": PlanningSettings,
+}
+"""Settings of the planner's node by parameter prefix; the gains that it plans for are the controller's."""
+
+
+def steady_speed(planning: PlanningSettings, impedance: ImpedanceSettings) -> float:
+    """Greatest steady speed of an axis of the flange under law (1), m/s: γ Kp / Kd.
+
+    At that speed the damping balances the stiffness, since γ bounds Δx. Infinite without damping.
+    """
+    pull = planning.translation_bound * impedance.task_stiffness
+    if impedance.task_damping == 0.0:
+        return math.inf if pull > 0.0 else 0.0
+    return pull / impedance.task_damping
+
+
+def least_duration(
+    start_position: Array, target: Array, planning: PlanningSettings, impedance: ImpedanceSettings
+) -> float:
+    """Shortest time in which the flange can move from one position (3,) to another, m, base frame; in s.
+
+    The axis with the farthest to go determines it, at `steady_speed`; infinite without stiffness, unless the distance
+    is zero.
+    """
+    distance = float(np.abs(target - start_position).max())
+    if distance == 0.0:
+        return 0.0
+    speed = steady_speed(planning, impedance)
+    return distance / speed if speed > 0.0 else math.inf

@@ -1,8 +1,8 @@
-"""The terms of the cost (5).
+"""The cost (5): planning problems, the motion predicted for them, and the terms of their cost.
 
-A term is a function of the predicted motion with the decorator `term`, or `reward` if more of it is better. Its weight
-is the planner's setting `<name>_weight`. The cost is the weighted sum, over the knots, of all terms for which the
-settings have a weight.
+A term is a function of the predicted motion with the decorator `term`, which names the planner's setting that holds its
+weight, or has the weight itself. The cost is the weighted sum, over the knots, of all terms for which the settings have
+a weight.
 
 The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − ε). The
 literal λ3 (contact − ε) charges every newton, also below ε; preset `paper_linear` has it as a weight on any contact. A
@@ -12,20 +12,76 @@ are a goal's orientation and the null-space motion, which nothing else would res
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from contact_reach_ros.control.settings import AXIS, POSE
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.planning.problem import Number, Problem, Rollout
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.transfer.clearance import intrusion
+from contact_reach_ros.planning.transfer.clearance import Bodies, Capsules, intrusion
 from contact_reach_ros.planning.transfer.closed_loop import N_TASK
+from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import dot, make_keep, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
+from contact_reach_ros.planning.transfer.pipeline import Pose, Reference
+
+Number = float | jax.Array
+
+
+class Problem(NamedTuple):
+    """One planning problem. All of it is input of the compiled programs: other numbers need no recompilation."""
+
+    q: jax.Array
+    """(n, 1) joint angles when the plan takes effect, rad."""
+    v: jax.Array
+    """(n, 1), rad/s."""
+    obstacles: Obstacles | None
+    """Obstacles with one lane, or None for a program without contact."""
+    goal_position: jax.Array
+    """(3, 1), m."""
+    goal_rotation: jax.Array
+    """(3, 3, 1); any rotation if the orientation is free, which makes the weight of the term `orientation` zero."""
+    weights: dict[str, Number]
+    """Weight of each term of the cost, by the term's name."""
+    permitted_force: Number
+    """ε of (4d), N."""
+    bodies: Bodies | None = None
+    """Rigid bodies; None for a program that knows the arm's own capsules only."""
+    speed_scale: Number = 1.0
+    """Share of γ that bounds the actions."""
+    before: Reference | None = None
+    """The reference in force when the plan takes effect, with one lane; None where the arm is held at `q`."""
+    detour: jax.Array | None = None
+    """(n, 1) posture of the detour, rad, which counts if the term `detour` has a weight."""
+
+
+class Rollout(NamedTuple):
+    """Motion that the transfer model predicts for some actions."""
+
+    q: jax.Array
+    """(H + 1, n, B) joint angles at the knot boundaries, rad."""
+    pose: Pose
+    """(H + 1, ...) flange at the knot boundaries."""
+    reference: Reference
+    """(H, ...) references that the actions stand for."""
+    link_force: jax.Array
+    """(H, L, B) largest force within each knot on each of the arm's `contact_links`, N."""
+    contact: jax.Array
+    """(H, B) contact(·) of (4d): largest value within each knot, N."""
+    capsules: Capsules | None
+    """(H, ...) capsules of the links at the ends of the knots; None if no term needs them."""
+
+
+JOINT_LIMIT_MARGIN = 0.1
+"""Distance from a joint's limit at which its cost starts, rad: half of what γ lets a joint move in a knot."""
+
+CLEARANCE_MARGIN = 0.02
+"""Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: two steps of γ."""
 
 ROUNDING = 0.03
 """Rotation error below which its cost is rounded off, rad.
@@ -62,43 +118,53 @@ class Context:
         return jnp.moveaxis(self.rollout.q, 1, 0)
 
 
-Term = Callable[[Context], jax.Array]
+Value = Callable[[Context], jax.Array]
 """Returns (H, B), to be summed over the knots, or (B,)."""
+
+
+class Term(NamedTuple):
+    """A term of the cost."""
+
+    value: Value
+    weight: str | float
+    """The setting that holds the weight, or the weight itself."""
+    is_reward: bool
+    """Whether it lowers the cost."""
+
 
 TERMS: dict[str, Term] = {}
 """Terms by name, in the order of their definition."""
 
 
-REWARDS: set[str] = set()
-"""Names of the terms that lower the cost."""
+def term(weight: str | float, is_reward: bool = False) -> Callable[[Value], Value]:
+    """Add a function to the terms, under its own name and with the fields of `Term`."""
+
+    def add(value: Value) -> Value:
+        TERMS[value.__name__] = Term(value, weight, is_reward)
+        return value
+
+    return add
 
 
-def term(function: Term) -> Term:
-    """Add a function to the terms, under its own name."""
-    TERMS[function.__name__] = function
-    return function
-
-
-def reward(function: Term) -> Term:
-    """Add a function to the terms as one that lowers the cost."""
-    REWARDS.add(function.__name__)
-    return term(function)
-
-
-def term_weights(settings: PlanningSettings) -> dict[str, Number]:
-    """Weight of each term that counts with these settings: those that have a weight in them.
+def term_weights(settings: PlanningSettings, changed: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Weight of each term that counts with these settings; `changed` has other weights, by the terms' names.
 
     Raises
     ------
     SettingsError
-        If the settings add a weight and there is no term for it.
+        If the settings add a weight that no term has.
     """
-    added = {entry.name for entry in settings.declared()} - {entry.name for entry in PlanningSettings.declared()}
-    for name in sorted(added):
-        if name.endswith("_weight") and name.removesuffix("_weight") not in TERMS:
-            term = name.removesuffix("_weight")
-            raise SettingsError(f"{type(settings).__name__}.{name}: expected a cost term named {term}, with @term")
-    weights = {name: getattr(settings, f"{name}_weight") for name in TERMS if hasattr(settings, f"{name}_weight")}
+    names = {own.weight for own in TERMS.values()}
+    for entry in settings.declared():
+        if entry.name.endswith("_weight") and entry.name not in names:
+            where = f"{type(settings).__name__}.{entry.name}"
+            raise SettingsError(f'{where}: expected a cost term with this weight, @term("{entry.name}")')
+    known = vars(settings)
+    weights = {
+        name: known[own.weight] if isinstance(own.weight, str) else own.weight
+        for name, own in TERMS.items()
+        if not isinstance(own.weight, str) or own.weight in known
+    } | dict(changed or {})
     if settings.clearance_weight == 0.0:
         # Its program then does without the term.
         del weights["clearance"]
@@ -113,36 +179,37 @@ def weighted_terms(context: Context) -> dict[str, jax.Array]:
     weights = context.problem.weights
     # Sums are rounded in the order of the terms, which the weights lose inside of JAX.
     for name in (name for name in TERMS if name in weights):
-        part = (-weights[name] if name in REWARDS else weights[name]) * TERMS[name](context)
+        own = TERMS[name]
+        part = (-weights[name] if own.is_reward else weights[name]) * own.value(context)
         parts[name] = sum_over(part, 0) if part.ndim == 2 else part
     return parts
 
 
-@term
+@term("goal_weight")
 def goal(context: Context) -> jax.Array:
     """Distance of the flange from the goal, m."""
     return _length(context.position[:, 1:] - context.problem.goal_position[:, None])
 
 
-@reward
+@term("progress_weight", is_reward=True)
 def progress(context: Context) -> jax.Array:
     """Distance of the flange from where the plan starts, m."""
     return _length(context.position[:, 1:] - context.position[:, :1])
 
 
-@term
+@term("contact_limit_weight")
 def contact_limit(context: Context) -> jax.Array:
     """Contact force above the permitted one, N."""
     return jnp.maximum(context.rollout.contact - context.problem.permitted_force, 0.0)
 
 
-@term
+@term("contact_weight")
 def contact(context: Context) -> jax.Array:
     """Contact force, N."""
     return context.rollout.contact
 
 
-@term
+@term("orientation_weight")
 def orientation(context: Context) -> jax.Array:
     """Rotation error to the goal, rad: ‖R − R_g‖ / √2 = 2 sin(angle / 2), which still grows at 180°.
 
@@ -153,9 +220,9 @@ def orientation(context: Context) -> jax.Array:
     return jnp.sqrt(square + ROUNDING**2) - ROUNDING
 
 
-@term
+@term(0.5)
 def detour(context: Context) -> jax.Array:
-    """Distance of the joints from the posture of a detour, rad."""
+    """Distance of the joints from the posture of a detour, rad; a radian costs as much as half a metre to the goal."""
     posture = context.problem.detour
     if posture is None:
         return jnp.zeros_like(context.rollout.contact)
@@ -163,31 +230,37 @@ def detour(context: Context) -> jax.Array:
     return jnp.sqrt(sum_over(error * error, 0) + 1e-6)
 
 
-@term
+@term(20.0)
 def joint_limit(context: Context) -> jax.Array:
-    """Squared intrusion of the joints into the margin of their position limits, rad²."""
+    """Squared intrusion of the joints into the margin of their position limits, rad².
+
+    Half of the margin costs as much as 50 mm to the goal: the cost holds joints off their stops, not off the margin.
+    """
     q, arm = context.q[:, 1:], context.arm
     beyond = jnp.maximum(q - arm.upper[:, None, None], arm.lower[:, None, None] - q)
-    intrusion = jnp.maximum(beyond + context.problem.joint_limit_margin, 0.0)
+    intrusion = jnp.maximum(beyond + JOINT_LIMIT_MARGIN, 0.0)
     return sum_over(intrusion * intrusion, 0)
 
 
-@term
+@term(0.3)
 def joint_speed(context: Context) -> jax.Array:
-    """Squared excess of the joints' mean speeds over their limits, rad²/s²."""
+    """Squared excess of the joints' mean speeds over their limits, rad²/s².
+
+    An excess of 0.4 rad/s costs as much as 50 mm to the goal.
+    """
     speed = jnp.abs(context.q[:, 1:] - context.q[:, :-1]) / context.knot_duration
     excess = jnp.maximum(speed - context.arm.velocity_limit[:, None, None], 0.0)
     return sum_over(excess * excess, 0)
 
 
-@term
+@term("null_motion_weight")
 def null_motion(context: Context) -> jax.Array:
     """Squared Δq, rad²."""
     motion = jnp.moveaxis(context.actions[:, N_TASK:], 1, 0)
     return sum_over(motion * motion, 0)
 
 
-@term
+@term("lead_change_weight")
 def lead_change(context: Context) -> jax.Array:
     """Squared change of x_d's lead over the flange from knot to knot, and from the reference before, m²."""
     lead = jnp.moveaxis(context.actions[:, :3], 1, 0)
@@ -201,16 +274,77 @@ def lead_change(context: Context) -> jax.Array:
     return sum_over(change * change, 0)
 
 
-@term
+@term("clearance_weight")
 def clearance(context: Context) -> jax.Array:
     """Squared intrusion into the margin around rigid bodies and the arm's own links at the ends of the knots, m²."""
     problem, capsules = context.problem, context.rollout.capsules
     if capsules is None:
         return jnp.zeros_like(context.rollout.contact)
     keep = make_keep(capsules.start)
-    return intrusion(context.arm, capsules, problem.bodies, problem.clearance_margin, keep)
+    return intrusion(context.arm, capsules, problem.bodies, CLEARANCE_MARGIN, keep)
 
 
 def _length(vectors: jax.Array) -> jax.Array:
     """Euclidean norm along the first axis, smooth at zero."""
     return jnp.sqrt(dot(vectors, vectors) + 1e-8)
+
+
+LEAST_SPEED = 0.3
+"""Mean speed of approach down to which contact may slow the arm, as a share of what γ permits."""
+
+_LEAST_SHARE = 0.01
+_THERE = 0.005
+"""Distance to the goal within which the arm counts as arrived, not as delayed, m."""
+
+
+class Approach(NamedTuple):
+    """Progress towards a goal when a plan takes effect, and patience with permitted contact.
+
+    The paper's constraint is contact ≤ ε; forces below are permitted, and `contact_weight` keeps them low. With that
+    weight alone the arm would wait forever where the next step costs more in contact than it gains on the way: in front
+    of foam slightly stiffer than the foam that the weight was chosen for, or a centimetre before a goal inside it.
+    """
+
+    distance: float
+    """From flange to goal, m."""
+    share: float
+    """Share of the weight of permitted contact for the next plan."""
+
+    def weights(self, settings: PlanningSettings) -> dict[str, float]:
+        """Weights of terms for the next plan, by their names."""
+        return {"contact": self.share * settings.contact_weight}
+
+    @classmethod
+    def begin(cls, distance: float) -> Approach:
+        """Progress at the moment of a new goal."""
+        return cls(distance, 1.0)
+
+    def updated(
+        self, distance: float, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
+    ) -> Approach:
+        """Progress after some more time.
+
+        The share falls by a factor e for every `patience` that the arm is behind. It recovers as the arm catches up, or
+        by the same factor for every `patience` during which contact is firm.
+
+        Parameters
+        ----------
+        distance
+            Present distance to the goal, m.
+        elapsed
+            Time since the last progress, s.
+        patience
+            Time constant, s; 0 keeps the share as it is.
+        least_speed
+            Mean speed of approach below which the arm is behind, m/s; 0 and infinity keep the share as it is.
+        is_firm
+            Whether the expected contact is stronger than permitted.
+        """
+        share = self.share
+        if patience > 0.0 and 0.0 < least_speed < math.inf and distance > _THERE:
+            ahead = (self.distance - distance) / least_speed - elapsed
+            if is_firm:
+                ahead = max(ahead, elapsed)
+            # The limits keep the exponential finite, whatever happened in between.
+            share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
+        return Approach(distance, share)

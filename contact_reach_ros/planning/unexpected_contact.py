@@ -9,7 +9,7 @@ import math
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.planning.node_settings import IGNORE, RETREAT, UnexpectedContactSettings
+from contact_reach_ros.planning.settings import IGNORE, RETREAT, UnexpectedContactSettings
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.goal import Target
@@ -17,6 +17,13 @@ from contact_reach_ros.world.spheres import Spheres
 
 RETREAT_TO = "retreat to"
 """Key of `ContactReaction.values` while the arm goes back."""
+
+LEAST_FORCE = 5.0
+"""Least force of a contact that counts, N: above the observer's errors where contacts are located."""
+PATIENCE_NS = NANOSECONDS // 100
+"""Least duration of a contact that counts, ns: ten states, so that no single one leads to a retreat."""
+RETREAT_DISTANCE = 0.05
+"""Distance of the retreat, m: enough to free a hand."""
 
 _KNOWN_WITHIN = 0.01
 """A contact is attributed to a known obstacle if one is nearer to the arm than this, m."""
@@ -58,12 +65,12 @@ class ContactReaction:
         if self._settings.reaction == IGNORE or self._target is not None:
             return False
         known = len(spheres) > 0 and bool(clearances(self._arm, q, spheres).min() < _KNOWN_WITHIN)
-        if contact is None or known or contact.strength < self._settings.least_force:
+        if contact is None or known or contact.strength < LEAST_FORCE:
             self._since_ns = None
             return False
         if self._since_ns is None:
             self._since_ns = stamp_ns
-        if stamp_ns - self._since_ns < self._settings.patience * NANOSECONDS or not self._path:
+        if stamp_ns - self._since_ns < PATIENCE_NS or not self._path:
             return False
         self.reason = f"{RETREAT}: unexpected contact at {contact.link}, {contact.strength:.0f} N"
         self._target = self._way_back()
@@ -86,6 +93,6 @@ class ContactReaction:
         """The last position of the flange as far away as the retreat, or the first one."""
         here = self._path[-1]
         for position in reversed(self._path):
-            if math.dist(position, here) >= self._settings.retreat:
+            if math.dist(position, here) >= RETREAT_DISTANCE:
                 return position
         return self._path[0]

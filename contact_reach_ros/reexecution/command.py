@@ -11,8 +11,13 @@ import numpy as np
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import TOLERANCE, reexecute_controller, reexecute_observer
-from contact_reach_ros.reexecution.outcome import Reexecution, realtime_factor
+from contact_reach_ros.reexecution.loops import (
+    TOLERANCE,
+    Reexecution,
+    realtime_factor,
+    reexecute_controller,
+    reexecute_observer,
+)
 from contact_reach_ros.reexecution.settings import ChangedSettings
 
 IDENTICAL, DIFFERENT = 0, 1
@@ -112,7 +117,7 @@ def _reexecute_plan(inputs: RecordedInputs, number: int, changes: ChangedSetting
         largest = ", ".join(f"{name} {value:.1g}" for name, value in found.differences.items())
         print(f"EQUAL within tolerances (largest differences: {largest})")
     print(f"  {'':22}{'recorded':>14}{'now':>14}")
-    rows = {"steps": plan.steps, "cost": plan.cost, **{f"cost {key}": value for key, value in plan.cost_terms.items()}}
+    rows = {"cost": plan.cost, **{f"cost {key}": value for key, value in plan.cost_terms.items()}}
     for name, value in rows.items():
         print(f"  {name:22}{float(recorded.get(name, 'nan')):14.6g}{value:14.6g}")
     print(f"  {'largest contact force':22}{'':14}{plan.predicted_contact_forces.max():14.3g} N")

@@ -1,8 +1,8 @@
 """Re-execution of the planner: any plan of a bag made again, the same within tolerances on any machine.
 
 The bag has what each plan was made for and started from, and the solution that the solver found. Prediction, obstacles,
-transfer model and cost are computed again with this solution, and compared. Then the solver searches again, from where
-it started: with other rounding, or without what it had learned before, it finds another solution that is about as good.
+transfer model and cost are computed again with this solution, and compared. With changed settings the solver searches
+again, from where it started.
 """
 
 from __future__ import annotations
@@ -23,18 +23,16 @@ from contact_reach_ros.messages.plan_request import Parts, read_memory, read_req
 from contact_reach_ros.messages.references import pose_knots, posture_knots
 from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.solver import make_solver
-from contact_reach_ros.planning.solver.solver import Solution, Solver
-from contact_reach_ros.planning.warm_start import FloatArray
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
+from contact_reach_ros.planning.solver.solver import FloatArray, Solution, Solver
+from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.reexecution.inputs import OBSTACLES, RecordedInputs
 from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
 from contact_reach_ros.world.spheres import Spheres
 
-TOLERANCES = {"cost": 1e-4, "positions": 1e-5, "rotations": 1e-4, "postures": 1e-4, "search": 0.1}
-"""Of the cost, relative, and of the references, m and rad, with the recorded solution; and by how much the solution of
-the search may be worse, relative to the cost."""
+TOLERANCES = {"cost": 1e-4, "positions": 1e-5, "rotations": 1e-4, "postures": 1e-4}
+"""Of the cost, relative, and of the references, m and rad."""
 
 _LEAST_COST = 0.1
 """Relative differences are of this cost at least: near the goal it is the rounding of a few positions."""
@@ -47,7 +45,7 @@ class ReexecutedPlan:
     Attributes
     ----------
     plan
-        The plan of the new search.
+        The plan with the recorded solution or, with changed settings, of a new search.
     statistics
         The recorded ones, by the keys of plan/statistics.
     differences
@@ -70,8 +68,7 @@ class _RecordedSolution:
 
     max_steps = 1
 
-    def __init__(self, *_: Any) -> None:
-        self.best = np.zeros(0)
+    best = np.zeros(0)
 
     def reseed(self, seed: int) -> None:
         """There is no chance."""
@@ -120,6 +117,7 @@ class RecordedPlans:
             )
         self._settings = inputs.sections("planner")
         self._arm = inputs.arm_of("planner")
+        self._solution = _RecordedSolution()
 
     @property
     def numbers(self) -> list[int]:
@@ -148,29 +146,21 @@ class RecordedPlans:
         request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
         memory = read_memory(parts, request, knot_duration_s, ramp_s)
-        settings = changes.apply("planner", self._settings) if changes else self._settings
-        planner = self._make_planner(settings) if changes else self._searcher
+        planner = self._searching(changes) if changes else self._evaluator
+        self._solution.best = parts["found"]
         planner.memory = memory if memory is None or len(memory.best) == planner.size else None
         plan = planner.plan(request)
-        differences: dict[str, float] = {}
-        if not changes:
-            evaluator, solution = self._evaluator
-            evaluator.memory, solution.best = memory, parts["found"]
-            differences = self._differences(evaluator.plan(request), plan, number)
+        differences = {} if changes else self._differences(plan, number)
         return ReexecutedPlan(plan, statistics, differences, _exceeded(differences), time.perf_counter() - began)
 
     @functools.cached_property
-    def _searcher(self) -> RecedingHorizonPlanner:
-        return self._make_planner(self._settings)
+    def _evaluator(self) -> RecedingHorizonPlanner:
+        return self._make_planner(self._settings, lambda *_: self._solution)
 
-    @functools.cached_property
-    def _evaluator(self) -> tuple[RecedingHorizonPlanner, _RecordedSolution]:
-        solution = _RecordedSolution()
-        return self._make_planner(self._settings, lambda *_: solution), solution
+    def _searching(self, changes: ChangedSettings) -> RecedingHorizonPlanner:
+        return self._make_planner(changes.apply("planner", self._settings), HybridSolver)
 
-    def _make_planner(
-        self, settings: Mapping[str, Any], solver: Callable[..., Solver[Any]] = make_solver
-    ) -> RecedingHorizonPlanner:
+    def _make_planner(self, settings: Mapping[str, Any], solver: Callable[..., Solver[Any]]) -> RecedingHorizonPlanner:
         # Results must not depend on how fast the machine is.
         planning = dataclasses.replace(settings["planning"], deadline=0.0)
         force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres
@@ -191,11 +181,10 @@ class RecordedPlans:
             raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
         return spheres
 
-    def _differences(self, plan: Plan, searched: Plan, number: int) -> dict[str, float]:
-        """Differences of the plan with the recorded solution and of the new search, by the names of `TOLERANCES`."""
+    def _differences(self, plan: Plan, number: int) -> dict[str, float]:
+        """Differences of the plan with the recorded solution, by the names of `TOLERANCES`."""
         cost, effect_ns = float(self.statistics[number]["cost"]), self._effects[number]
-        scale = max(abs(cost), _LEAST_COST)
-        found = {"cost": abs(plan.cost - cost) / scale, "search": max(searched.cost - cost, 0.0) / scale}
+        found = {"cost": abs(plan.cost - cost) / max(abs(cost), _LEAST_COST)}
         for message in self._inputs.messages("reference/pose"):
             if nanoseconds(message.header.stamp) == effect_ns:
                 poses = pose_knots(message)

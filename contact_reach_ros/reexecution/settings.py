@@ -11,7 +11,7 @@ from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSet
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
-from contact_reach_ros.planning.node_settings import PLANNER_SECTIONS
+from contact_reach_ros.planning.settings import PLANNER_SECTIONS
 from contact_reach_ros.settings import Sections, check_node_names, full_name, parameters_in, unknown_key
 from contact_reach_ros.timing import PERIOD
 

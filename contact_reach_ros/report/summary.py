@@ -13,8 +13,7 @@ from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.bags.signals import EpisodeSignals, Series, goal_distance
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.speed_limit import least_duration
+from contact_reach_ros.planning.settings import PlanningSettings, least_duration
 from contact_reach_ros.settings import Settings
 
 SUCCESS_DISTANCE = 0.01

@@ -12,8 +12,8 @@ from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.planning_core import Request
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.plan import Request
+from contact_reach_ros.planning.settings import POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene_file import read_scene
@@ -62,8 +62,8 @@ def test_references_are_within_the_methods_bounds_of_where_the_arm_is_expected(b
             rotations, origins = link_frames(ARM, q)
             turn = Rotation.from_matrix(plan.rotations[knot] @ rotations[-1].T).as_rotvec()
             assert np.abs(plan.positions[knot] - origins[-1]).max() <= share * SETTINGS.translation_bound
-            assert np.abs(turn).max() <= share * SETTINGS.rotation_bound
-            assert (np.abs(plan.postures[knot] - q) <= SETTINGS.posture_bound + slack).all()
+            assert np.abs(turn).max() <= share * ROTATION_BOUND
+            assert (np.abs(plan.postures[knot] - q) <= POSTURE_BOUND + slack).all()
 
 
 class TestPlanning:

@@ -24,7 +24,7 @@ def shipped() -> Preset:
 def with_a_small_budget() -> Preset:
     """The same with a sixth of the candidates and at most four solver steps a plan: a few times as fast."""
     found = shipped()
-    planning = dataclasses.replace(found.planning, population=32, elite=8, line_search_points=16, max_steps=4)
+    planning = dataclasses.replace(found.planning, population=32, line_search_points=16, max_steps=4)
     return found._replace(planning=planning, replanning=dataclasses.replace(found.replanning, period=0.04))
 
 

@@ -19,8 +19,8 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.objectives import make_objective
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.cost import make_objective
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer import pipeline
@@ -33,7 +33,7 @@ from contact_reach_ros.world.spheres import Spheres
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = PlanningSettings(deadline=0.0, population=48, elite=12, line_search_points=32, horizon=2, max_steps=6)
+SETTINGS = PlanningSettings(deadline=0.0, population=48, line_search_points=32, horizon=2, max_steps=6)
 GAINS, CONTROLLER = ImpedanceSettings(), ControllerSettings()
 REST = np.zeros(ARM.n)
 MS = 1_000_000

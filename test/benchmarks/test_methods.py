@@ -8,7 +8,7 @@ from benchmarks.baselines.methods import METHODS, make_method
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.planning.settings import PlanningSettings
 
-SMALL = PlanningSettings(deadline=0.0, population=16, elite=4, line_search_points=8, max_steps=2)
+SMALL = PlanningSettings(deadline=0.0, population=16, line_search_points=8, max_steps=2)
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -12,11 +12,10 @@ from benchmarks.model import MUJOCO, OURS, Motion, bench_model, simulate
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.objectives import knot_bounds, make_objective
+from contact_reach_ros.planning.cost import knot_bounds, make_objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
-from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.planning.terms import Problem, term_weights
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.scenes.paths import MIN_MOBILITY
 from contact_reach_ros.world.collision import clearances
@@ -25,7 +24,7 @@ from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 SETTINGS = PlanningSettings()
-FEW = PlanningSettings(population=32, elite=8, line_search_points=32, max_steps=4, substeps=4)
+FEW = PlanningSettings(population=32, line_search_points=32, max_steps=4, substeps=4)
 STATES, CONTACTS = 220, 60
 LIMIT_MARGIN, START_SPEED = 0.3, 0.2
 """rad; rad/s."""
@@ -100,7 +99,7 @@ def predict(cases: list[Case], substeps: int = SETTINGS.substeps) -> list[Motion
         obstacles = each[0]._replace(center=centers, rest=centers)
     q, v = stacked([case.scene.start for case in cases]), stacked([case.v for case in cases])
     goal = single(np.zeros((3, 1))), single(np.eye(3)[:, :, None])
-    problem = Problem(q, v, obstacles, *goal, term_weights(settings), 0.0, settings.joint_limit_margin)
+    problem = Problem(q, v, obstacles, *goal, term_weights(settings), 0.0)
     objective = make_objective(ARM, settings, ImpedanceSettings())
     rollout = jax.device_get(jax.jit(objective.roll_out)(problem, stacked([case.actions for case in cases])))
     parts = rollout.pose.position[1:], rollout.pose.rotation[1:], rollout.q[1:], rollout.link_force

@@ -9,10 +9,9 @@ from bench_command import bench
 from benchmarks import pictures, solver
 from benchmarks.solver import LABELS, bench_solver, excess
 from benchmarks.solver_steps import PRESETS, bench_solver_steps
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import SOLVERS
+from contact_reach_ros.planning.settings import SOLVERS, PlanningSettings
 
-SMALL = PlanningSettings(population=16, elite=4, line_search_points=16, horizon=1, substeps=2, gradient_steps=2)
+SMALL = PlanningSettings(population=16, line_search_points=16, horizon=1, substeps=2)
 
 
 @pytest.fixture(scope="module")

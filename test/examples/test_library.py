@@ -68,8 +68,8 @@ def test_stacks_that_cannot_be_made(scene, arguments, message):
 
 
 def test_settings_take_numbers_and_arrays_of_numpy():
-    settings = cr.PlanningSettings(goal_weight=np.float32(2.0), horizon=np.int64(4), reference_posture=np.zeros(ARM.n))
-    assert settings == cr.PlanningSettings(goal_weight=2.0, horizon=4, reference_posture=(0.0,) * ARM.n)
+    settings = cr.PlanningSettings(goal_weight=np.float32(2.0), horizon=np.int64(4))
+    assert settings == cr.PlanningSettings(goal_weight=2.0, horizon=4)
     assert type(settings.horizon) is int and type(settings.goal_weight) is float
     for wrong in ({"horizon": np.float64(3.5)}, {"goal_weight": np.zeros(2)}, {"horizon": np.bool_(True)}):
         with pytest.raises(cr.ContactReachError, match="expected a"):
@@ -145,7 +145,7 @@ def test_reset_releases_the_observer_and_refuses_what_it_cannot_release(stack):
 
 
 def test_planning_once_leaves_the_stack_as_it_was(scene):
-    small = cr.PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
+    small = cr.PlanningSettings(population=32, line_search_points=16, max_steps=3, deadline=0.0)
     core = cr.make_planner(ARM, 1, planning=small).core
     plans, ahead = [], []
     for looks_ahead in (False, True):

@@ -9,7 +9,7 @@ from conftest import CONTROLLER, scene, small_planner
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.episode_result import EpisodeResult
-from contact_reach_ros.planning.unexpected_contact import UnexpectedContactSettings
+from contact_reach_ros.planning.settings import UnexpectedContactSettings
 from contact_reach_ros.simulation.faults import UnknownObstacle
 from contact_reach_ros.simulation.settings import WatchdogSettings
 

@@ -16,7 +16,7 @@ import rclpy
 import yaml
 from ros_domains import fresh_domain
 
-SMALL_PLANNER = {"planning": {"population": 32, "elite": 8, "line_search_points": 16, "max_steps": 3}}
+SMALL_PLANNER = {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}
 """Plans in a fraction of the time; the programs are those of `planning_helpers.SMALL`, which are compiled only once."""
 
 

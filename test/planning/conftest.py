@@ -8,8 +8,8 @@ import pytest
 from planning_helpers import make_objective, make_planner
 
 from contact_reach_ros.planning.cost import Objective
-from contact_reach_ros.planning.problem import Problem, Rollout
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.terms import Problem, Rollout
 
 
 @pytest.fixture(scope="module")

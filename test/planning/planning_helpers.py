@@ -8,18 +8,17 @@ import numpy as np
 from arm_simulation import ARM, HOME
 
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning import objectives
+from contact_reach_ros.planning import cost
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
-from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.terms import term_weights
+from contact_reach_ros.planning.terms import Problem, term_weights
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.world.spheres import Spheres
 
 PERMITTED_FORCE = 10.0
-SMALL = PlanningSettings(deadline=0.0, population=32, elite=8, line_search_points=16)
+SMALL = PlanningSettings(deadline=0.0, population=32, line_search_points=16)
 """Enough candidates for tests that are not about their number.
 
 As many as in all other tests, which then share the compiled programs: to compile them takes longer than the tests.
@@ -57,12 +56,11 @@ def make_problem(
         goal_rotation=jnp.eye(3)[:, :, None],
         weights={**term_weights(settings), "orientation": 0.0, **weights},
         permitted_force=PERMITTED_FORCE,
-        joint_limit_margin=settings.joint_limit_margin,
     )
 
 
-def make_objective(measure: str = "largest") -> Objective:
-    return objectives.make_objective(ARM, dataclasses.replace(SMALL, contact_measure=measure), ImpedanceSettings())
+def make_objective() -> Objective:
+    return cost.make_objective(ARM, SMALL, ImpedanceSettings())
 
 
 def make_planner(**changes: object) -> RecedingHorizonPlanner:

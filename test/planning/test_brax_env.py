@@ -9,20 +9,13 @@ import pytest
 from arm_simulation import ARM
 from brax import envs
 from brax.envs.wrappers import training
-from six_axis import SIX_AXIS
 
-from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
-from contact_reach_ros.planning.brax_pipeline import ClosedLoop, bodies_and_fields, read_spheres
-from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.prediction import hold_at
-from contact_reach_ros.planning.problem import Problem
-from contact_reach_ros.planning.transfer.brax_generalized import network, sphere_body
+from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.planning.transfer.closed_loop import Reference
-from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -43,7 +36,7 @@ def problem_of(env: ContactReach) -> Problem:
     """The planner's problem with the start of an episode."""
     hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
     before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
-    return env._problem._replace(obstacles=env._kernel.obstacles, before=before)
+    return env._problem._replace(obstacles=env._loop.obstacles, before=before)
 
 
 def test_episode_is_the_rollout_of_the_planner(env):
@@ -51,7 +44,7 @@ def test_episode_is_the_rollout_of_the_planner(env):
     actions[:, 1] = -1.0
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
     states = [state := step(state, action) for action in actions]
-    objective, problem = dataclasses.replace(env._kernel.objective, horizon=KNOTS), problem_of(env)
+    objective, problem = dataclasses.replace(env._loop.objective, horizon=KNOTS), problem_of(env)
     scaled = (actions * np.asarray(env._bounds))[..., None]
 
     def run(actions: jax.Array) -> tuple:
@@ -108,33 +101,10 @@ def test_environment_is_known_to_brax():
     assert made.backend == NAME
 
 
-def test_action_has_what_a_plan_of_the_arm_has():
-    """Six joints that follow a pose leave none to the null space."""
-    made = ContactReach(load_scene("free", arm=SIX_AXIS))
-    assert made.action_size == 6
-    state = jax.eval_shape(made.step, made.reset(jax.random.key(0)), jnp.zeros(made.action_size))
-    assert state.obs.shape == (2 * SIX_AXIS.n + 6 + len(SIX_AXIS.contact_links),)
-
-
-def test_spheres_that_are_joined_keep_their_network(env):
-    scene = load_scene("wall", arm=ARM)
-    obstacles, _ = ObstacleReader(ARM, 4).read(scene.start, obstacle_spheres(scene, rest_positions(scene)))
-    bodies, fields = bodies_and_fields(obstacles)
-    found = read_spheres(load_system(build_mjcf(ARM, obstacles=bodies, fields=fields)))
-    np.testing.assert_allclose(found.rest, obstacles.rest, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(found.radius, obstacles.radius)
-    for ours, theirs in zip(network(found), network(obstacles), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-4 * np.abs(theirs).max())
-
-
-def test_system_that_the_kernel_cannot_handle_is_refused(env):
-    pipeline = ClosedLoop(env._kernel.objective)
-    loose = load_system(build_mjcf(ARM, obstacles=[sphere_body(0)]))
-    with pytest.raises(SettingsError, match="a spring and a damper for each sphere"):
-        pipeline.init(loose, jnp.zeros(10), jnp.zeros(10))
-
+def test_another_system_is_refused(env):
     def varied(mass: jax.Array) -> jax.Array:
-        return pipeline.init(env.sys.tree_replace({"link.inertia.mass": mass}), jnp.zeros(10), jnp.zeros(10)).q
+        other = env.sys.tree_replace({"link.inertia.mass": mass})
+        return env._loop.init(other, jnp.zeros(10), jnp.zeros(10)).q
 
-    with pytest.raises(SettingsError, match="expected constants"):
+    with pytest.raises(SettingsError, match="domains cannot be randomised"):
         jax.jit(varied)(env.sys.link.inertia.mass)

@@ -26,36 +26,6 @@ def start() -> Distribution:
     return fresh(jnp.zeros(N), jnp.linspace(0.5, 2.0, N))
 
 
-def test_samples_have_the_covariance(start):
-    steps = sample(start, jax.random.PRNGKey(0), 20000)
-    np.testing.assert_allclose(np.cov(steps), start.covariance, rtol=0, atol=0.1)
-
-
-def test_step_size_grows_when_steps_agree_and_shrinks_when_they_cancel(start):
-    spread = np.asarray(jnp.sqrt(jnp.diag(start.covariance)))
-    together = np.tile(spread[:, None], (1, PARENTS))
-    grown = start
-    for _ in range(5):
-        grown = one_update(grown, together)
-    assert grown.sigma > start.sigma
-    shrunk = start
-    for _ in range(5):
-        shrunk = one_update(shrunk, np.zeros((N, PARENTS)))
-    assert shrunk.sigma < start.sigma
-
-
-def test_covariance_learns_the_direction_of_success(start):
-    parents = np.zeros((N, PARENTS))
-    parents[0] = np.tile([-2.0, 2.0], PARENTS // 2)
-    learned = start
-    for _ in range(30):
-        learned = one_update(learned, parents)
-    covariance = np.asarray(learned.covariance)
-    assert covariance[0, 0] > start.covariance[0, 0]
-    assert covariance[1, 1] < start.covariance[1, 1]
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-
-
 def test_invalid_parents_leave_no_trace(start):
     random = np.random.default_rng(0)
     parents = random.normal(size=(N, PARENTS))
@@ -66,26 +36,7 @@ def test_invalid_parents_leave_no_trace(start):
         np.testing.assert_array_equal(a, b)
 
 
-def test_update_without_any_valid_parent_keeps_mean_and_a_finite_distribution(start):
-    after = one_update(start, np.ones((N, PARENTS)), np.zeros(PARENTS))
-    np.testing.assert_array_equal(after.mean, start.mean)
-    assert all(np.isfinite(part).all() for part in after)
-    assert np.linalg.eigvalsh(np.asarray(after.covariance)).min() > 0.0
-
-
-def test_rates_add_up_to_less_than_everything():
-    for n, parents in ((2, 2), (39, 50), (39, 1000)):
-        rates = Rates.of(n, parents)
-        assert 0.0 < rates.c_1 + rates.c_mu <= 1.0
-        assert 0.0 < rates.c_sigma < 1.0
-        assert 0.0 < rates.c_c < 1.0
-
-
 GENERATIONS = 80
-
-
-def sphere(x: np.ndarray) -> np.ndarray:
-    return (x**2).sum(axis=0)
 
 
 def ellipsoid(x: np.ndarray) -> np.ndarray:
@@ -96,10 +47,6 @@ def turned_cigar(x: np.ndarray) -> np.ndarray:
     """Narrow about a direction that is none of the axes."""
     along = x.sum(axis=0) / np.sqrt(len(x))
     return along**2 + 1e3 * ((x**2).sum(axis=0) - along**2)
-
-
-def steep_sum(x: np.ndarray) -> np.ndarray:
-    return (np.abs(x) ** np.linspace(2, 4, len(x))[:, None]).sum(axis=0)
 
 
 def reference(n: int, population: int, parents: int, rates: Rates) -> cma.CMAEvolutionStrategy:
@@ -125,8 +72,8 @@ def reference(n: int, population: int, parents: int, rates: Rates) -> cma.CMAEvo
     return strategy
 
 
-@pytest.mark.parametrize("function", [sphere, ellipsoid, turned_cigar, steep_sum])
-@pytest.mark.parametrize(("n", "population", "parents"), [(2, 12, 3), (10, 40, 10), (39, 200, 50)])
+@pytest.mark.parametrize("function", [ellipsoid, turned_cigar])
+@pytest.mark.parametrize(("n", "population", "parents"), [(2, 12, 3), (39, 200, 50)])
 def test_every_generation_is_that_of_the_cma_package(function, n, population, parents):
     """Both get the same candidates, ours; then mean, step size, covariance and paths agree to 1e-8."""
     rates = Rates.of(n, parents)

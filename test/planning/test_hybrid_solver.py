@@ -10,23 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver import SOLVERS, make_solver
-from contact_reach_ros.planning.solver.hybrid import gradient
+from contact_reach_ros.planning.settings import SAMPLINGS, SOLVERS, PlanningSettings
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver
 
 N = 6
 CENTER = np.zeros(N)
 MINIMUM = np.linspace(-0.8, 0.8, N)
-SETTINGS = PlanningSettings(
-    deadline=0.0,
-    population=40,
-    elite=10,
-    line_search_points=40,
-    stagnation_tolerance=1e-6,
-    stagnation_steps=30,
-    max_steps=300,
-)
+SETTINGS = PlanningSettings(deadline=0.0, population=40, line_search_points=40, max_steps=300)
 
 
 def quadratic(target: jax.Array, points: jax.Array) -> jax.Array:
@@ -46,7 +37,7 @@ def undefined(target: jax.Array, points: jax.Array) -> jax.Array:
 @functools.cache
 def solver(cost: CostFunction, settings: PlanningSettings) -> Solver:
     """Each compiles its programs once."""
-    return make_solver(cost, N, settings)
+    return HybridSolver(cost, N, settings)
 
 
 def solve(cost=quadratic, target=MINIMUM, start=CENTER, number=1, until=math.inf, **changes) -> Solution:
@@ -55,6 +46,7 @@ def solve(cost=quadratic, target=MINIMUM, start=CENTER, number=1, until=math.inf
     start_cost = float(cost(target, jnp.asarray(start)[:, None])[0])
     start_cost = start_cost if math.isfinite(start_cost) else math.inf
     searching = solver(cost, dataclasses.replace(SETTINGS, **changes))
+    searching.stagnation_steps = 30
     state = searching.init(np.asarray(start), np.full(N, 0.3))
     return searching.solve(target, state, start_cost, number, until)
 
@@ -66,14 +58,9 @@ def test_every_method_finds_the_minimum_of_a_convex_function(method):
     assert solution.cost == pytest.approx(-5.0, abs=0.01)
 
 
-def test_gradient_steps_save_solver_steps():
-    steps = {method: sum(cost > -4.9 for cost in solve(solver=method).costs) for method in SOLVERS}
-    assert steps["gradient"] < steps["hybrid"] < steps["cma"]
-
-
-@pytest.mark.parametrize("penalty", ["quadratic", "paper"])
-def test_solution_stays_within_the_bounds(penalty):
-    solution = solve(target=np.full(N, 3.0), boundary_penalty=penalty)
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_solution_stays_within_the_bounds(sampling):
+    solution = solve(target=np.full(N, 3.0), sampling=sampling)
     assert np.abs(solution.best).max() <= 1.0
     np.testing.assert_allclose(solution.best, 1.0, rtol=0, atol=1e-3)
 
@@ -88,17 +75,6 @@ def test_same_input_gives_the_same_solution_bit_for_bit():
         np.testing.assert_array_equal(a, b)
 
 
-def test_plan_number_and_seed_change_the_random_numbers():
-    reference = solve().costs[1]
-    assert reference != solve(number=2).costs[1]
-    assert reference != solve(seed=1).costs[1]
-
-
-def test_cost_never_rises():
-    costs = np.array(solve().costs)
-    assert (np.diff(costs) <= 0.0).all()
-
-
 def test_non_finite_candidates_are_counted_and_never_win():
     target = np.full(N, -0.3)
     target[0] = 0.5  # where the function would be smallest, it is not defined
@@ -110,23 +86,6 @@ def test_non_finite_candidates_are_counted_and_never_win():
     assert all(np.isfinite(part).all() for part in solution.state)
 
 
-def test_objective_that_is_nowhere_finite_ends_at_the_start():
-    solution = solve(cost=undefined)
-    np.testing.assert_array_equal(solution.best, 0.0)
-    assert solution.cost == math.inf
-    assert solution.stop_reason == "stagnated"
-    assert all(np.isfinite(part).all() for part in solution.state)
-
-
-def test_stagnation_and_step_limit_end_the_search():
-    solution = solve()
-    assert solution.stop_reason == "stagnated"
-    last_steps = -np.diff(solution.costs)[-SETTINGS.stagnation_steps :]
-    assert (last_steps < SETTINGS.stagnation_tolerance).all()
-    solution = solve(max_steps=2)
-    assert (solution.stop_reason, solution.steps) == ("max_steps", 2)
-
-
 def test_deadline_that_has_passed_leaves_one_step():
     solution = solve(until=time.perf_counter() - 1.0)
     assert (solution.stop_reason, solution.steps) == ("deadline", 1)
@@ -134,14 +93,6 @@ def test_deadline_that_has_passed_leaves_one_step():
     assert solution.cost == float(quadratic(jnp.asarray(MINIMUM), jnp.asarray(solution.best)[:, None])[0])
 
 
-def test_solution_is_never_worse_than_its_start():
-    solution = solve(solver="cma", max_steps=3, start=MINIMUM)
-    np.testing.assert_array_equal(solution.best, MINIMUM.astype(np.float32))
-    assert solution.cost == pytest.approx(-5.0)
-
-
-def test_forward_gradient_is_the_gradient():
-    point = np.linspace(0.3, -0.2, N)
-    expected = 2 * np.logspace(0, 1, N) * (point - MINIMUM)
-    slope = jax.jit(lambda target, point: gradient(quadratic, target, point))(MINIMUM, point)
-    np.testing.assert_allclose(slope, expected, rtol=1e-4)
+def test_the_limit_of_steps_ends_the_search():
+    solution = solve(max_steps=2)
+    assert (solution.stop_reason, solution.steps) == ("max_steps", 2)

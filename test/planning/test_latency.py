@@ -18,12 +18,6 @@ def test_it_is_the_slowest_of_the_last_plans_but_never_less_than_wanted() -> Non
     assert latency() == 50 * MS
 
 
-def test_one_plan_that_takes_very_long_does_not_delay_the_next_ones_as_much() -> None:
-    latency = LatencyEstimate(40 * MS)
-    latency.add(5_000 * MS)
-    assert latency() == 250 * MS
-
-
 def test_in_lockstep_it_is_always_the_same() -> None:
     latency = LatencyEstimate(40 * MS, fixed=True)
     latency.add(90 * MS)

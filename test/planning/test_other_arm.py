@@ -8,24 +8,17 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, IDEAL_SENSORS, NO_FRICTION
 from planning_helpers import PERMITTED_FORCE, SMALL
-from six_axis import SIX_AXIS, of_six, on_iiwa
+from six_axis import SIX_AXIS, of_six
 
-from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.planning import objectives
+from contact_reach_ros.planning import cost
 from contact_reach_ros.planning.obstacles import ObstacleReader, clearances
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.prediction import hold_at
-from contact_reach_ros.planning.problem import Problem
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.terms import term_weights
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
-from contact_reach_ros.planning.transfer.kinematics import link_frames as lane_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep
-from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation, Plant
@@ -57,34 +50,6 @@ def ball_in_the_upper_arm(depth: float) -> Obstacle:
     return ball
 
 
-def test_it_is_the_iiwa_less_a_joint():
-    assert SIX_AXIS.n == 6 and SIX_AXIS.contact_links == ("link_2", "link_3", "link_4", "link_5")
-    assert len(SIX_AXIS.capsules) == len(SIX_AXIS.contact_links) + 1
-    for q in np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (5, SIX_AXIS.n)):
-        ours, theirs = link_frames(SIX_AXIS, q), link_frames(ARM, on_iiwa(q))
-        np.testing.assert_allclose(ours[1][-1], theirs[1][-1], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(ours[0][-1], theirs[0][-1], rtol=0, atol=1e-12)
-
-
-def test_transfer_model_has_its_frames_and_dynamics():
-    model, arm = RobotModel(SIX_AXIS), arm_model(SIX_AXIS)
-    assert arm_model(SIX_AXIS) is arm is not arm_model(ARM)
-    q = np.random.default_rng(1).uniform(SIX_AXIS.lower, SIX_AXIS.upper)
-
-    @jax.jit
-    def compute(q: jax.Array):
-        keep = make_keep(q)
-        frames = lane_frames(arm, q, keep)
-        return frames.flange, arm_dynamics(arm, frames, keep)
-
-    flange, dynamics = compute(q[:, None])
-    model.update(q, REST)
-    np.testing.assert_allclose(flange[:, 0], model.position, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(dynamics.jacobian[..., 0], model.jacobian, rtol=0, atol=1e-5)
-    upper = np.triu_indices(SIX_AXIS.n)
-    np.testing.assert_allclose(dynamics.mass_matrix[..., 0][upper], model.mass_matrix[upper], rtol=0, atol=1e-4)
-
-
 def test_forces_of_the_capsules_on_a_link_add_up_as_in_the_simulation():
     scene = Scene("test", SIX_AXIS, 0, HOME, np.zeros(3), (ball_in_the_upper_arm(0.01),))
     plant = Plant(scene, IDEAL_SENSORS, NO_FRICTION)
@@ -92,7 +57,7 @@ def test_forces_of_the_capsules_on_a_link_add_up_as_in_the_simulation():
         plant.step()
     spheres = obstacle_spheres(scene, rest_positions(scene))
     obstacles, _ = ObstacleReader(SIX_AXIS, 1).read(HOME, spheres)
-    system = objectives.make_objective(SIX_AXIS, SMALL, ImpedanceSettings()).system
+    system = cost.make_objective(SIX_AXIS, SMALL, ImpedanceSettings()).system
     hold = hold_at(SIX_AXIS, HOME)
     reference = pipeline.Reference(*(jnp.asarray(part)[..., None] for part in hold))
     state = pipeline.init(system, jnp.asarray(HOME)[:, None], jnp.asarray(REST)[:, None], obstacles)
@@ -101,33 +66,6 @@ def test_forces_of_the_capsules_on_a_link_add_up_as_in_the_simulation():
     force = plant.normal_forces()
     assert np.flatnonzero(force).tolist() == np.flatnonzero(state.link_force[:, 0]).tolist() == [0]
     assert float(state.link_force[0, 0]) == pytest.approx(force[0], rel=0.15)
-
-
-def test_cost_of_joint_limits_knows_both_sides():
-    objective = objectives.make_objective(SIX_AXIS, SMALL, ImpedanceSettings())
-    margin, joint = SMALL.joint_limit_margin, 5
-    postures = np.tile(HOME[:, None], (1, 4))
-    postures[joint] = [
-        SIX_AXIS.lower[joint] + margin + 0.02,
-        SIX_AXIS.lower[joint] + margin - 0.1,
-        SIX_AXIS.upper[joint] - margin - 0.02,
-        SIX_AXIS.upper[joint] - margin + 0.1,
-    ]
-    problem = Problem(
-        postures,
-        np.zeros_like(postures),
-        None,
-        np.zeros((3, 1)),
-        np.eye(3)[:, :, None],
-        term_weights(SMALL),
-        PERMITTED_FORCE,
-        margin,
-    )
-    actions = np.zeros((SMALL.horizon, 6 + SIX_AXIS.n, 4))
-    cost = jax.jit(lambda actions: objective.terms(problem, actions, objective.roll_out(problem, actions)))(actions)
-    inside, outside = cost["joint_limit"][::2], cost["joint_limit"][1::2]
-    np.testing.assert_array_equal(inside, 0.0)
-    np.testing.assert_allclose(outside, SMALL.horizon * SMALL.joint_limit_weight * 0.01, rtol=0.05)
 
 
 def test_planner_leads_it_to_its_goal_and_away_from_a_ball(planner):
@@ -147,14 +85,6 @@ def test_planner_leads_it_to_its_goal_and_away_from_a_ball(planner):
     touching = planner.plan(Request(HOME, REST, 0, 10_000_000, goal, spheres))
     assert touching.predicted_contact_forces[0, 0] > 0.0
     np.testing.assert_array_equal(touching.predicted_contact_forces[:, 1:], 0.0)
-
-
-def test_planner_refuses_the_states_and_postures_of_another_arm(planner):
-    with pytest.raises(InputError, match="expected 6 finite numbers"):
-        planner.plan(Request(np.array(ARM.home), np.zeros(ARM.n), 0, 0, Target(np.zeros(3)), Spheres.none()))
-    settings = dataclasses.replace(SMALL, null_space="reference_posture", reference_posture=ARM.home)
-    with pytest.raises(SettingsError, match="reference_posture"):
-        objectives.make_objective(SIX_AXIS, settings, ImpedanceSettings())
 
 
 @pytest.mark.parametrize("name", ["free", "ball", "wall"])
@@ -180,8 +110,3 @@ def test_scenes_are_made_and_simulated(name):
     assert plant.actuation is Actuation.COMMANDED and not drive.stop_reason
     np.testing.assert_allclose(plant.read().position, scene.start, rtol=0, atol=1e-3)
     assert plant.contact_forces().shape == (len(SIX_AXIS.contact_links),)
-
-
-def test_scene_asks_for_an_inertia_set_of_this_arm():
-    with pytest.raises(SettingsError, match="inertia set 'alternative' is unknown; expected one of only, nominal"):
-        make_scene(read_scene("ball_mismatch"), SIX_AXIS, 0)

@@ -8,11 +8,9 @@ from arm_simulation import HOME
 from planning_helpers import make_planner
 from test_receding_horizon import FLANGE, MS, ball_at, plan_from
 
-from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.patience import LEAST_SPEED, Approach
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.speed_limit import steady_speed
+from contact_reach_ros.planning.terms import Approach
 from contact_reach_ros.world.goal import Target
 
 SPEED = 0.02
@@ -45,21 +43,6 @@ def test_the_share_comes_back_as_the_arm_catches_up_and_never_exceeds_one():
     assert share_after(ahead) == 1.0
     # It is not ahead by what it has gained before.
     assert share_after(np.append(ahead, np.full(19, ahead[-1]))) == pytest.approx(share_after(behind), rel=1e-4)
-
-
-def test_at_the_goal_nothing_holds_the_arm_up():
-    before = Approach(0.02, 0.4)
-    assert before.updated(0.003, 10.0, 0.5, SPEED).share == pytest.approx(0.4)
-
-
-@pytest.mark.parametrize(("patience", "least_speed"), [(0.0, SPEED), (0.5, 0.0), (0.5, math.inf)])
-def test_without_patience_or_without_a_speed_to_expect_nothing_changes(patience, least_speed):
-    assert share_after(np.full(100, 0.3), patience=patience, least_speed=least_speed) == 1.0
-
-
-def test_whatever_happened_in_between_the_share_stays_a_number():
-    assert 0.0 < Approach(0.3, 1.0).updated(9e9, 1e9, 0.01, 1e-6).share < 0.1
-    assert Approach(0.3, 0.02).updated(0.1, 1e-9, 0.01, 1e-6).share == 1.0
 
 
 def test_a_planner_gives_in_for_one_goal_only():
@@ -105,7 +88,3 @@ def test_the_weight_is_what_falls():
     full = PlanningSettings().contact_weight
     assert max(found) <= full * 1.001
     assert found[-1] < 0.1 * full
-
-
-def test_the_expected_speed_is_well_below_what_the_bound_permits():
-    assert LEAST_SPEED * steady_speed(PlanningSettings(), ImpedanceSettings()) == pytest.approx(0.0264)

@@ -14,8 +14,8 @@ from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.planner import Planner, ReplanningSettings
-from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.unexpected_contact import RETREAT, ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.rigid import Block
@@ -90,9 +90,6 @@ class TestRequests:
     def test_one_is_made_at_once_and_then_whenever_the_period_is_over(self, planner):
         assert list(requests(planner, 1, 100)) == [30, 60, 90]
 
-    def test_after_a_pause_the_period_counts_from_the_next_state(self, planner):
-        assert list(requests(planner, 75, 140)) == [75, 105, 135]
-
     def test_it_is_all_that_a_plan_depends_on(self, planner):
         spheres = Spheres(TIP[None] + 1.0, TIP[None] + 1.0, np.array([0.1]), np.array([100.0]), np.array([30.0]))
         planner.see(spheres)
@@ -102,13 +99,6 @@ class TestRequests:
         assert (request.state_ns, request.effect_ns) == (30 * TICK_NS, 70 * TICK_NS)
         np.testing.assert_array_equal(request.goal.position, GOAL.position)
         assert request.spheres is spheres
-
-    def test_the_latency_may_be_one_that_is_measured(self):
-        measured = iter([5, 7])
-        planner = make(latency=lambda: next(measured) * TICK_NS)
-        planner.command(GOAL)
-        made = requests(planner, 0, 59)
-        assert {tick: request.effect_ns // TICK_NS - tick for tick, request in made.items()} == {0: 5, 30: 7}
 
     @pytest.mark.parametrize("field", ["q", "v"])
     @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -130,12 +120,6 @@ class TestGoals:
         request = planner.request(state(0, turned))
         np.testing.assert_allclose(request.goal.rotation, RobotModel(ARM).tip_pose(turned)[1], atol=1e-12)
         assert request.goal is planner.goal
-
-    def test_the_last_of_several_that_wait_counts(self):
-        planner = make()
-        planner.command(GOAL)
-        planner.command(OTHER_GOAL)
-        np.testing.assert_array_equal(planner.request(state(0)).goal.position, OTHER_GOAL.position)
 
     def test_another_one_replaces_it_from_the_next_request_on(self, planner):
         planner.command(OTHER_GOAL)
@@ -161,23 +145,8 @@ class TestGoals:
             planner.request(state(0))
         assert requests(planner, 1, 60) == {}
 
-    def test_or_given_to_whoever_wants_to_know(self):
-        refused = []
-        planner = make(refuse=lambda what, error: refused.append((what, str(error))))
-        planner.command(BEYOND)
-        assert requests(planner, 0, 60) == {}
-        ((what, why),) = refused
-        assert what == "goals" and why.startswith("goal: position is ")
-
 
 class TestWithdrawal:
-    def test_it_forgets_goal_and_plans(self, planner, core):
-        planner.solve(planner.request(state(30)))
-        planner.withdraw()
-        assert planner.goal is None and planner.plan is None
-        assert core.resets == 1
-        assert requests(planner, 31, 200) == {}
-
     def test_a_stop_withdraws_the_goal_and_only_another_one_leads_to_plans(self, planner, core):
         planner.hear(report())
         assert planner.goal is not None
@@ -187,12 +156,6 @@ class TestWithdrawal:
         assert requests(planner, 1, 100) == {}
         planner.command(OTHER_GOAL)
         assert list(requests(planner, 101, 140)) == [101, 131]
-
-    def test_a_goal_that_waits_is_withdrawn_too(self):
-        planner = make()
-        planner.command(GOAL)
-        planner.hear(report("pushed"))
-        assert requests(planner, 0, 100) == {}
 
 
 class TestPause:
@@ -223,20 +186,6 @@ class TestContacts:
         np.testing.assert_allclose(request.goal.position, TIP, atol=1e-12)
         assert list(requests(planner, 54, 100)) == [83]
 
-    def test_a_report_that_tells_of_one_does_the_same(self, planner):
-        for tick in (10, 21):
-            planner.request(state(tick))
-            planner.hear(report(contact=touch()))
-        assert planner.due_ns == 21 * TICK_NS
-        assert planner.reaction.reason
-
-    def test_without_a_goal_or_a_state_it_changes_nothing(self):
-        planner = make()
-        assert not planner.touched(touch())
-        planner.request(state(0))
-        assert not planner.touched(touch())
-        assert not planner.reaction.reason
-
     def test_another_goal_ends_the_retreat(self, planner):
         for tick in (10, 21):
             planner.request(state(tick))
@@ -258,13 +207,6 @@ class TestObstacles:
         with pytest.raises(InputError, match=r"^obstacles: none received yet; .* set require_obstacles to false"):
             planner.command(GOAL)
         assert planner.goal is None and requests(planner, 1, 100) == {}
-
-    def test_a_message_without_any_declares_the_scene_empty(self):
-        planner = self.requiring()
-        planner.request(state(0))
-        planner.see(Spheres.none())
-        planner.command(GOAL)
-        assert list(requests(planner, 1, 60)) == [1, 31]
 
     def test_a_goal_that_waited_is_taken_and_planned_for_once_they_are_known(self):
         refused = []
@@ -290,46 +232,6 @@ class TestObstacles:
         assert planner.goal is before
         planner.see(Spheres.none(), 321 * TICK_NS)
         assert list(requests(planner, 322, 400)) == [330, 360, 390]
-
-    def test_their_age_counts_from_when_they_were_seen_not_from_when_that_was_known(self):
-        planner = self.requiring()
-        planner.request(state(1000))
-        planner.see(Spheres.none(), 790 * TICK_NS)
-        with pytest.raises(InputError, match=r"last seen 0.210 s ago"):
-            planner.command(GOAL)
-
-    @pytest.mark.parametrize("ahead", [None, 10_000])
-    def test_nothing_is_seen_in_the_future(self, ahead):
-        planner = self.requiring()
-        planner.see(Spheres.none(), ahead and ahead * TICK_NS)
-        planner.request(state(1000))
-        planner.command(GOAL)
-        assert list(requests(planner, 1001, 1200)) == [1001, 1031, 1061, 1091, 1121, 1151, 1181]
-        with pytest.raises(InputError, match=r"last seen 0.211 s ago"):
-            requests(planner, 1201, 1300)
-
-    def test_a_clock_that_was_set_back_keeps_nothing_fresh(self):
-        planner = self.requiring()
-        planner.request(state(1000))
-        planner.see(Spheres.none())
-        requests(planner, 500, 700)
-        planner.command(GOAL)
-        with pytest.raises(InputError, match=r"last seen 0.201 s ago"):
-            planner.request(state(701))
-
-    def test_a_scene_that_is_declared_empty_does_not_age_until_something_is_seen(self):
-        planner = make(settings=dataclasses.replace(SETTINGS, max_obstacle_age=0.2))
-        planner.command(GOAL)
-        assert len(requests(planner, 0, 1000)) == 34
-        planner.see(Spheres.none())
-        with pytest.raises(InputError, match="last seen"):
-            requests(planner, 1001, 1300)
-
-    def test_without_a_limit_they_never_age(self):
-        planner = make(settings=dataclasses.replace(SETTINGS, require_obstacles=True, max_obstacle_age=0.0))
-        planner.see(Spheres.none(), 0)
-        planner.command(GOAL)
-        assert list(requests(planner, 10**6, 10**6 + 30)) == [10**6, 10**6 + 30]
 
 
 class TestPlans:
@@ -362,22 +264,3 @@ class TestRigidBodies:
         with pytest.raises(InputError, match=r"there lbr_link_7 lies 45\.0 mm deep in the table"):
             planner.command(GOAL)
         assert planner.goal is before
-
-    def test_one_that_waits_for_a_state_is_refused_then(self):
-        refused = []
-        planner = make(refuse=lambda what, error: refused.append((what, str(error))))
-        planner.see(Spheres.none((self.TABLE,)))
-        planner.command(GOAL)
-        assert planner.request(state(0)) is None
-        assert [what for what, _ in refused] == ["goals"] and "deep in the table" in refused[0][1]
-
-    def test_requests_have_them_also_after_an_unexpected_contact(self):
-        planner = make()
-        planner.see(Spheres.none((self.TABLE,)))
-        planner.request(state(0))
-        planner.command(OTHER_GOAL)
-        for tick in range(1, 60):
-            planner.hear(report(contact=touch()))
-            planner.request(state(tick))
-        (request, *_) = requests(planner, 60, 120).values()
-        assert planner.reaction.reason and request.spheres.environment == (self.TABLE,)

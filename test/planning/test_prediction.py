@@ -69,15 +69,6 @@ def test_reference_moves_between_knots_as_the_controller_moves_it(milliseconds, 
         np.testing.assert_allclose(found, part, rtol=0, atol=1e-9)
 
 
-def test_arm_is_held_where_no_plan_is_in_force():
-    pieces = pieces_between([], HOLD, 0, 50 * MS, 0.025)
-    assert [piece.held for piece in pieces] == [HOLD, HOLD]
-
-
-def test_no_time_needs_no_real_piece():
-    assert sum(piece.duration for piece in pieces_between([], HOLD, 7, 7, 0.025)) == 0.0
-
-
 def test_predicted_arm_moves_to_the_reference():
     predictor = Predictor(make_objective().system)
     q, v, _ = predictor.predict(HOME, REST, None, pieces_between([], HOLD, 0, 0, 0.025))

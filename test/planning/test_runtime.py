@@ -38,29 +38,6 @@ def test_one_worker_thread_computes_and_children_do_not_inherit_that(tmp_path):
     assert inherited == "None"
 
 
-def test_what_the_user_has_set_stays(tmp_path):
-    _, _, inherited, flags = start(tmp_path, NPROC="2", XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")
-    assert inherited == "2"
-    assert "--xla_cpu_multi_thread_eigen=true" in flags and "multi_thread_eigen=false" not in flags
-    _, _, _, flags = start(tmp_path, XLA_FLAGS="--xla_dump_max_hlo_modules=1")
-    assert flags.startswith("--xla_dump_max_hlo_modules=1 ")
-
-
-def test_a_loop_becomes_one_function_unless_the_user_wants_another_size(tmp_path):
-    whole, *_ = start(tmp_path)
-    assert whole == "True"
-    option = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
-    whole, *_ = start(tmp_path, XLA_FLAGS=option)
-    assert whole == "False"
-
-
-def test_flags_that_a_running_backend_does_not_have_are_not_claimed(tmp_path):
-    """Programs are kept by their flags: with false ones, later processes would load code that rounds otherwise."""
-    script = SCRIPT.replace("import os\n", "import os, jax\njax.devices()\n", 1)
-    whole, _, _, flags = start(tmp_path, script)
-    assert whole == "False" and flags == "None"
-
-
 def test_compiled_programs_are_kept_and_found_by_the_next_process(tmp_path):
     events = SCRIPT.replace(
         "configure_jax(",

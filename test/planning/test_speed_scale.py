@@ -8,8 +8,7 @@ from plans import make_plan
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.planning.node_settings import ReplanningSettings
-from contact_reach_ros.planning.planning_core import Request
+from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.stack import make_planner as make_whole_planner
@@ -52,20 +51,6 @@ def test_the_speed_changes_on_the_way():
     assert slow == pytest.approx(0.2 * full, rel=0.3)
     assert run_on(stack, 200) == pytest.approx(full, rel=0.3)
     assert stack.planner.plan.speed_scale == 1.0
-
-
-def test_a_stack_slows_down_and_still_arrives():
-    scene = make_scene(read_scene("free"), ARM, 0)
-    speeds = {}
-    for scale in (1.0, 0.5):
-        stack = Stack(scene, planning=SMALL, replanning=ReplanningSettings(speed_scale=scale, require_obstacles=False))
-        positions = []
-        result = stack.run(
-            Goal(scene.target), watch=lambda tick, stack=stack, found=positions: found.append(stack.tip_position)
-        )
-        assert result.reached
-        speeds[scale] = np.linalg.norm(positions[600] - positions[300])
-    assert speeds[0.5] == pytest.approx(0.5 * speeds[1.0], rel=0.15)
 
 
 def test_a_core_that_cannot_slow_down_makes_no_plan(planner):

@@ -7,7 +7,8 @@ from arm_simulation import ARM, HOME, TICK_NS
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.planning.unexpected_contact import ContactReaction, UnexpectedContactSettings
+from contact_reach_ros.planning.settings import UnexpectedContactSettings
+from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -21,8 +22,8 @@ def touch(force: float = 10.0) -> Contact:
     return Contact("lbr_link_7", flange - 0.02 * rotation[:, 2], force * rotation[:, 0], 0.0)
 
 
-def reaction(kind: str, **settings: float) -> ContactReaction:
-    made = ContactReaction(ARM, UnexpectedContactSettings(reaction=kind, **settings))
+def reaction(kind: str) -> ContactReaction:
+    made = ContactReaction(ARM, UnexpectedContactSettings(reaction=kind))
     for step in range(100):
         made.moved(np.array([0.4 + 0.001 * step, 0.0, 0.4]))
     return made
@@ -51,7 +52,7 @@ def test_by_default_the_flange_goes_back_the_way_it_came_and_stays_there():
 
 
 def test_what_is_known_weak_or_short_is_no_reason():
-    it = reaction("retreat", patience=0.02)
+    it = reaction("retreat")
     for tick in range(0, 100, 10):
         assert not it.report(touch(), HOME, ball(0.005), tick * TICK_NS)
         assert not it.report(touch(4.0), HOME, Spheres.none(), tick * TICK_NS)

@@ -1,11 +1,10 @@
 """What a plan keeps of the one before."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from contact_reach_ros.planning.solver.cma_es import Distribution, fresh, shift_distribution
-from contact_reach_ros.planning.warm_start import shift_matrix, shift_solution
+from contact_reach_ros.planning.solver.solver import shift_solution
 
 H, SIZE = 3, 2
 SPREAD = np.tile([0.3, 0.6], H)
@@ -33,41 +32,12 @@ def test_shift_reads_the_sequence_later(elapsed):
     np.testing.assert_allclose(shifted[:, 1], 10.0 * shifted[:, 0])
 
 
-def test_shift_keeps_the_bounds():
-    for elapsed in np.linspace(0.0, 3.0, 13):
-        weights = shift_matrix(H, elapsed)
-        assert weights.min() >= 0.0
-        np.testing.assert_allclose(weights.sum(axis=1), 1.0)
-
-
-def test_no_time_keeps_the_distribution():
-    old = distribution()
-    new = shift_distribution(old, old.mean, SPREAD, H, 0.0)
-    np.testing.assert_allclose(new.covariance, old.covariance, rtol=1e-5)
-    np.testing.assert_allclose(new.sigma_path, old.sigma_path, rtol=1e-5)
-    assert new.sigma == old.sigma
-
-
 def test_whole_knots_move_blocks_and_start_the_last_one_afresh():
     old = distribution()
     new = shift_distribution(old, old.mean, SPREAD, H, 1.0)
     np.testing.assert_allclose(new.covariance[:4, :4], old.covariance[2:, 2:], rtol=1e-5)
     np.testing.assert_allclose(new.covariance[4:, 4:], np.diag(SPREAD[:SIZE] ** 2), rtol=1e-5)
     np.testing.assert_allclose(new.covariance_path, np.r_[old.covariance_path[2:], 0.0, 0.0], rtol=1e-5)
-
-
-@pytest.mark.parametrize("elapsed", [0.3, 1.0, 1.7, 2.99])
-def test_shifted_covariance_is_a_covariance(elapsed):
-    covariance = np.asarray(shift_distribution(distribution(), np.zeros(H * SIZE), SPREAD, H, elapsed).covariance)
-    np.testing.assert_allclose(covariance, covariance.T)
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-
-
-@pytest.mark.parametrize("elapsed", [0.3, 1.0, 2.5])
-def test_fresh_distribution_stays_fresh(elapsed):
-    start = fresh(jnp.zeros(H * SIZE), jnp.asarray(SPREAD))
-    variances = np.diag(shift_distribution(start, np.zeros(H * SIZE), SPREAD, H, elapsed).covariance)
-    np.testing.assert_allclose(variances, SPREAD**2, rtol=1e-5)
 
 
 def test_collapsed_and_exploded_step_sizes_are_brought_back():

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contact_reach_command import contact_reach
 
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.topics import RecordedTopic
@@ -15,7 +14,7 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import BATCH, COLUMNS, IntakeLog, Taken
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import _ControllerLoop, _ObserverLoop, reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.loops import _ControllerLoop, reexecute_controller, reexecute_observer
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.resources import share_directory
 
@@ -86,16 +85,6 @@ def test_other_settings_have_other_results(sample: RecordedInputs, tmp_path: Pat
     assert found.first_difference is None and found.compared == 0
 
 
-def test_stops_from_outside_have_the_recorded_reasons(sample: RecordedInputs) -> None:
-    loop = _ObserverLoop(sample, ChangedSettings())
-    loop.recorded_reasons = ["stop service called", "2 publishers on /joint_states", "stop service called"]
-    for reason in loop.recorded_reasons:
-        assert loop.next_stop() == reason
-        loop.note_reason(reason)
-    # The same one again, with nothing in between, is recorded once.
-    assert loop.next_stop() == "stop service called"
-
-
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
     def without(topic: str) -> Callable[[int, RawMessage], RawMessage | None]:
         return lambda _, raw: None if raw.topic == topic else raw
@@ -123,11 +112,6 @@ def test_a_stop_may_be_the_last_thing_that_a_bag_has(
     loop.recorded_reasons = recorded
     found = loop.run()
     assert found.compared > 3000 and (found.first_difference is not None) == differs
-
-
-def test_the_command_needs_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert contact_reach("reexecute", tmp_path) == 2
-    assert "is no bag" in capsys.readouterr().err
 
 
 def rows(batches: list[bytes]) -> Iterator[list[int]]:
@@ -168,13 +152,3 @@ def test_a_full_batch_waits_for_a_good_moment_but_nothing_is_lost() -> None:
         sent += values[1 :: len(COLUMNS)]
     assert firsts[0] == 0 and len(firsts) == 3
     assert sent == list(range(3 * BATCH))
-
-
-def test_rows_after_a_gap_are_left_out(tmp_path: Path) -> None:
-    def change(number: int, raw: RawMessage) -> RawMessage | None:
-        return None if raw.topic == "/intake/controller" and number == 3 else raw
-
-    found = reexecute_controller(changed(tmp_path / "bag", change))
-    assert 100 < found.compared < 3 * BATCH
-    assert found.first_difference is None
-    assert any("come after a gap" in note for note in found.notes)

@@ -34,30 +34,11 @@ def test_every_section_that_a_node_declares_is_known() -> None:
 
 
 @pytest.mark.parametrize(("node", "prefix"), SECTIONS_OF_NODES)
-def test_values_are_those_recorded(node: str, prefix: str) -> None:
-    kind = SECTIONS[node][prefix]
-    for entry in kind.declared():
-        if entry.kind is float and entry.length is None and not entry.per_joint:
-            value = entry.maximum if entry.maximum is not None else 2.0 * float(entry.default or 1.0)
-            found = recorded_sections(node, {full(prefix, entry.name): value}, "bag")
-            assert getattr(found[prefix], entry.name) == value
-            return
-    assert recorded_sections(node, {}, "bag")[prefix] == kind()
-
-
-@pytest.mark.parametrize(("node", "prefix"), SECTIONS_OF_NODES)
 def test_an_unknown_setting_is_named(sample: RecordedInputs, node: str, prefix: str) -> None:
     sample.settings[node][full(prefix, "no_such_thing")] = 1.0
     with pytest.raises(
         BagError, match=f"settings of the {node}: unknown key '{full(prefix, 'no_such_thing')}'.*version"
     ):
-        RUNS[node](sample)
-
-
-@pytest.mark.parametrize("node", SECTIONS)
-def test_a_setting_of_an_unknown_section_is_named(sample: RecordedInputs, node: str) -> None:
-    sample.settings[node]["no_such_section.gain"] = 1.0
-    with pytest.raises(BagError, match=f"settings of the {node}: unknown key 'no_such_section.gain'"):
         RUNS[node](sample)
 
 
@@ -90,9 +71,6 @@ class TestChanges:
         assert (made[""].period, made[""].max_spheres, made["planning"].horizon) == (0.05, 3, 2)
         assert made["impedance"] == recorded["impedance"]
 
-    def test_the_package_default_file_changes_nothing_unknown(self) -> None:
-        assert ChangedSettings(share_directory() / "config" / "default.yaml")
-
     @pytest.mark.parametrize(
         ("node", "content", "name"),
         [
@@ -106,18 +84,9 @@ class TestChanges:
         with pytest.raises(SettingsError, match=f"{node}: unknown key '{name}'"):
             self.write(tmp_path / "changes.yaml", **{node: content})
 
-    def test_an_unknown_node_is_named(self, tmp_path: Path) -> None:
-        with pytest.raises(SettingsError, match="unknown node 'plannner'; did you mean 'planner'"):
-            self.write(tmp_path / "changes.yaml", plannner={"period": 0.1}, controller={})
-
     def test_the_planner_plans_for_the_settings_that_the_controller_has(self, tmp_path: Path) -> None:
         content = {"impedance": {"task_damping": 90.0}, "supervision": {"max_position_error": 0.2}}
         changes = self.write(tmp_path / "changes.yaml", controller=content)
         for node in ("controller", "planner"):
             made = changes.apply(node, recorded_sections(node, {}, "bag"))
             assert (made["impedance"].task_damping, made["supervision"].max_position_error) == (90.0, 0.2)
-
-    def test_a_value_that_is_not_accepted_is_named(self, tmp_path: Path) -> None:
-        changes = self.write(tmp_path / "changes.yaml", planner={"max_spheres": -1})
-        with pytest.raises(SettingsError, match="max_spheres = -1"):
-            changes.apply("planner", recorded_sections("planner", {}, "bag"))

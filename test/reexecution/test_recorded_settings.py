@@ -8,7 +8,7 @@ from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.table import table_of
-from contact_reach_ros.arms import arm_settings, load_arm
+from contact_reach_ros.arms import arm_settings
 from contact_reach_ros.bags.recorded_arm import recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.values import read_settings
@@ -27,14 +27,6 @@ class TestArm:
     def test_an_arm_that_was_changed_since_is_refused(self):
         with pytest.raises(BagError, match=f"had digest 0123, this version's has {ARM.digest}"):
             recorded_arm({"controller": {"robot": ARM.name, "robot digest": "0123"}})
-
-    def test_one_that_this_version_does_not_have_is_named(self):
-        with pytest.raises(BagError, match="settings of the observer: robot: arm 'iiwa15' is unknown"):
-            recorded_arm({"controller": {}, "observer": {"robot": "iiwa15"}})
-
-    def test_a_recorder_of_another_arm_says_nothing(self):
-        settings = {"recorder": arm_settings(ARM), "planner": arm_settings(load_arm("ur10"))}
-        assert recorded_arm(settings) is load_arm("ur10")
 
     def test_an_arm_that_the_package_lacks_is_in_the_settings_themselves(self):
         settings = json.loads(json.dumps(arm_settings(SIX_AXIS)))

@@ -7,8 +7,8 @@ from arm_simulation import ARM, HOME
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.errors import ContactReachError, InputError
-from contact_reach_ros.planning.node_settings import ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.settings import ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.scenes.generate import load_scene, make_scene
 from contact_reach_ros.stack import Stack

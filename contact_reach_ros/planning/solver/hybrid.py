@@ -12,14 +12,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.settings import PAPER, SOLVERS, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
-from contact_reach_ros.planning.solver.solver import CostFunction, ProblemT, Solution
+from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, ProblemT, Solution
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.warm_start import FloatArray
 
 Draw = tuple[int | jax.Array, ...]
 """Numbers that select the random numbers: seed, plan number, step and so on."""
+
+STAGNATION_TOLERANCE, STAGNATION_STEPS = 1e-4, 3
+"""Decrease of the cost below which a step counts as stagnant, 0.1 mm of the way to the goal, and how many in a row end
+the search."""
+
+_BOUNDARY_WEIGHT = 0.3
+"""Penalty of candidates at a distance of γ outside, relative to the spread of the elite's costs: few remain there."""
 
 GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
@@ -82,18 +88,24 @@ class HybridSolver(Generic[ProblemT]):
     n
         Number of variables.
     settings
-        Settings of the planner.
-    gradient_steps
-        Gradient steps per step of the algorithm; 0 leaves plain CMA-ES.
+        Settings of the planner, with the number of gradient steps in one step of the algorithm.
+
+    Attributes
+    ----------
+    max_steps
+        Greatest number of steps of a search.
+    stagnation_steps
+        Stagnant steps in a row that end it.
     """
 
-    def __init__(self, cost: CostFunction[Any], n: int, settings: PlanningSettings, gradient_steps: int = 1) -> None:
+    def __init__(self, cost: CostFunction[Any], n: int, settings: PlanningSettings) -> None:
         self._cost = cost
         self._settings = settings
         self._seed = settings.seed
         self.max_steps = settings.max_steps
+        self.stagnation_steps = STAGNATION_STEPS
         self._rates = Rates.of(n, settings.elite)
-        self._gradient_steps = gradient_steps
+        self._gradient_steps = SOLVERS[settings.solver]
         self._step = jax.jit(self._advance)
 
     def reseed(self, seed: int) -> None:
@@ -114,7 +126,6 @@ class HybridSolver(Generic[ProblemT]):
         self, problem: ProblemT, state: Distribution, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
         """Run Algorithm 1, as `Solver.solve`."""
-        settings = self._settings
         search = _search_from(state, start_cost)
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
@@ -128,8 +139,8 @@ class HybridSolver(Generic[ProblemT]):
             costs.append(float(search.best_cost))
             longest_step, now = max(longest_step, time.perf_counter() - now), time.perf_counter()
             # From one infinite cost to another the decrease is NaN, which counts as stagnant too.
-            stagnant = 0 if costs[-2] - costs[-1] >= settings.stagnation_tolerance else stagnant + 1
-            if stagnant == settings.stagnation_steps:
+            stagnant = 0 if costs[-2] - costs[-1] >= STAGNATION_TOLERANCE else stagnant + 1
+            if stagnant == self.stagnation_steps:
                 reason = "stagnated"
                 break
         return Solution(
@@ -156,7 +167,7 @@ class HybridSolver(Generic[ProblemT]):
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
         sample = self._draw_sample(search.distribution, draw)
-        with_outside = self._settings.boundary_penalty == "paper"
+        with_outside = self._settings.sampling == PAPER
         outside = self._cost(problem, sample.points) if with_outside else None
 
         def select(costs: jax.Array) -> Elite:
@@ -226,7 +237,7 @@ class HybridSolver(Generic[ProblemT]):
             best, _ = jax.lax.top_k(-ranked_costs(costs)[0], self._settings.elite)
             spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
             distance = ((sample.points - sample.repaired) ** 2).sum(axis=0)
-            penalty = self._settings.boundary_weight * spread * distance
+            penalty = _BOUNDARY_WEIGHT * spread * distance
         else:
             penalty = jnp.where((sample.points != sample.repaired).any(axis=0), jnp.abs(outside), 0.0)
         ranked, rejected = ranked_costs(costs + penalty)
@@ -258,16 +269,6 @@ class HybridSolver(Generic[ProblemT]):
             best_cost=jnp.where(better, cost, search.best_cost),
             rejected=search.rejected + elite.rejected + rejected,
         )
-
-
-def plain_cma(cost: CostFunction, n: int, settings: PlanningSettings) -> HybridSolver:
-    """Algorithm 1 without its gradient step."""
-    return HybridSolver(cost, n, settings, gradient_steps=0)
-
-
-def many_gradient_steps(cost: CostFunction, n: int, settings: PlanningSettings) -> HybridSolver:
-    """Algorithm 1 with as many gradient steps as the settings say."""
-    return HybridSolver(cost, n, settings, settings.gradient_steps)
 
 
 @jax.jit

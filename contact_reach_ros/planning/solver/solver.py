@@ -13,8 +13,7 @@ from typing import Any, Protocol, TypeVar
 
 import jax
 import numpy as np
-
-from contact_reach_ros.planning.warm_start import FloatArray
+from numpy.typing import NDArray
 
 ProblemT = TypeVar("ProblemT")
 AnyProblem = TypeVar("AnyProblem", contravariant=True)
@@ -82,3 +81,23 @@ class Solver(Protocol[AnyProblem]):
 
     def warm_up(self, problem: AnyProblem, state: State) -> float:
         """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
+
+
+FloatArray = NDArray[np.floating]
+
+
+def shift_matrix(horizon: int, elapsed: float) -> FloatArray:
+    """Weights (H, H) that read a sequence of H knots `elapsed` knots later; the last knot continues beyond the end."""
+    instants = np.minimum(np.arange(horizon) + elapsed, horizon - 1)
+    before = np.floor(instants).astype(int)
+    share = instants - before
+    weights = np.zeros((horizon, horizon))
+    rows = np.arange(horizon)
+    weights[rows, before] += 1.0 - share
+    weights[rows, np.minimum(before + 1, horizon - 1)] += share
+    return weights
+
+
+def shift_solution(solution: FloatArray, horizon: int, elapsed: float) -> FloatArray:
+    """The solution (n,) read `elapsed` knots later."""
+    return (shift_matrix(horizon, elapsed) @ solution.reshape(horizon, -1)).reshape(-1)

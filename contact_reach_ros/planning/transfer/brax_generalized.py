@@ -36,13 +36,18 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf, numbers
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, on_the_way
-from contact_reach_ros.planning.problem import Problem, Rollout
+from contact_reach_ros.planning.terms import Problem, Rollout
 from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
-from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments, flange_drift, link_frames
+from contact_reach_ros.planning.transfer.dynamics import (
+    Frames,
+    arm_dynamics,
+    capsule_segments,
+    flange_drift,
+    link_frames,
+)
 from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep
-from contact_reach_ros.planning.transfer.model import ArmModel, load_system, read_arm
+from contact_reach_ros.planning.transfer.model import ArmModel, arm_model, load_system
 from contact_reach_ros.planning.transfer.pipeline import Pose
 
 SPHERE = 2
@@ -124,7 +129,7 @@ class _World(NamedTuple):
     @classmethod
     def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
         count = 0 if obstacles is None else obstacles.radius.shape[0]
-        system, arm = _load(count, objective.table)
+        system = _load(count, objective.table)
         timestep = objective.system.timestep / _TORQUES
         system = system.tree_replace({"opt.timestep": timestep})
         stiffness, mass = jnp.zeros((0, 0)), jnp.zeros(0)
@@ -132,7 +137,7 @@ class _World(NamedTuple):
             stiffness, damping = network(obstacles)
             mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
             system = _with_spheres(system, obstacles, mass, objective.system.contact_stiffness)
-        return cls(system, arm, objective.system.gains, obstacles, stiffness, mass)
+        return cls(system, arm_model(objective.table), objective.system.gains, obstacles, stiffness, mass)
 
     def init(self, q: jax.Array, v: jax.Array) -> State:
         """The start at joint angles and speeds (n, B)."""
@@ -213,32 +218,25 @@ def _gaps(arm: ArmModel, frames: Frames, obstacles: Obstacles) -> jax.Array:
 
 
 @functools.cache
-def _load(count: int, arm: Arm) -> tuple[brax.System, ArmModel]:
-    """A system with `count` spheres, and the arm that the laws use."""
+def _load(count: int, arm: Arm) -> brax.System:
+    """A system with `count` spheres."""
     bodies = [sphere_body(index) for index in range(count)]
     contacts = {"max_contact_points": [_CONTACTS * count]} if count else {}
     system = load_system(build_mjcf(arm, obstacles=bodies, fields=contacts))
     with jax.ensure_compile_time_eval():
-        model = read_arm(system)
         every = np.arange(system.qd_size())
         unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
         ones, zeros = np.ones(len(every)), np.zeros(len(every))
         actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
         system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
-        return system.replace(dof=system.dof.replace(limit=None)), model
+        return system.replace(dof=system.dof.replace(limit=None))
 
 
-def sphere_body(
-    index: int,
-    rest: Iterable[float] = (0.0, 0.0, 0.0),
-    radius: float = 0.1,
-    stiffness: float = 0.0,
-    damping: float = 0.0,
-) -> Element:
-    """A sphere at `rest` (3,), m, with spring, N/m, and damper, N s/m."""
+def sphere_body(index: int, rest: Iterable[float] = (0.0, 0.0, 0.0), radius: float = 0.1) -> Element:
+    """A sphere on sliders along x, y and z, at `rest` (3,) and with this radius, m."""
     body = Element("body", name=f"sphere_{index}", pos=numbers(rest))
     for axis in ("1 0 0", "0 1 0", "0 0 1"):
-        SubElement(body, "joint", type="slide", axis=axis, stiffness=repr(stiffness), damping=repr(damping))
+        SubElement(body, "joint", type="slide", axis=axis)
     SubElement(
         body,
         "geom",

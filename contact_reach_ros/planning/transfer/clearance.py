@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments
+from contact_reach_ros.planning.transfer.dynamics import Frames, capsule_segments
 from contact_reach_ros.planning.transfer.lanes import Keep, dot, single, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 from contact_reach_ros.world.rigid import Block, Plane

@@ -23,8 +23,7 @@ import numpy as np
 
 from contact_reach_ros.control.settings import AXIS, POSE, ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact
-from contact_reach_ros.planning.transfer.dynamics import Dynamics
-from contact_reach_ros.planning.transfer.kinematics import Frames
+from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames
 from contact_reach_ros.planning.transfer.lanes import cross, dot, ratio, root
 
 N_TASK = 6

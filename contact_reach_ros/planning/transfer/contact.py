@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from contact_reach_ros.planning.transfer.kinematics import Frames, capsule_segments
+from contact_reach_ros.planning.transfer.dynamics import Frames, capsule_segments
 from contact_reach_ros.planning.transfer.lanes import Keep, collect, cross, dot, suffix_sum, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 

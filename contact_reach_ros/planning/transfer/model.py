@@ -22,15 +22,11 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import SELF_PAIRS, TIP_SITE, VELOCITY_LIMITS, build_mjcf
-from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.resources import KeptFile
 
 if TYPE_CHECKING:
     import brax
-
-_CAPSULE = 3
-"""MuJoCo's number of this type of geometry."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,41 +114,32 @@ def arm_model(arm: Arm) -> ArmModel:
 
 
 def read_arm(system: brax.System) -> ArmModel:
-    """The constants of the arm in a system; its other links are obstacle spheres, which slide.
-
-    Raises
-    ------
-    SettingsError
-        If the links are no serial arm of hinges about their z axes, or a geometry is none that the kernel knows.
-    """
-    links = np.flatnonzero([kind == "1" for kind in system.link_types])
-    dofs = np.array([system.dof_ranges()[link][0] for link in links], int)
-    _check_joints(system, links, dofs)
+    """The constants of the arm in a system that was loaded from the MJCF of an `Arm`."""
     model = system.mj_model
     link, inertia = system.link, system.link.inertia
-    joint_rotation = [_tidy(rotation_from_quaternion(quaternion)) for quaternion in _double(link.transform.rot)[links]]
-    to_link = [rotation_from_quaternion(quaternion) for quaternion in _double(inertia.transform.rot)[links]]
-    moments = _double(inertia.i)[links]
+    joint_rotation = [_tidy(rotation_from_quaternion(quaternion)) for quaternion in _double(link.transform.rot)]
+    to_link = [rotation_from_quaternion(quaternion) for quaternion in _double(inertia.transform.rot)]
+    moments = _double(inertia.i)
     tensors = [rotation @ tensor @ rotation.T for rotation, tensor in zip(to_link, moments, strict=True)]
-    geoms, bodies = _capsules(system, links)
+    # The base's capsule comes first.
+    geoms = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    bodies = model.geom_bodyid[geoms]
     place = {body: number for number, body in enumerate(dict.fromkeys(bodies[1:].tolist()))}
     start, axis = _segments(system, geoms)
-    pairs = custom_field(system, SELF_PAIRS)
-    pairs = np.zeros(0) if pairs is None else pairs
     return ArmModel(
-        joint_offset=_double(link.transform.pos)[links],
+        joint_offset=_double(link.transform.pos),
         joint_rotation=np.array(joint_rotation),
         flange_offset=_exact(model.site(TIP_SITE).pos),
         flange_rotation=_tidy(rotation_from_quaternion(model.site(TIP_SITE).quat)),
-        mass=_double(inertia.mass)[links],
-        center_of_mass=_double(inertia.transform.pos)[links],
+        mass=_double(inertia.mass),
+        center_of_mass=_double(inertia.transform.pos),
         inertia=np.array([_tidy(tensor) for tensor in tensors]),
-        armature=_double(system.dof.armature)[dofs],
-        lower=_double(system.dof.limit[0])[dofs],
-        upper=_double(system.dof.limit[1])[dofs],
-        velocity_limit=np.array(model.numeric(VELOCITY_LIMITS).data),
+        armature=_double(system.dof.armature),
+        lower=_double(system.dof.limit[0]),
+        upper=_double(system.dof.limit[1]),
+        velocity_limit=_custom_field(system, VELOCITY_LIMITS),
         contact_links=tuple(model.body(body).name for body in place),
-        capsule_link=np.searchsorted(links + 1, bodies[1:]),
+        capsule_link=bodies[1:] - 1,
         capsule_place=np.array([place[body] for body in bodies[1:].tolist()]),
         capsule_start=start[1:],
         capsule_axis=axis[1:],
@@ -160,49 +147,10 @@ def read_arm(system: brax.System) -> ArmModel:
         base_start=start[0],
         base_axis=axis[0],
         base_radius=float(model.geom_size[geoms[0], 0]),
-        self_pairs=tuple((int(first), int(second)) for first, second in pairs.reshape(-1, 2)),
+        self_pairs=tuple(
+            (int(first), int(second)) for first, second in _custom_field(system, SELF_PAIRS).reshape(-1, 2)
+        ),
     )
-
-
-def _check_joints(system: brax.System, links: NDArray[np.intp], dofs: NDArray[np.intp]) -> None:
-    """Refuse what the kernel would compute wrongly."""
-    names = np.array(system.link_names)
-    if set(system.link_types) - {"1", "3"} or not len(links):
-        raise SettingsError(
-            f"links {system.link_names} of types '{system.link_types}': expected hinges ('1'), and spheres on three "
-            "sliders ('3')"
-        )
-    parents = np.array(system.link_parents)[links]
-    if not np.array_equal(parents, [-1, *links[:-1]]):
-        raise SettingsError(f"links {names[links].tolist()} with parents {parents.tolist()}: expected one chain")
-    axes = np.concatenate([_double(system.dof.motion.ang)[dofs], _double(system.link.joint.pos)[links]], axis=1)
-    if not np.allclose(axes, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], atol=1e-6):
-        raise SettingsError("expected joints that turn about the z axes of their links; give the links such frames")
-    limits = (np.inf,) if system.dof.limit is None else [_double(limit)[dofs] for limit in system.dof.limit]
-    if not np.isfinite(limits).all():
-        raise SettingsError("expected position limits of all joints; add range to each joint of the MJCF")
-    if np.any(_double(system.dof.stiffness)[dofs]) or np.any(_double(system.dof.damping)[dofs]):
-        raise SettingsError("expected joints without springs and dampers, which the control law would not know")
-    if custom_field(system, VELOCITY_LIMITS, len(links)) is None:
-        raise SettingsError(f"expected the custom field {VELOCITY_LIMITS}, one for each of {len(links)} joints, rad/s")
-    sites = [system.mj_model.site(index).name for index in range(system.mj_model.nsite)]
-    if TIP_SITE not in sites or system.mj_model.site(TIP_SITE).bodyid != links[-1] + 1:
-        raise SettingsError(f"sites {sites}: expected '{TIP_SITE}', the tip, on the last link")
-
-
-def _capsules(system: brax.System, links: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Geometries of base and links, the base's first, and the bodies that they are on."""
-    model = system.mj_model
-    on_arm = np.isin(model.geom_bodyid, links + 1) | (model.geom_bodyid == 0)
-    geoms = np.flatnonzero(on_arm & ((model.geom_contype != 0) | (model.geom_conaffinity != 0)))
-    other = [model.geom(geom).name for geom in geoms if model.geom_type[geom] != _CAPSULE]
-    bodies = model.geom_bodyid[geoms]
-    if other or np.count_nonzero(bodies == 0) != 1 or len(geoms) < 2:
-        names = [model.geom(geom).name for geom in geoms]
-        raise SettingsError(
-            f"geometries {names}, no capsules: {other}; expected one capsule of the base, others on links"
-        )
-    return geoms, bodies
 
 
 def _segments(system: brax.System, geoms: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -215,22 +163,11 @@ def _segments(system: brax.System, geoms: NDArray[np.intp]) -> tuple[Array, Arra
     return start, end - start
 
 
-def custom_field(system: brax.System, name: str, size: int | None = None) -> Array | None:
-    """Values of a custom field of the MJCF; None if there is no such field.
-
-    Raises
-    ------
-    SettingsError
-        If it has not as many values as expected.
-    """
+def _custom_field(system: brax.System, name: str) -> Array:
+    """Values of a custom field of the MJCF; none if there is no such field."""
     model = system.mj_model
-    for index in range(model.nnumeric):
-        field = model.numeric(index)
-        if field.name == name:
-            if size not in (None, len(field.data)):
-                raise SettingsError(f"custom field {name} has {len(field.data)} values; expected {size}")
-            return np.array(field.data)
-    return None
+    fields = {model.numeric(index).name: np.array(model.numeric(index).data) for index in range(model.nnumeric)}
+    return fields.get(name, np.zeros(0))
 
 
 def _double(values: object) -> Array:

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
 from contact_reach_ros.planning.transfer.closed_loop import N_TASK, Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles, contact_step
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics
-from contact_reach_ros.planning.transfer.kinematics import flange_drift, link_frames
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import dot, make_keep, rotate
 from contact_reach_ros.planning.transfer.model import ArmModel
 
