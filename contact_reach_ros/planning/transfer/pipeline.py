@@ -1,7 +1,7 @@
 """The closed loop of arm, law (3) and soft contact: `init` makes a state of a system, `step` advances it.
 
 The action of a step is the reference of the control law, and one call advances all candidates. Brax's generalized
-pipeline takes 40 to 160 times as long for the same motion on a CPU. `planning.brax_pipeline` offers this one on Brax's
+pipeline takes 40 to 160 times as long for the same motion on a CPU. `planning.brax_env` offers this one on Brax's
 own types.
 """
 
