@@ -125,12 +125,13 @@ def processes(options: BringupOptions) -> list[Process]:
     if options.bag:
         recording = {"bag": options.bag, "use_sim_time": options.lockstep, **_origin(options), **arm}
         table.append(Process(RECORDER, recording, wave=Wave.EARLY))
-    if options.bag and options.lockstep:
-        others = parameters_in(options.parameter_file, "driver").get("waits_for")
-        simulation["waits_for"] = f"{others},{RECORDER}" if others else RECORDER
+    adapted = options.adapter != "none"
+    if options.lockstep:
+        own = parameters_in(options.parameter_file, "driver").get("waits_for", "")
+        others = [own, RECORDER if options.bag else "", ADAPTER if adapted else ""]
+        simulation["waits_for"] = ",".join(filter(None, others))
     if options.driver:
         table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
-    adapted = options.adapter != "none"
     if adapted:
         # The simulated driver has no controllers of ros2_control that could be asked.
         table.append(Process(ADAPTER, {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}))
@@ -144,7 +145,9 @@ def processes(options: BringupOptions) -> list[Process]:
     table.append(Process("controller", {**time, **watch, **behind}))
     # Of what stands around a real robot the simulated scene knows nothing.
     obstacles = _obstacles(scene, options.parameter_file) if options.driver else {}
-    table.append(Process("planner", {**time, **obstacles, **gains}, wave=Wave.EARLY))
+    # With a deadline on the wall's clock plans would depend on how busy the machine is.
+    unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
+    table.append(Process("planner", {**time, **obstacles, **gains, **unhurried}, wave=Wave.EARLY))
     if options.view:
         table.insert(0, Process(VIEWER, time, wave=Wave.EARLY, essential=False))
     for entry in changed:

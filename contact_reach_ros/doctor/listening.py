@@ -23,7 +23,6 @@ from contact_reach_ros.doctor.stack import Endpoint, Graph
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_observer
 from contact_reach_ros.messages.values import nanoseconds, read_settings
-from contact_reach_ros.ros.discovery import wait_until_settled
 from contact_reach_ros.ros.graph import full_name, node_of
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import ADAPTER, DOCTOR, MANAGED
@@ -38,6 +37,8 @@ _HEARD = (*_LATCHED, topics.JOINT_STATES)
 _ANYTHING = topics.Qos(2000, reliable=False)
 """Matches every publisher."""
 
+_SETTLED_S = 3.5
+"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
 _LOOK_S = 0.1
 _ANSWER_S = 3.0
 _MATCHING_S = 1.0
@@ -64,10 +65,9 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
     with bare_node(DOCTOR, discovery) as node:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        wait_until_settled(
-            lambda: (_nodes(node), [node.count_publishers(topic.name) for topic in topics.ALL]),
-            lambda: executor.spin_once(timeout_sec=_LOOK_S),
-        )
+        settled = time.monotonic() + _SETTLED_S
+        while time.monotonic() < settled:
+            executor.spin_once(timeout_sec=_LOOK_S)
         names, states, order = _nodes(node), {}, None
         for name in (name for name in MANAGED if f"/{name}" in names):
             answer = _call(node, executor, GetState, f"/{name}/get_state", GetState.Request())

@@ -67,15 +67,13 @@ class EffortTarget:
         Of the commands.
     order
         Names of the joints in the order of the commands; empty while it is not known.
-    problem
-        Why nothing can be passed on; empty when it can.
     """
 
     def __init__(self, node: Node, arm: Arm, settings: EffortSettings, carries: bool) -> None:
         """`carries`: whether the adapter's torques carry the arm."""
         self.topic = topics.COMMANDS._replace(name=f"{settings.controller}/commands")
         self.order: tuple[str, ...] = ()
-        self.problem = ""
+        self._order_problem = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
         self._writer = CommandWriter(arm.n)
@@ -84,7 +82,7 @@ class EffortTarget:
         if settings.ask_joints:
             parameters = node.create_client(GetParameters, f"{settings.controller}/get_parameters")
             self._question = RepeatedRequest(parameters, self._on_order)
-            self.problem = f"the parameter joints of {settings.controller} is not known yet"
+            self._order_problem = f"the parameter joints of {settings.controller} is not known yet"
         else:
             self._take_order(arm.joint_names)
         if carries and not settings.brakes:
@@ -97,9 +95,14 @@ class EffortTarget:
         else:
             self._switch = node.create_client(SwitchController, f"{settings.manager}/switch_controller")
 
+    @property
+    def problem(self) -> str:
+        """Why nothing can be passed on; empty when it can."""
+        return self._order_problem
+
     def look(self) -> None:
         """Ask for the order of joints, unless it is known; to be called a few times a second."""
-        if self._question is not None and self.problem:
+        if self._question is not None and self._order_problem:
             self._question.send(GetParameters.Request(names=["joints"]))
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
@@ -129,13 +132,13 @@ class EffortTarget:
     def _take_order(self, joints: tuple[str, ...]) -> None:
         names = self._arm.joint_names
         if sorted(joints) != sorted(names):
-            self.problem = (
+            self._order_problem = (
                 f"{self._settings.controller} takes commands for the joints {', '.join(joints) or 'none'}; expected "
                 f"{', '.join(names)} in any order: set its parameter joints"
             )
             return
         self._indices = [names.index(name) for name in joints]
-        self.order, self.problem = joints, ""
+        self.order, self._order_problem = joints, ""
 
     def _switch_controller(self, act: str) -> None:
         if self._switch is None:

@@ -8,12 +8,9 @@ from typing import Any
 from rclpy.node import Node
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.adapter_settings import FrankaSettings
 from contact_reach_ros.drives.effort import EffortTarget, RepeatedRequest
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.lockstep import CONTROLLER
 
 try:
     from franka_msgs.srv import SetFullCollisionBehavior
@@ -23,11 +20,11 @@ except ImportError:
 TORQUE_RATE = 1000.0
 """Nm/s that libfranka lets through of each joint's torque."""
 
-_OBSERVER = "observer"
+_CONTROLLER, _OBSERVER = "controller", "observer"
 _RATE, _THRESHOLDS = "limits.torque_rate", "budget.torque_thresholds"
 
 
-class FrankaTarget:
+class FrankaTarget(EffortTarget):
     """An effort controller whose commands are without gravity, above the reflexes of the arm.
 
     Nothing is passed on before the reflexes are set, nor while controller or observer have settings that the arm's own
@@ -46,9 +43,8 @@ class FrankaTarget:
             raise SettingsError(
                 f"kind = franka: {arm.name} has {arm.n} joints; expected {len(settings.reflex_torques)}"
             )
-        self._joints = arm.joint_names
-        self._settings = settings
-        self._effort = EffortTarget(node, arm, settings, carries=False)
+        super().__init__(node, arm, settings, carries=False)
+        self._reflexes = settings
         self._unset = ""
         """Why the reflexes are not set; empty when they are."""
         self._setter: RepeatedRequest | None = None
@@ -64,34 +60,24 @@ class FrankaTarget:
         self._unset = f"the reflexes are not set yet: {settings.reflexes} does not answer"
 
     @property
-    def topic(self) -> Topic:
-        """Of the commands."""
-        return self._effort.topic
-
-    @property
-    def order(self) -> tuple[str, ...]:
-        """Names of the joints in the order of the commands; empty while it is not known."""
-        return self._effort.order
-
-    @property
     def problem(self) -> str:
         """Why nothing can be passed on; empty when it can."""
-        return self._unset or self._effort.problem
+        return self._unset or super().problem
 
     def look(self) -> None:
         """Ask for the order of joints, and set the reflexes, unless that is done; to be called a few times a second."""
-        self._effort.look()
+        super().look()
         if self._setter is not None and self._unset:
             self._setter.send(self._request())
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the arm's own limits; empty if they do."""
         rate = settings.get(_RATE, 0.0)
-        if node == CONTROLLER and rate > TORQUE_RATE:
+        if node == _CONTROLLER and rate > TORQUE_RATE:
             return f"{_RATE} = {rate:g} in the controller; expected at most {TORQUE_RATE:g} Nm/s, which the arm follows"
         if node == _OBSERVER and _THRESHOLDS in settings:
             own = settings[_THRESHOLDS]
-            for name, budget, reflex in zip(self._joints, own, self._settings.reflex_torques, strict=True):
+            for name, budget, reflex in zip(self._arm.joint_names, own, self._reflexes.reflex_torques, strict=True):
                 if budget > reflex:
                     return (
                         f"the reflex of {name} comes at {reflex:g} Nm, before the contact budget's stop at {budget:g} "
@@ -99,24 +85,12 @@ class FrankaTarget:
                     )
         return ""
 
-    def write(self, torque: Array) -> bytes:
-        """The message with these torques (n,), N m, in the arm's order; not while there is a `problem`."""
-        return self._effort.write(torque)
-
-    def stop(self) -> None:
-        """Deactivate the controller: the arm holds itself; without waiting for it."""
-        self._effort.stop()
-
-    def resume(self) -> None:
-        """Activate it again."""
-        self._effort.resume()
-
     def diagnosis(self) -> dict[str, Any]:
         """The reflexes in force."""
         return {"reflexes": self._unset or "set"}
 
     def _request(self) -> Any:
-        settings = self._settings
+        settings = self._reflexes
         wrench = [settings.reflex_force] * 3 + [settings.reflex_moment] * 3
         return SetFullCollisionBehavior.Request(
             **{

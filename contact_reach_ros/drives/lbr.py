@@ -18,7 +18,7 @@ from contact_reach_ros.control.adapter_settings import LbrSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialization import encode
-from contact_reach_ros.messages.topics import NEWEST, Topic
+from contact_reach_ros.messages.topics import NEWEST, Qos, Topic
 from contact_reach_ros.messages.values import JointOrder
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.timing import NANOSECONDS
@@ -67,8 +67,8 @@ class LbrTarget:
         Why nothing can be passed on; empty when it can.
     """
 
-    def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float, lockstep: bool) -> None:
-        """`period`: nominal time between joint states, s; `lockstep`: take the robot's time as it is.
+    def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float, is_synchronous: bool) -> None:
+        """`period`: time between joint states, s; `is_synchronous`: whether the robot's clock is the nodes', too.
 
         Raises `SettingsError` if lbr_fri_idl is not installed, or the arm has not seven joints.
         """
@@ -84,7 +84,7 @@ class LbrTarget:
         self._source = Topic(f"{settings.driver}/state", LBRState, NEWEST, "FRI states")
         self.problem = f"no state on {self._source.name} yet: start lbr_bringup, and LBRServer on the smartPAD"
         self._node, self._settings, self._arm = node, settings, arm
-        self._period, self._lockstep = period, lockstep
+        self._period, self._is_synchronous = period, is_synchronous
         self._sign = 1.0 if settings.torque_sign == "positive" else -1.0
         self._command = LBRTorqueCommand()
         self._q: Array | None = None
@@ -106,15 +106,18 @@ class LbrTarget:
             service = f"{settings.driver}/controller_manager/set_hardware_component_state"
             self._switch = node.create_client(SetHardwareComponentState, service)
 
-    def listen(self, inbox: Inbox, take: Callable[[JointState], None]) -> None:
-        """Read the driver's states, and the external torques of the observer, from an inbox; `take` gets the former."""
+    def listen(self, inbox: Inbox, take: Callable[[JointState], None], qos: Qos = NEWEST) -> None:
+        """Read the driver's states, and the external torques of the observer, from an inbox; `take` gets the former.
+
+        `qos`: what to request for states.
+        """
 
         def on_state(message: Any) -> None:
             state = self.read(message, self._node.get_clock().now().nanoseconds)
             if state is not None:
                 take(state)
 
-        inbox.add(self._source, on_state, topics.EVERY if self._lockstep else NEWEST)
+        inbox.add(self._source, on_state, qos)
         inbox.add(topics.EXTERNAL_TORQUE, self._on_external, NEWEST, hurried=False)
 
     def read(self, message: Any, now_ns: int) -> JointState | None:
@@ -129,7 +132,7 @@ class LbrTarget:
             raise InputError(f"{self._source.name}: measured_joint_position = {q.tolist()}; expected finite values")
         robot_ns = message.time_stamp_sec * NANOSECONDS + message.time_stamp_nano_sec
         elapsed = (robot_ns - self._robot_ns) / NANOSECONDS
-        if robot_ns == self._robot_ns and not self._lockstep:
+        if robot_ns == self._robot_ns and not self._is_synchronous:
             return None
         if self._q is not None and 0.0 < elapsed <= _MEAN_S:
             share = -math.expm1(-2.0 * math.pi * self._settings.velocity_cutoff * elapsed)
@@ -145,7 +148,7 @@ class LbrTarget:
 
         So the stamps have the robot's steps, not those with which messages arrive.
         """
-        if self._lockstep:
+        if self._is_synchronous:
             return 0
         if abs(now_ahead_ns - self._ahead_ns) > _CLOCK_SET_NS:
             self._ahead_ns = now_ahead_ns

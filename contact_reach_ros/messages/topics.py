@@ -62,10 +62,6 @@ class Topic(NamedTuple):
     called: str = ""
     """What its messages are called where they are refused; see `contents`."""
 
-    def kept(self, keep: bool) -> Topic:
-        """Return the topic, with publishers that give late subscribers the last seconds if `keep` is set."""
-        return self._replace(qos=KEPT_STREAM) if keep else self
-
     @property
     def contents(self) -> str:
         """What its messages are called where they are refused, such as 'joint states'."""

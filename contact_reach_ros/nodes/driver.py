@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rclpy.logging import LoggingSeverity
@@ -25,18 +25,17 @@ from contact_reach_ros.messages.conversions import set_time
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
-from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
 from contact_reach_ros.scenes.generate import make_scene, parse_target
+from contact_reach_ros.simulation.pace import Pace
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
 from contact_reach_ros.timing import NANOSECONDS, Histogram, write_counts
 from contact_reach_ros.world.scene_file import read_scene
 
-_MAX_CATCH_UP_NS = 20_000_000
 _CONTACTS_EVERY = 5
 _CLOCK_EVERY = 10
 _LOCKSTEP_START_NS = 1000 * NANOSECONDS
@@ -47,14 +46,6 @@ _REST_NS = 300_000
 """Part of a tick reserved for publishing after the joint state."""
 
 
-class _Reading(NamedTuple):
-    """What the robot's sensors show now; to look again would draw other noise."""
-
-    states: list[JointState]
-    shows_obstacles: bool
-    """Also where there are none: nobody else knows that."""
-
-
 class DriverNode(ManagedNode):
     """Serves the simulated robot behind the topics of a real one."""
 
@@ -62,6 +53,8 @@ class DriverNode(ManagedNode):
     SECTIONS = DRIVER_SECTIONS
     COMMANDS = topics.COMMANDS
     """Where torques come from."""
+    STATES = topics.JOINT_STATES
+    """Where `publish_state` publishes."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -69,8 +62,10 @@ class DriverNode(ManagedNode):
         self.lockstep = self.settings[""].lockstep
         self._period_ns = round(self.period * NANOSECONDS)
         waits_for = [name.strip() for name in self.settings[""].waits_for.split(",") if name.strip()]
-        self._lockstep = LockstepDriver(self.lockstep, self._period_ns, waits_for)
-        self.write_state = self.make_state_writer()
+        self._lockstep = LockstepDriver(self._period_ns, waits_for)
+        self._waits_for_command = self._was_commanded = False
+        """Whether no command has come since the last joint state, and whether any has ever come."""
+        self.write_state = self.make_writer(self.STATES)
         self._write_contacts = self.make_writer(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
@@ -79,33 +74,27 @@ class DriverNode(ManagedNode):
         self._clock_publisher = self.make_publisher(topics.CLOCK) if self.lockstep else None
         self.offer("~/reset", self._answer_reset)
         self.offer("~/stop", self._answer_stop)
-        self.inbox.add(self.COMMANDS, self._on_command, self._lockstep.qos, serialized=True)
-        if self._lockstep.active:
+        self.inbox.add(self.COMMANDS, self._on_command, self.stream_qos, serialized=True)
+        if self.lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.EVERY)
-        settings = self.settings
-        chosen: DriverSettings = settings[""]
+        chosen: DriverSettings = self.settings[""]
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
-        self.robot = SimulatedRobot(
-            self._scene,
-            settings["sensors"],
-            settings["joints"],
-            settings["watchdog"],
-            period=self.period,
-        )
-        self._next_ns = 0
+        own = self.settings
+        self.robot = SimulatedRobot(self._scene, own["sensors"], own["joints"], own["watchdog"], period=self.period)
+        self.pace = Pace(self._period_ns)
         self._published_ns = 0
-        self._rivalry = ""
-        self.every(LOOK_AROUND_S, self._look_around)
+        self.exclude([self.COMMANDS])
         self._round_trip = Histogram()
         self._wake_up_late = Histogram()
-        self._missed = 0
-        self._stood_ns = 0
-        """Time for which the simulated robot has stood still because this process did."""
         self._peak_contact = np.zeros(len(self.arm.contact_links))
+        names, base = self.arm.joint_names, self.arm.base_frame
+        self._state_writer = JointStateWriter(names, base, ["position", "velocity", "effort"])
+        self._writer_without_effort = JointStateWriter(names, base, ["position", "velocity"])
+        self._contact_writer = JointStateWriter([*self.arm.contact_links, "sum", "max"], base, ["effort"])
+        self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
     def configure(self) -> None:
-        """Prepare the messages and log the scene."""
-        self._prepare_messages()
+        """Log the scene."""
         scene = self._scene
         names = [obstacle.name for obstacle in scene.obstacles] + [f"the {body.name}" for body in scene.environment]
         obstacles = ", ".join(names) or "no obstacles"
@@ -116,24 +105,19 @@ class DriverNode(ManagedNode):
     def activate(self) -> None:
         """Start ticking."""
         self._description.publish(String(data=build_urdf(self.arm)))
-        robot = self.robot
         start_ns = _LOCKSTEP_START_NS if self.lockstep else time.time_ns()
-        robot.start_ns += start_ns - robot.now_ns
-        self._next_ns = time.monotonic_ns() + self._period_ns
+        self.robot.start_ns += start_ns - self.robot.now_ns
+        self.pace.start(time.monotonic_ns())
 
     def turn(self) -> None:
         """Run one tick."""
-        if self.lockstep:
-            self._lockstep_tick()
-        else:
-            self._realtime_tick()
+        self._lockstep_tick() if self.lockstep else self._realtime_tick()
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Tick rates, misses, round trip and watchdog."""
-        robot = self.robot
         values: dict[str, Any] = {
-            "ticks": robot.plant.steps,
-            "missed ticks": self._missed,
+            "ticks": self.robot.plant.steps,
+            "missed ticks": self.pace.missed,
             "commands rejected": self.robot.drive.rejected,
             "actuation": self.robot.plant.actuation.value,
             "stop reason": self.robot.drive.stop_reason,
@@ -141,71 +125,62 @@ class DriverNode(ManagedNode):
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
             values[f"{name} counts"] = write_counts(histogram.counts())
-        return self.robot.drive.stop_reason or self._rivalry, values
+        return self.robot.drive.stop_reason or self.rivals, values
 
     def _realtime_tick(self) -> None:
-        now_ns = time.monotonic_ns()
-        was_late = now_ns >= self._next_ns
+        now_ns, due_ns = time.monotonic_ns(), self.pace.next_ns
+        was_late = now_ns >= due_ns
         if not was_late:
-            time.sleep((self._next_ns - now_ns) / NANOSECONDS)
+            time.sleep((due_ns - now_ns) / NANOSECONDS)
             now_ns = time.monotonic_ns()
-        self._wake_up_late.add(now_ns - self._next_ns)
-        self._stand_still((now_ns - self._next_ns - _MAX_CATCH_UP_NS) // self._period_ns)
-        if was_late and self._lockstep.unanswered > 0:
+        self._wake_up_late.add(now_ns - due_ns)
+        self.robot.start_ns += self.pace.stand_still(now_ns)
+        if was_late and self._waits_for_command:
             # While this is late, the controller on the same CPU, with less priority, would never get to answer.
             self.inbox.wait(_ANSWER_NS)
             now_ns = time.monotonic_ns()
         else:
             self.inbox.poll()
-        missed = max((now_ns - self._next_ns) // self._period_ns, 0)
-        self._missed += missed
-        # The simulated robot moves on like a real one, whether this process was on time or not.
-        for _ in range(1 + missed):
-            self._tick(now_ns - self._stood_ns)
-        self._next_ns += (1 + missed) * self._period_ns
-        self._publish(self._read())
-
-    def _stand_still(self, ticks: int) -> None:
-        """After a long pause of this process: the robot has not moved and received nothing, but its stamps advance."""
-        if ticks > 0:
-            self._missed += ticks
-            self.robot.start_ns += ticks * self._period_ns
-            self._next_ns += ticks * self._period_ns
-            self._stood_ns += ticks * self._period_ns
+        for _ in range(self.pace.due(now_ns)):
+            self._tick(now_ns - self.pace.stood_ns)
+        self._publish(self.robot.read(), self.robot.shows_obstacles())
 
     def _lockstep_tick(self) -> None:
-        reading = self._read()
-        self._publish(reading)
-        # Nodes that start late also receive the first state.
-        repeat = partial(self._publish, reading) if self.robot.plant.steps == 0 else None
-        if self._lockstep.wait(self.inbox.wait, lambda: self._stop.is_set() or not self.running, repeat):
+        # To look again would draw other noise.
+        repeat = partial(self._publish, self.robot.read(), self.robot.shows_obstacles())
+        repeat()
+        wait = self._lockstep.wait
+        if self.robot.plant.steps == 0:
+            wait = partial(self._lockstep.begin, moves=lambda: self._was_commanded, repeat=repeat)
+        if wait(self.inbox.wait, lambda: self._stop.is_set() or not self.running):
+            # Commands that came before the last promise, but after they were looked for.
+            self.inbox.poll()
             self._tick(self.robot.now_ns)
 
     def _tick(self, clock_ns: int) -> None:
-        robot = self.robot
-        robot.step(clock_ns)
-        np.maximum(self._peak_contact, robot.plant.contact_forces(), out=self._peak_contact)
+        self.robot.step(clock_ns)
+        np.maximum(self._peak_contact, self.robot.plant.contact_forces(), out=self._peak_contact)
 
-    def _read(self) -> _Reading:
-        return _Reading(self.robot.read(), self.robot.shows_obstacles())
-
-    def _publish(self, reading: _Reading) -> None:
+    def _publish(self, states: list[JointState], shows_obstacles: bool) -> None:
+        """Publish states, and obstacles where the sensors show them, even if there are none: nobody else knows that."""
         robot = self.robot
         now_ns, steps = robot.now_ns, robot.plant.steps
         if not self.lockstep:
-            self._publish_states(reading.states)
+            self._publish_states(states)
         if (robot.plant.actuation.value, robot.stop_reason) != self._published_safety:
             self._publish_safety()
         contacts = steps % _CONTACTS_EVERY == 0
-        if contacts or reading.shows_obstacles:
+        if contacts or shows_obstacles:
             self._yield_to_controller()
         if contacts:
-            self._publish_contacts(now_ns)
-        if reading.shows_obstacles:
+            forces = self._peak_contact.tolist()
+            self._write_contacts(self._contact_writer.write(now_ns, [*forces, sum(forces), max(forces)]))
+            self._peak_contact[:] = 0.0
+        if shows_obstacles:
             self._obstacles.publish(self._obstacle_writer.write(robot.plant.obstacle_positions(), now_ns))
         if self.lockstep:
             # Last, so that whoever handles it has everything else.
-            self._publish_states(reading.states)
+            self._publish_states(states)
         if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
             message = Clock()
             set_time(message.clock, now_ns)
@@ -213,19 +188,16 @@ class DriverNode(ManagedNode):
 
     def _yield_to_controller(self) -> None:
         """If there is time, let the controller, which may share the CPU, answer before anything else is published."""
-        room_ns = self._next_ns - time.monotonic_ns() - _REST_NS
-        if self._lockstep.unanswered > 0 and room_ns > 0 and not self.lockstep:
+        room_ns = self.pace.next_ns - time.monotonic_ns() - _REST_NS
+        if self._waits_for_command and room_ns > 0 and not self.lockstep:
             self.inbox.wait(min(room_ns, _ANSWER_NS))
 
     def _publish_states(self, states: list[JointState]) -> None:
-        self._lockstep.expect(state.stamp_ns for state in states)
         for state in states:
+            self._lockstep.expect(state.stamp_ns)
+            self._waits_for_command = True
             self._published_ns = time.time_ns()
             self.publish_state(state)
-
-    def make_state_writer(self) -> Callable[[bytes], None]:
-        """Return a function that publishes the messages of `publish_state`."""
-        return self.make_writer(topics.JOINT_STATES.kept(self.lockstep))
 
     def publish_state(self, state: JointState) -> None:
         """Publish what the sensors show."""
@@ -242,37 +214,23 @@ class DriverNode(ManagedNode):
         if reason:
             self.say(LoggingSeverity.ERROR, f"brakes closed: {reason}; call ~/reset to continue")
 
-    def _publish_contacts(self, now_ns: int) -> None:
-        forces = self._peak_contact.tolist()
-        self._write_contacts(self._contact_writer.write(now_ns, [*forces, sum(forces), max(forces)]))
-        self._peak_contact[:] = 0.0
-
-    def _prepare_messages(self) -> None:
-        """Prepare the messages that are filled again each time."""
-        base = self.arm.base_frame
-        self._state_writer = JointStateWriter(self.arm.joint_names, base, ["position", "velocity", "effort"])
-        self._writer_without_effort = JointStateWriter(self.arm.joint_names, base, ["position", "velocity"])
-        self._contact_writer = JointStateWriter([*self.arm.contact_links, "sum", "max"], base, ["effort"])
-        self._obstacle_writer = ObstacleMarkerWriter(self._scene)
-
     def _on_command(self, data: bytes) -> None:
-        if self._lockstep.answered():
+        if self._waits_for_command:
+            self._waits_for_command, self._was_commanded = False, True
             self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
-        if self._rivalry:
-            raise InputError(f"{self._rivalry}: no command is taken; end the others")
-        robot = self.robot
-        clock_ns = robot.now_ns if self.lockstep else time.monotonic_ns() - self._stood_ns
-        robot.command(self.read_torque(data), clock_ns)
+        if self.rivals:
+            raise InputError(f"{self.rivals}: no command is taken; end the others")
+        clock_ns = self.robot.now_ns if self.lockstep else time.monotonic_ns() - self.pace.stood_ns
+        self.robot.command(self.read_torque(data), clock_ns)
 
     def read_torque(self, data: bytes) -> Array:
         """The torque (n,), N m, in a message on `COMMANDS`."""
         return read_command(data)
 
-    def _look_around(self) -> None:
-        """Check for a second publisher of commands, with which no robot would move; runs beside the loop."""
-        self._rivalry = rivalry(self, [self.COMMANDS])
-        if self._rivalry and self.robot.is_open:
-            self.robot.drive.stop(StopReason(StopCode.RIVAL, self._rivalry))
+    def on_rivals(self) -> None:
+        """Close the brakes: with two publishers of commands no robot would move."""
+        if self.robot.is_open:
+            self.robot.drive.stop(StopReason(StopCode.RIVAL, self.rivals))
 
     def _answer_stop(self) -> str:
         self.robot.drive.stop(requested("stop service called"))

@@ -8,9 +8,8 @@ from typing import Any
 
 from rclpy.logging import LoggingSeverity
 
-from contact_reach_ros.errors import InputError, StopCode, StopReason, internal, is_missing_states, requested
+from contact_reach_ros.errors import is_missing_states
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.diagnostics import to_safety_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.safety_state import MONITORING, findings
@@ -18,10 +17,9 @@ from contact_reach_ros.messages.serialized import JointStateReader, JointStateWr
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
-from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
-from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import OBSERVER_PRIORITY, Role
+from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.settings import Settings
 
 NAME = "observer"
@@ -29,35 +27,31 @@ NAME = "observer"
 _WRENCH_EVERY = 10
 
 
-class ObserverNode(ManagedNode):
+class ObserverNode(StoppableNode):
     """Passes joint states to the observer and publishes its reports."""
 
     NAME = NAME
     SECTIONS = OBSERVER_SECTIONS
+    RELEASED = MONITORING
 
     def __init__(self) -> None:
         super().__init__()
-        self._write_torque = self.make_writer(topics.EXTERNAL_TORQUE.kept(self.lockstep))
+        self._write_torque = self.make_writer(topics.EXTERNAL_TORQUE)
         self._write_wrench = self.make_writer(topics.EXTERNAL_WRENCH)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        self._lockstep = self.make_lockstep()
-        qos = self._lockstep.qos
         source: SourceSettings = self.settings[""]
         measured = source.torque_source == MEASURED
-        self._exclusive = [topics.JOINT_STATES] if measured else [topics.JOINT_STATES, topics.COMMANDS]
         if not measured:
-            self.inbox.add(topics.COMMANDS, self._on_command, qos, serialized=True)
-        self.inbox.add(topics.JOINT_STATES, self._on_state, qos, serialized=True)
+            self.inbox.add(topics.COMMANDS, self._on_command, self.stream_qos, serialized=True)
+        self.follow(topics.JOINT_STATES, self._on_state)
         self._intake = self.log_intake(topics.OBSERVER_INTAKE)
-        self.offer("~/stop", self._answer_stop)
-        self.offer("~/reset", self._answer_reset)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=measured)
         self._budget = load_budget(source.contact_budget).resolve(self.arm)
         self._observer = self._make_observer()
         self._torque_writer = JointStateWriter(self.arm.joint_names, self.arm.base_frame, ["effort"])
         self._wrench_writer = WrenchWriter(self.arm.base_frame)
-        self._rivalry = ""
-        self.every(LOOK_AROUND_S, self._look_around)
+        # What two arms report in turns is the external torque of neither.
+        self.exclude([topics.JOINT_STATES] if measured else [topics.JOINT_STATES, topics.COMMANDS])
 
     def configure(self) -> None:
         """Warm up all computations."""
@@ -67,11 +61,25 @@ class ObserverNode(ManagedNode):
         """The contact budget."""
         return {"budget": self._budget}
 
-    def on_fault(self, what: str, error: Exception) -> None:
-        """Stop the arm: after a fault of its program nobody knows what the observer goes on from."""
-        if not self._observer.monitor.stop_reason:
-            reason = internal(what, error)
-            self.inbox.post(lambda: self._stop_for(reason))
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm is stopped; empty if it is not."""
+        return self._observer.monitor.stop_reason
+
+    @property
+    def is_engaged(self) -> bool:
+        """Whether the observer watches."""
+        return self.running
+
+    def stop_for(self, reason: str) -> None:
+        """Stop the arm."""
+        self.note_call(Taken.STOP)
+        self._observer.stop(reason)
+
+    def reset(self) -> None:
+        """Release a stop. Raises `InputError` if the arm may not be released yet."""
+        self.note_call(Taken.RESET)
+        self._observer.reset()
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Ticks, counts, and the values of the safety state."""
@@ -87,7 +95,7 @@ class ObserverNode(ManagedNode):
             **observer.sight.rate.summary(),
             **findings(observer.report()),
         }
-        return observer.monitor.stop_reason or self._rivalry, values
+        return observer.monitor.stop_reason or self.rivals, values
 
     def _make_observer(self) -> Observer:
         return Observer(self.arm, ObserverSettings.from_sections(self.settings), self._budget, self.period)
@@ -96,13 +104,9 @@ class ObserverNode(ManagedNode):
         self._observer.command(read_command(data))
 
     def _on_state(self, data: bytes) -> None:
-        try:
-            report = self._observer.update(self._reader.read(data))
-            if report is not None:
-                self._publish(report)
-        finally:
-            # Also with one that was refused: others wait for it.
-            self._lockstep.done(stamp_in(data))
+        report = self._observer.update(self._reader.read(data))
+        if report is not None:
+            self._publish(report)
 
     def _publish(self, report: SafetyReport) -> None:
         self._write_torque(self._torque_writer.write(report.stamp_ns, report.residual))
@@ -118,33 +122,6 @@ class ObserverNode(ManagedNode):
             self._safety.publish(to_safety_state(report, NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
             self._write_wrench(self._wrench_writer.write(report.stamp_ns, self._observer.momentum.flange_wrench()))
-
-    def _answer_stop(self) -> str:
-        # The loop may be slow to answer, but it will stop.
-        self.inbox.post(lambda: self._stop_for(requested("stop service called")))
-        return "stopped"
-
-    def _look_around(self) -> None:
-        """What two arms report in turns is the external torque of neither; runs beside the loop."""
-        self._rivalry = rivalry(self, self._exclusive)
-        if self._rivalry and self.running and not self._observer.monitor.stop_reason:
-            reason = StopReason(StopCode.RIVAL, self._rivalry)
-            self.inbox.post(lambda: self._stop_for(reason))
-
-    def _stop_for(self, reason: str) -> None:
-        self.note_call(Taken.STOP)
-        self._observer.stop(reason)
-
-    def _answer_reset(self) -> str:
-        # In the loop's thread, because it might be in the middle of a state.
-        self.inbox.call(self._reset)
-        return MONITORING
-
-    def _reset(self) -> None:
-        if self._rivalry:
-            raise InputError(f"{self._rivalry}: end the others first")
-        self.note_call(Taken.RESET)
-        self._observer.reset()
 
 
 def main() -> None:

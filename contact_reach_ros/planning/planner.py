@@ -329,13 +329,11 @@ class LatencyEstimate:
     ----------
     least_ns
         Shortest estimate, ns.
-    fixed
-        Whether the shortest estimate always holds, as in lockstep, where no plan is late.
     """
 
-    def __init__(self, least_ns: int, fixed: bool = False) -> None:
+    def __init__(self, least_ns: int) -> None:
         self._least_ns = least_ns
-        self._recent_ns: deque[int] = deque(maxlen=0 if fixed else _RECENT)
+        self._recent_ns: deque[int] = deque(maxlen=_RECENT)
 
     def add(self, took_ns: int) -> None:
         """Take the time from a plan's request to its publication, ns."""

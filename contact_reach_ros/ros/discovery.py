@@ -1,11 +1,10 @@
-"""Discovery: limited to this host unless the user opens it to the subnet, and waiting until it has settled."""
+"""Discovery: limited to this host unless the user opens it to the subnet."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
@@ -18,9 +17,6 @@ CHOICES = ("host", "subnet")
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 OLD_SWITCH = "ROS_LOCALHOST_ONLY"
-
-_SETTLED_S, _DISCOVERY_S = 3.5, 10.0
-"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
 
 _FAST_DDS = "rmw_fastrtps"
 _PROFILE_OF = {"host": "fastdds.xml", "subnet": "fastdds_subnet.xml"}
@@ -85,25 +81,3 @@ def reach(env: Mapping[str, str]) -> Reach:
                 return Reach(choice, profile)
         return Reach("", profile)
     return Reach("subnet", f"{RANGE}={chosen}", fast_dds)
-
-
-def wait_until_settled(look: Callable[[], Any], pause: Callable[[], Any]) -> None:
-    """Poll the graph until nothing new has appeared for 3.5 s, longer than participants take to announce themselves.
-
-    After 10 s this returns in any case.
-
-    Parameters
-    ----------
-    look
-        Returns the current graph.
-    pause
-        Called before each look.
-    """
-    changed = time.monotonic()
-    deadline = changed + _DISCOVERY_S
-    seen: Any = None
-    while time.monotonic() < min(deadline, changed + _SETTLED_S):
-        pause()
-        found = look()
-        if found != seen:
-            seen, changed = found, time.monotonic()

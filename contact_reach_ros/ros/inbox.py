@@ -264,7 +264,7 @@ class Inbox:
 
     def _hold_back(self, ready: Callable[[bytes], bool], data: bytes) -> None:
         """Handle messages of other topics, and tasks, until a message of this topic may be handled."""
-        others = [other for other in self._subscriptions if other.ready is None]
+        others = [other for other in (*self._subscriptions, *self._unhurried) if other.ready is None]
         deadline = time.monotonic() + _LONGEST_HOLD_S
         while not ready(data) and time.monotonic() < deadline:
             self._sleep(others, _HOLD_NS)

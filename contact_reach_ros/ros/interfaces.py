@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
@@ -33,42 +32,46 @@ class Interface:
     calls: frozenset[str] = frozenset()
 
 
-OBSERVER = "observer"
-RECORDER = "recorder"
-VIEWER = "viewer"
+OBSERVER, ADAPTER, RECORDER, VIEWER, DEMO, REPLAY = "observer", "adapter", "recorder", "viewer", "demo", "replay"
 DOCTOR = "contact_reach_doctor"
-REPLAY = "replay"
 OPERATOR = "operator"
 """The node of contact-reach goto, home, identify, speed, stop and reset."""
 
 TUNABLE = ("planner", "controller", "observer", "driver")
 """Nodes whose parameters a restart of the stack may change."""
 
-DEMO = "demo"
-
-ADAPTER = "adapter"
-
 STOPPABLE = ("controller", "observer", ADAPTER, "driver")
 """Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
 
 _PARAMETER_SERVICES = {
-    "~/describe_parameters",
-    "~/get_parameter_types",
-    "~/get_parameters",
-    "~/get_type_description",
-    "~/list_parameters",
-    "~/set_parameters",
-    "~/set_parameters_atomically",
+    f"~/{service}"
+    for service in [
+        "describe_parameters",
+        "get_parameter_types",
+        "get_parameters",
+        "get_type_description",
+        "list_parameters",
+        "set_parameters",
+        "set_parameters_atomically",
+    ]
 }
 _LIFECYCLE_SERVICES = {
-    "~/change_state",
-    "~/get_available_states",
-    "~/get_available_transitions",
-    "~/get_state",
-    "~/get_transition_graph",
+    f"~/{service}"
+    for service in [
+        "change_state",
+        "get_available_states",
+        "get_available_transitions",
+        "get_state",
+        "get_transition_graph",
+    ]
 }
+_STOP = {"~/stop", "~/reset"}
+_STOP_AND_RESET = [f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset")]
 _EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
 """Absolute, as ROS has them."""
+
+_REFERENCES = [topics.REFERENCE_POSE, topics.REFERENCE_POSTURE]
+_PLANS = [topics.PLAN_PATH, topics.PLAN_MARKERS, topics.PLAN_STATISTICS, topics.PLAN_REQUEST]
 
 
 def _node(
@@ -85,16 +88,24 @@ def _node(
 def _managed(
     publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
 ) -> Interface:
-    node = _node(
-        [*publishes, topics.DIAGNOSTICS, topics.SETTINGS],
-        [*subscribes, topics.CLOCK],
-        [*_LIFECYCLE_SERVICES, *serves],
-        calls,
-    )
-    return dataclasses.replace(node, publishes=node.publishes | {"~/transition_event"})
+    """A lifecycle node."""
+    said = [*publishes, topics.DIAGNOSTICS, topics.SETTINGS]
+    node = _node(said, [*subscribes, topics.CLOCK], {*_LIFECYCLE_SERVICES, *serves}, calls)
+    return replace(node, publishes=node.publishes | {"~/transition_event"})
 
 
-_STOP = ("~/stop", "~/reset")
+def _paced(
+    publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
+) -> Interface:
+    """A lifecycle node that follows the joint states, in lockstep in its turn."""
+    horizon = topics.LOCKSTEP_HORIZON
+    return _managed([*publishes, horizon], [topics.JOINT_STATES, *subscribes, horizon], serves, calls)
+
+
+_SIMULATED = [topics.JOINT_STATES, topics.SIM_CONTACTS, topics.OBSTACLES, topics.ROBOT_DESCRIPTION, topics.CLOCK]
+_TORQUES = [topics.COMMANDS, topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS]
+_EXTERNAL = [topics.EXTERNAL_TORQUE, topics.EXTERNAL_WRENCH]
+_REPORTS = [topics.SAFETY_STATE, topics.DIAGNOSTICS]
 
 HEARD_BY_VIEWER = (
     topics.JOINT_STATES,
@@ -105,67 +116,21 @@ HEARD_BY_VIEWER = (
     topics.PLAN_STATISTICS,
     topics.SAFETY_STATE,
 )
-_STOP_AND_RESET = tuple(f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset"))
 
 MANAGED = {
-    "driver": _managed(
-        [
-            topics.JOINT_STATES,
-            topics.SIM_CONTACTS,
-            topics.OBSTACLES,
-            topics.SAFETY_STATE,
-            topics.ROBOT_DESCRIPTION,
-            topics.CLOCK,
-        ],
-        [topics.COMMANDS, topics.LOCKSTEP_HORIZON],
+    "driver": _managed([*_SIMULATED, topics.SAFETY_STATE], [topics.COMMANDS, topics.LOCKSTEP_HORIZON], _STOP),
+    "controller": _paced(
+        [*_TORQUES, topics.SAFETY_STATE, topics.CONTROLLER_INTAKE],
+        [*_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS],
         _STOP,
     ),
-    "controller": _managed(
-        [
-            topics.COMMANDS,
-            topics.ADAPTER_COMMANDS,
-            topics.SHADOW_COMMANDS,
-            topics.SAFETY_STATE,
-            topics.LOCKSTEP_HORIZON,
-            topics.CONTROLLER_INTAKE,
-        ],
-        [
-            topics.JOINT_STATES,
-            topics.SAFETY_STATE,
-            topics.REFERENCE_POSE,
-            topics.REFERENCE_POSTURE,
-            topics.LOCKSTEP_HORIZON,
-            topics.SETTINGS,
-        ],
-        _STOP,
+    "observer": _paced([*_EXTERNAL, topics.SAFETY_STATE, topics.OBSERVER_INTAKE], [topics.COMMANDS], _STOP),
+    "planner": _paced(
+        [*_REFERENCES, *_PLANS, topics.GOAL_STATE], [topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE]
     ),
-    "observer": _managed(
-        [
-            topics.EXTERNAL_TORQUE,
-            topics.EXTERNAL_WRENCH,
-            topics.SAFETY_STATE,
-            topics.LOCKSTEP_HORIZON,
-            topics.OBSERVER_INTAKE,
-        ],
-        [topics.JOINT_STATES, topics.COMMANDS],
-        _STOP,
-    ),
-    "planner": _managed(
-        [
-            topics.REFERENCE_POSE,
-            topics.REFERENCE_POSTURE,
-            topics.GOAL_STATE,
-            topics.PLAN_PATH,
-            topics.PLAN_MARKERS,
-            topics.PLAN_STATISTICS,
-            topics.PLAN_REQUEST,
-            topics.LOCKSTEP_HORIZON,
-        ],
-        [topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
-    ),
-    ADAPTER: _managed(
-        [topics.COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
-        [topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.LOCKSTEP_HORIZON, topics.SETTINGS],
+    ADAPTER: _paced(
+        [topics.COMMANDS, topics.SAFETY_STATE],
+        [topics.ADAPTER_COMMANDS, topics.SETTINGS],
         _STOP,
         ["effort_controller/get_parameters", "controller_manager/switch_controller"],
     ),
@@ -174,34 +139,20 @@ MANAGED = {
 }
 """The lifecycle nodes."""
 
-ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
+ALONE = (topics.JOINT_STATES, topics.COMMANDS, *_REFERENCES)
 """Topics that must have a single publisher: with two, the arm receives the commands of both in turn."""
 
 INTERFACES = {
     **MANAGED,
-    "bringup": _node(
-        [],
-        [topics.JOINT_STATES],
-        [],
-        [*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
-    ),
+    "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
     DOCTOR: _node(
-        [],
-        topics.ALL,
-        calls=[f"{name}/{service}" for name in MANAGED for service in ("get_state", "get_parameters")],
+        [], topics.ALL, calls=[f"{name}/{service}" for name in MANAGED for service in ("get_state", "get_parameters")]
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],
-        [
-            topics.GOAL_STATE,
-            topics.SAFETY_STATE,
-            topics.DIAGNOSTICS,
-            topics.SETTINGS,
-            topics.JOINT_STATES,
-            topics.OBSTACLES,
-        ],
+        [topics.GOAL_STATE, *_REPORTS, topics.SETTINGS, topics.JOINT_STATES, topics.OBSTACLES],
         calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
     ),
-    REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], [], []),
+    REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], []),
 }
 """All nodes of the package, by name."""

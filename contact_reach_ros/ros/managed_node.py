@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -21,9 +22,19 @@ from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settin
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
-from contact_reach_ros.messages.topics import DIAGNOSTICS, LOCKSTEP_HORIZON, SETTINGS, Topic
+from contact_reach_ros.messages.topics import (
+    DIAGNOSTICS,
+    EVERY,
+    KEPT_STREAM,
+    LOCKSTEP_HORIZON,
+    NEWEST,
+    SETTINGS,
+    Qos,
+    Topic,
+)
 from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.ros.parameters import declare
@@ -51,8 +62,10 @@ class ManagedNode(LifecycleNode):
         Whether the node is active.
     lockstep
         Whether time is simulated and waits for every node: each is busy then, and none is late.
+    rivals
+        What others publish that this node alone may, see `exclude`; empty if there is nothing.
     boundary
-        Takes whatever messages and requests lead to that is none of their purpose.
+        Catches and counts the exceptions raised by messages and requests.
     """
 
     NAME: ClassVar[str]
@@ -67,6 +80,7 @@ class ManagedNode(LifecycleNode):
         self.autostart = bool(self.declare_parameter(AUTOSTART.name, AUTOSTART.default).value)
         self.cpus = str(self.declare_parameter(CPUS.name, CPUS.default).value)
         self.lockstep = bool(self.get_parameter("use_sim_time").value)
+        self._simulated_ns = 0
         self._bare_arm = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
         rate: Any = RATE.check(self.declare_parameter(RATE.name, RATE.default).value, f"{RATE.name} of {self.NAME}")
         self.period = 1.0 / rate
@@ -75,6 +89,8 @@ class ManagedNode(LifecycleNode):
         self.boundary = Boundary(lambda text: self.say(LoggingSeverity.ERROR, text), self.on_fault)
         self.inbox = Inbox(self, self.refuse)
         self.running = False
+        self.rivals = ""
+        self._exclusive: Sequence[Topic] = ()
         self._diagnostics = self.create_publisher(DIAGNOSTICS.type, DIAGNOSTICS.name, qos_profile(DIAGNOSTICS.qos))
         self._settings_publisher = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
@@ -96,7 +112,7 @@ class ManagedNode(LifecycleNode):
         """Finish what `on_deactivate` would, where the process ends while the node is active."""
 
     def on_fault(self, what: str, error: Exception) -> None:
-        """React to an internal error, a fault of this program, in handling `what`; in the thread where it happened."""
+        """React to an internal error in handling `what`; in the thread where it happened."""
 
     def files(self) -> Mapping[str, Settings]:
         """Settings read from other files, by prefix; published on `settings` with the parameters."""
@@ -128,20 +144,65 @@ class ManagedNode(LifecycleNode):
         """Return a function that publishes serialised messages of a topic, for the loop of an active node.
 
         It bypasses the checks of lifecycle publisher, context and type, which take as long as the loop's arithmetic.
+        In lockstep, where time begins without them, late subscribers receive the last seconds.
         """
-        write: Callable[[bytes], None] = self.make_publisher(topic).handle.publish_raw
+        kept = topic._replace(qos=KEPT_STREAM) if self.lockstep else topic
+        write: Callable[[bytes], None] = self.make_publisher(kept).handle.publish_raw
         return write
 
-    def make_lockstep(self, name: str = "") -> Lockstep:
-        """The node's side of lockstep, under its own name unless given another; in real time it does nothing."""
-        publish = self.make_publisher(LOCKSTEP_HORIZON).publish if self.lockstep else None
-        return Lockstep(name or self.NAME, round(self.period * NANOSECONDS), publish)
+    @property
+    def now_ns(self) -> int:
+        """Time of the watchdogs' clock, ns: steady, or in lockstep the stamp of the last joint state."""
+        return self._simulated_ns if self.lockstep else time.monotonic_ns()
 
-    def turn_in(self, lockstep: Lockstep) -> Callable[[bytes], bool] | None:
-        """For `Inbox.add`: whether it is this node's turn to handle a serialised joint state; None in real time."""
-        if not lockstep.active:
-            return None
-        return lambda data: self._stop.is_set() or lockstep.may_handle(stamp_in(data))
+    @property
+    def arrived_ns(self) -> int:
+        """When the handling of the present message began, on the watchdogs' clock, ns."""
+        return self._simulated_ns if self.lockstep else self.inbox.handled_ns
+
+    @property
+    def stream_qos(self) -> Qos:
+        """What to request for joint states and commands: the newest, or in lockstep every one."""
+        return EVERY if self.lockstep else NEWEST
+
+    def make_lockstep(self, after: Sequence[str] = ()) -> Lockstep:
+        """The node's side of lockstep, which also waits for nodes named in `after`; in real time it does nothing."""
+        publish = self.make_publisher(LOCKSTEP_HORIZON).publish if self.lockstep else None
+        return Lockstep(self.NAME, round(self.period * NANOSECONDS), publish, after)
+
+    def follow(
+        self, topic: Topic, handle: Callable[[bytes], None], hurried: bool = True, after: Sequence[str] = ()
+    ) -> None:
+        """Subscribe to the joint states, which pace the node; `handle` gets their bytes.
+
+        In lockstep a state waits for the node's turn, and others wait until it was handled, or refused.
+
+        Parameters
+        ----------
+        topic
+            Of the joint states.
+        handle
+            Called with each serialised message.
+        hurried
+            As for `Inbox.add`; in lockstep every state wakes the loop up.
+        after
+            As for `make_lockstep`.
+        """
+        if not self.lockstep:
+            self.inbox.add(topic, handle, NEWEST, serialized=True, hurried=hurried)
+            return
+        lockstep = self.make_lockstep(after)
+
+        def take(data: bytes) -> None:
+            stamp_ns = self._simulated_ns = stamp_in(data)
+            try:
+                handle(data)
+            finally:
+                lockstep.done(stamp_ns)
+
+        self.inbox.add(LOCKSTEP_HORIZON, lockstep.hear, EVERY)
+        ready = lambda data: self._stop.is_set() or lockstep.may_handle(stamp_in(data))  # noqa: E731
+        self.inbox.add(topic, take, EVERY, serialized=True, ready=ready)
 
     def log_intake(self, topic: Topic) -> IntakeLog:
         """Record from now on, for bags, what the inbox handles."""
@@ -167,6 +228,20 @@ class ManagedNode(LifecycleNode):
 
         self.create_service(Trigger, name, answer)
 
+    def exclude(self, exclusive: Sequence[Topic]) -> None:
+        """Look for other publishers of these topics several times a second, beside the loop."""
+        self._exclusive = exclusive
+        self.every(LOOK_AROUND_S, self.look_around)
+
+    def look_around(self) -> None:
+        """Look for rivals; while there are some, each time run `on_rivals`."""
+        self.rivals = rivalry(self, self._exclusive)
+        if self.rivals:
+            self.on_rivals()
+
+    def on_rivals(self) -> None:
+        """React to `rivals`, in the executor's thread."""
+
     def refuse(self, what: str, error: Exception) -> None:
         """Count refused input; the last refusal of each kind goes to the log, at most once a second."""
         self.boundary.refuse(what, error)
@@ -190,37 +265,23 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
-
-        def transition() -> TransitionCallbackReturn:
-            self.configure()
-            return super(ManagedNode, self).on_configure(state)
-
-        return self._attempt(transition, refusable=True)
+        return self._attempt(self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `activate`, publish the settings, and start the loop's work."""
-
-        def transition() -> TransitionCallbackReturn:
-            self.activate()
-            result = super(ManagedNode, self).on_activate(state)
+        result = self._attempt(self.activate, super().on_activate, state)
+        if result == TransitionCallbackReturn.SUCCESS:
             self._publish_settings()
             # The loop does not look at its inbox yet.
             self.inbox.note(Taken.ACTIVATE)
-            self.running = result == TransitionCallbackReturn.SUCCESS
-            return result
-
-        return self._attempt(transition, refusable=True)
+            self.running = True
+        return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `deactivate` and let the loop idle, whatever comes of it."""
-
-        def transition() -> TransitionCallbackReturn:
-            self.deactivate()
-            return super(ManagedNode, self).on_deactivate(state)
-
-        result = self._attempt(transition, refusable=False)
+        result = self._attempt(self.deactivate, super().on_deactivate, state)
         self.running = False
-        return result
+        return TransitionCallbackReturn.ERROR if result == TransitionCallbackReturn.FAILURE else result
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End for good; an active node is deactivated first."""
@@ -244,20 +305,25 @@ class ManagedNode(LifecycleNode):
         else:
             logger.error(line)
 
-    def _attempt(self, transition: Callable[[], TransitionCallbackReturn], refusable: bool) -> TransitionCallbackReturn:
-        """Result of a transition; an exception, which rclpy would keep to itself, is logged.
+    def _attempt(
+        self,
+        act: Callable[[], None],
+        finish: Callable[[LifecycleState], TransitionCallbackReturn],
+        state: LifecycleState,
+    ) -> TransitionCallbackReturn:
+        """Result of a transition: act, then finish it; an exception, which rclpy would keep to itself, is logged.
 
-        A transition that is `refusable` leaves the node in the state before.
+        A refusal leaves the node in the state before.
         """
         try:
-            return transition()
+            act()
+            return finish(state)
         except Exception as error:
             self.refuse(TRANSITIONS, error)
             self._log_refusals()
             self.write_out()
-            if isinstance(error, ContactReachError) and refusable:
-                return TransitionCallbackReturn.FAILURE
-            return TransitionCallbackReturn.ERROR
+            is_refusal = isinstance(error, ContactReachError)
+            return TransitionCallbackReturn.FAILURE if is_refusal else TransitionCallbackReturn.ERROR
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:

@@ -137,27 +137,27 @@ def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, ar
 
     Raises `SettingsError` if a value is not accepted; keys that the node does not have are its own affair.
     """
+    return make_settings(_given(arguments, node_name), sections, arm, f"parameters of {node_name}")
+
+
+def early_value(arguments: Sequence[str], node_name: str, entry: Setting) -> Any:
+    """Value of one parameter of a node, without a prefix, from its own command line: before ROS starts.
+
+    Raises `SettingsError` if the value is not accepted.
+    """
+    value = _given(arguments, node_name, "").get(entry.name, entry.default)
+    return entry.check(value, f"parameter {entry.name} of {node_name}")
+
+
+def _given(arguments: Sequence[str], node_name: str, *more_owners: str) -> dict[str, Any]:
+    """Parameters of a node on a command line, by name; of overrides those for the node, and `more_owners`."""
     values: dict[str, Any] = {}
     for option, argument in itertools.pairwise(arguments):
         if option == "--params-file":
             values |= parameters_in(Path(argument), node_name)
-        elif option in ("-p", "--param") and argument.startswith(f"{node_name}:"):
-            name, _, text = argument.removeprefix(f"{node_name}:").partition(":=")
-            values[name] = yaml.safe_load(text)
-    return make_settings(values, sections, arm, f"parameters of {node_name}")
-
-
-def early_value(arguments: Sequence[str], node_name: str, entry: Setting) -> Any:
-    """Value of one parameter of a node, without a prefix, from its command line: before ROS starts.
-
-    Raises `SettingsError` if the value is not accepted.
-    """
-    value: Any = entry.default
-    for option, argument in itertools.pairwise(arguments):
-        if option == "--params-file":
-            value = parameters_in(Path(argument), node_name).get(entry.name, value)
         elif option in ("-p", "--param"):
-            name, _, text = argument.partition(":=")
-            if name in (entry.name, f"{node_name}:{entry.name}"):
-                value = text.strip("'\"")
-    return entry.check(value, f"parameter {entry.name} of {node_name}")
+            target, _, text = argument.partition(":=")
+            owner, _, name = target.rpartition(":")
+            if owner in (node_name, *more_owners):
+                values[name] = yaml.safe_load(text)
+    return values

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import queue
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -23,7 +21,7 @@ from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.discovery import choose_discovery
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import check_arguments, refusing
-from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, isolated_cpus, take_priority, use_cpus
+from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, take_priority, use_cpus
 
 
 def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], priority: int = 0) -> int:
@@ -115,18 +113,6 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
         rclpy.try_shutdown()
 
 
-def run_measurement(name: str, measure: Callable[[Node], Any]) -> None:
-    """Run a measurement with a bare node and print its result, if it has one, as JSON; exits with 2 on an error."""
-    try:
-        with bare_node(name) as node:
-            result = measure(node)
-            if result is not None:
-                print(json.dumps(result), flush=True)
-    except ContactReachError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        sys.exit(2)
-
-
 def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     """Loop and executor in a thread each; the main thread sleeps until a signal, which wakes no other.
 
@@ -145,7 +131,7 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
             failures.append(error)
         ended.put(None)
 
-    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0), isolated_cpus())
+    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0))
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     end_at_signals()
     if node.autostart and not _start(node):

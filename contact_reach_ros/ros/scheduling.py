@@ -44,50 +44,30 @@ class Role(Enum):
     """Nobody waits for it, and it may miss messages: it has no priority."""
 
 
-def isolated_cpus(file: Path = Path("/sys/devices/system/cpu/isolated")) -> set[int]:
-    """CPUs that `isolcpus` on the kernel's command line reserves for processes that ask for them."""
-    try:
-        ranges = [part.split("-") for part in file.read_text().strip().split(",") if part]
-    except OSError:
-        return set()
-    return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
-
-
-def choose_cpus(
-    wanted: str, role: Role, permitted: Collection[int], isolated: Collection[int] = frozenset()
-) -> set[int]:
+def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]:
     """Choose the CPUs for the threads of a process.
 
     On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
-    another CPU, and all processes but onlookers have the others. Where the kernel isolates CPUs, the control loop has
-    the last of these. Raises `SettingsError` if `wanted` is none of these, or names a CPU that may not be used.
+    another CPU, and all processes but onlookers have the others. Raises `SettingsError` if `wanted` is none of these.
 
     Parameters
     ----------
     wanted
-        'auto' for the above, 'all', or numbers separated by commas.
+        'auto' for the above, 'all', or numbers separated by commas, also of CPUs that the kernel isolates.
     role
         Of the process.
     permitted
-        CPUs that the process may use.
-    isolated
-        CPUs that the kernel reserves for processes that ask for them.
+        CPUs that the kernel gives to the process by itself.
     """
-    if wanted == "auto" and role is Role.LOOP and isolated:
-        return {max(isolated)}
-    if wanted == "auto" and 2 <= len(permitted) <= _FEW_CPUS:
-        last = max(permitted)
-        return {Role.LOOP: {last}, Role.ONLOOKER: set(permitted)}.get(role, set(permitted) - {last})
+    if wanted == "auto" and role is not Role.ONLOOKER and 2 <= len(permitted) <= _FEW_CPUS:
+        last = {max(permitted)}
+        return last if role is Role.LOOP else set(permitted) - last
     if wanted in ("auto", "all"):
         return set(permitted)
-    try:
-        chosen = {int(number) for number in wanted.split(",")}
-    except ValueError:
-        chosen = set()
-    possible = {*permitted, *isolated}
-    if not chosen or not chosen <= possible:
-        raise SettingsError(f"parameter cpus: '{wanted}'; expected auto, all, or numbers out of {sorted(possible)}")
-    return chosen
+    numbers = [int(text) if text.strip().isdecimal() else -1 for text in wanted.split(",")]
+    if not all(0 <= number < (os.cpu_count() or 1) for number in numbers):
+        raise SettingsError(f"parameter cpus: '{wanted}'; expected auto, all, or numbers below {os.cpu_count()}")
+    return set(numbers)
 
 
 def use_cpus(cpus: Collection[int]) -> None:
@@ -95,37 +75,7 @@ def use_cpus(cpus: Collection[int]) -> None:
     _for_each(_threads(), lambda thread: os.sched_setaffinity(thread, cpus))
 
 
-def request_realtime(priority: int) -> str:
-    """Give all threads of this process, and those started later, SCHED_FIFO priority; stop collecting garbage.
-
-    To be called when the process is ready for its loop: its preparations would keep others from running.
-
-    Returns
-    -------
-    str
-        Empty when granted, else a warning for the log that explains how to permit it.
-    """
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    # Pages in use stay in memory. Where that is not permitted the loop still works, with a late tick now and then.
-    ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
-    # The middleware's own threads count too: they bring the messages.
-    return _prioritise(_threads(), priority)
-
-
-def prioritise_middleware() -> str:
-    """Give the middleware's threads SCHED_FIFO priority below all loops, as messages would wait for a computation.
-
-    Returns
-    -------
-    str
-        Empty when granted, else a warning for the log.
-    """
-    return _prioritise([thread for thread in _threads() if _name(thread).startswith("dds.")], _MIDDLEWARE_PRIORITY)
-
-
-def take_priority(role: Role, priority: int) -> str:
+def take_priority(role: Role, priority: int = 0) -> str:
     """Give a process that is ready, and keeps real time, the priorities of its role.
 
     Parameters
@@ -133,32 +83,39 @@ def take_priority(role: Role, priority: int) -> str:
     role
         Of the process.
     priority
-        SCHED_FIFO priority of a loop or monitor.
+        SCHED_FIFO priority of a loop or monitor. All its threads get it, the middleware's included, which bring the
+        messages; garbage is not collected any more.
 
     Returns
     -------
     str
-        Empty when granted, else a warning for the log.
+        Empty when granted, else a warning for the log that explains how to permit it.
     """
     if role in (Role.LOOP, Role.MONITOR):
-        return request_realtime(priority)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        # Pages in use stay in memory. Where that is not permitted the loop still works, with a late tick now and then.
+        ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
+        return _prioritise(_threads(), priority)
     if role is Role.COMPUTING:
-        _come_first()
+        # Beside two busy programs the arm reached 63 goals in 330 s with this, 54 in 600 s without.
+        with contextlib.suppress(OSError):
+            _for_each(_threads(), lambda thread: os.setpriority(os.PRIO_PROCESS, thread, _COMPUTING_NICENESS))
+            if os.getsid(0) == os.getpid():
+                # Where Linux divides its time by sessions, niceness counts only within one.
+                Path("/proc/self/autogroup").write_text(str(_COMPUTING_NICENESS))
         return prioritise_middleware()
     # Programs that are not part of the stack cannot delay it then; it sleeps most of the time.
     return _prioritise(_threads(), _BACKGROUND_PRIORITY) if role is Role.BACKGROUND else ""
 
 
-def _come_first() -> None:
-    """Take precedence over other programs, below all real-time threads, where that is permitted.
+def prioritise_middleware() -> str:
+    """Give the middleware's threads SCHED_FIFO priority below all loops, as messages would wait for a computation.
 
-    Beside two busy programs the arm reached 63 goals in 330 s with this, 54 in 600 s without: the planner starved.
+    Returns what `take_priority` does.
     """
-    with contextlib.suppress(OSError):
-        _for_each(_threads(), lambda thread: os.setpriority(os.PRIO_PROCESS, thread, _COMPUTING_NICENESS))
-        if os.getsid(0) == os.getpid():
-            # Where Linux divides its time by sessions, niceness counts only within one.
-            Path("/proc/self/autogroup").write_text(str(_COMPUTING_NICENESS))
+    return _prioritise([thread for thread in _threads() if _name(thread).startswith("dds.")], _MIDDLEWARE_PRIORITY)
 
 
 def give_way() -> None:
@@ -184,7 +141,7 @@ def _name(thread: int) -> str:
     return ""
 
 
-def _for_each(threads: Sequence[int], arrange: Callable[[int], None]) -> None:
+def _for_each(threads: Collection[int], arrange: Callable[[int], None]) -> None:
     """Arrange something for each of these threads, of which some may have ended since they were listed."""
     for thread in threads:
         with contextlib.suppress(ProcessLookupError):

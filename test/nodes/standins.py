@@ -17,7 +17,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import deserialize_message, serialize_message
 
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.topics import STREAM, Topic
+from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
@@ -109,6 +109,7 @@ class LbrDriver(DriverNode):
     """
 
     COMMANDS = Topic("lbr/command/torque", LBRTorqueCommand)
+    STATES = Topic("lbr/state", LBRState)
     CUTOFF = 10.0
     SESSION_AFTER_S = 0.2
     FARTHEST = 0.05
@@ -119,9 +120,6 @@ class LbrDriver(DriverNode):
         self._is_open = True
         name = "lbr/controller_manager/set_hardware_component_state"
         self.create_service(SetHardwareComponentState, name, self._on_component)
-
-    def make_state_writer(self):
-        return self.make_writer(Topic("lbr/state", LBRState, STREAM).kept(self.lockstep))
 
     def activate(self):
         super().activate()

@@ -8,7 +8,6 @@ from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from stack_helpers import UNWATCHED, Published, ros
 from trajectory_msgs.msg import JointTrajectory
@@ -49,7 +48,7 @@ def active(node_class):
 @pytest.fixture
 def controller():
     with active(ControllerNode) as (node, give):
-        node._look_around()
+        node.look_around()
         node.commands = []
         node._write_commands = node.commands.append
         give(5)
@@ -82,16 +81,6 @@ def test_a_fault_in_reading_references_stops_the_arm_compliantly(controller, mon
     assert len(node.commands) == 8 and np.isfinite(read_command(node.commands[-1])).all()
 
 
-def test_a_fault_in_the_tick_stops_the_arm_and_commands_nothing_for_that_state(controller, monkeypatch):
-    node, give = controller
-    with monkeypatch.context() as patch:
-        patch.setattr(node._controller, "tick", lambda *_: 1 / 0)
-        give(2)
-    assert len(node.commands) == 5 and node.refused == {INTERNAL: 2}
-    give(2)
-    assert len(node.commands) == 7 and node._controller.mode is Mode.STOPPED
-
-
 def test_a_fault_in_the_observer_stops_the_arm(monkeypatch):
     with active(ObserverNode) as (node, give):
         node._safety = Published()
@@ -120,20 +109,12 @@ def test_a_transition_that_fails_says_why_and_the_node_is_not_active(controller,
     def fail(*_):
         raise InputError("no such arm")
 
-    monkeypatch.setattr(node, "_look_around", fail)
+    monkeypatch.setattr(node, "look_around", fail)
     assert not change_state(node, id=Transition.TRANSITION_ACTIVATE)
     assert node.refused == {"transitions": 1} and not node.running
     monkeypatch.undo()
     assert change_state(node, id=Transition.TRANSITION_ACTIVATE)
     assert node.running
-
-
-def test_parameters_are_set_at_the_start_only(controller):
-    node, _ = controller
-    for name, value in (("use_sim_time", True), ("cpus", "0"), ("autostart", False)):
-        (result,) = node.set_parameters([Parameter(name, value=value)])
-        assert not result.successful and name in result.reason
-    assert node.get_parameter("use_sim_time").value is False
 
 
 def test_a_message_that_would_take_long_to_read_is_refused_unread(controller):

@@ -61,20 +61,10 @@ def test_subnet_opens_the_sockets_and_says_so():
     assert reach.choice == "subnet" and not reach.shared_memory and "OPEN" in reach.text
 
 
-def test_the_environment_of_the_user_decides():
-    _, reach = talk("host", ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
-    assert reach.choice == "subnet" and "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" in reach.why
-
-
 @pytest.fixture
 def unset(monkeypatch):
     for name in VARIABLES:
         monkeypatch.delenv(name, raising=False)
-
-
-@pytest.mark.parametrize("choice", discovery.CHOICES)
-def test_a_choice_is_what_reach_reports(unset, choice):
-    assert discovery.reach(discovery.environment(choice)).choice == choice
 
 
 @pytest.mark.parametrize("choice", discovery.CHOICES)
@@ -85,9 +75,8 @@ def test_middleware_that_reads_no_profile_gets_the_range(unset, monkeypatch, cho
     assert discovery.reach(variables) == discovery.Reach(choice, f"{discovery.RANGE}={variables[discovery.RANGE]}")
 
 
-@pytest.mark.parametrize("name", [discovery.RANGE, *discovery.PROFILES])
-def test_nothing_is_set_over_the_choice_of_the_user(unset, monkeypatch, name):
-    monkeypatch.setenv(name, "chosen")
+def test_nothing_is_set_over_the_choice_of_the_user(unset, monkeypatch):
+    monkeypatch.setenv(discovery.RANGE, "chosen")
     assert discovery.environment("subnet") == {}
 
 
@@ -119,18 +108,9 @@ def test_an_unknown_choice_is_refused(unset):
     [
         ([], "host"),
         (["--ros-args", "-p", "discovery:=subnet"], "subnet"),
-        (["--ros-args", "-p", 'discovery:="subnet"'], "subnet"),
         (["--ros-args", "-p", "bringup:discovery:=subnet"], "subnet"),
         (["--ros-args", "-p", "other:discovery:=subnet"], "host"),
     ],
 )
 def test_bringup_knows_the_choice_before_ros_starts(arguments, value):
     assert early_value(["bringup", *arguments], "bringup", ENTRY) == value
-
-
-def test_bringup_knows_the_choice_of_a_file(tmp_path):
-    file = tmp_path / "own.yaml"
-    file.write_text("bringup: {ros__parameters: {discovery: subnet}}\n")
-    arguments = ["bringup", "--ros-args", "--params-file", str(file)]
-    assert early_value(arguments, "bringup", ENTRY) == "subnet"
-    assert early_value([*arguments, "-p", "discovery:=host"], "bringup", ENTRY) == "host"

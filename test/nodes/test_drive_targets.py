@@ -16,7 +16,8 @@ from test_adapter import Bench
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.adapter_settings import FrankaSettings, LbrSettings
 from contact_reach_ros.drives import effort, franka, lbr
-from contact_reach_ros.errors import InputError, SettingsError, StopCode
+from contact_reach_ros.errors import SettingsError, StopCode
+from contact_reach_ros.messages import topics
 from contact_reach_ros.timing import NANOSECONDS
 
 ARM = load_arm("iiwa14")
@@ -84,8 +85,8 @@ def packages(pytestconfig):
         yield
 
 
-def make_lbr(node=None, lockstep=False, **settings):
-    return lbr.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002, lockstep)
+def make_lbr(node=None, is_synchronous=False, **settings):
+    return lbr.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002, is_synchronous)
 
 
 def message(tick=1, **fields):
@@ -112,34 +113,21 @@ def test_stamps_have_the_robots_steps_on_this_machines_clock():
     np.testing.assert_allclose(np.diff(stamps[1:]), 2 * MS, rtol=5e-4)
     # One that comes twice is no new state, except in lockstep, whose first one is repeated.
     assert target.read(message(7), START_NS + AHEAD_NS + 16 * MS) is None
-    assert [make_lbr(lockstep=True).read(message(), 0).stamp_ns for _ in range(2)] == [START_NS + 2 * MS] * 2
+    assert [make_lbr(is_synchronous=True).read(message(), 0).stamp_ns for _ in range(2)] == [START_NS + 2 * MS] * 2
     # This machine's clock is set.
     set_ns = START_NS - AHEAD_NS + 16 * MS
     assert target.read(message(8), set_ns).stamp_ns == set_ns
 
 
-@pytest.mark.parametrize(("cutoff", "tolerance"), [(0.0, 1e-9), (100.0, 1e-9)])
-def test_velocity_is_that_of_the_positions(cutoff, tolerance):
-    target, speed = make_lbr(velocity_cutoff=cutoff), np.linspace(-1.0, 1.0, 7)
+def test_velocity_is_that_of_the_positions():
+    target, speed = make_lbr(velocity_cutoff=100.0), np.linspace(-1.0, 1.0, 7)
     for tick in range(100):
         state = target.read(message(tick, measured_joint_position=0.002 * tick * speed), START_NS + 2 * tick * MS)
-    np.testing.assert_allclose(state.v, speed, atol=tolerance)
+    np.testing.assert_allclose(state.v, speed, atol=1e-9)
     np.testing.assert_allclose(state.q, 0.002 * 99 * speed)
     # After a pause nobody knows it.
     state = target.read(message(1000, measured_joint_position=speed), START_NS + 2000 * MS)
     np.testing.assert_allclose(state.v, 0.0)
-
-
-def test_noise_of_positions_becomes_less_noise_of_velocities_with_the_filter():
-    random, noise = np.random.default_rng(0), {}
-    for cutoff in (0.0, 50.0):
-        target = make_lbr(velocity_cutoff=cutoff)
-        found = [
-            target.read(message(tick, measured_joint_position=1e-5 * random.normal(size=7)), START_NS).v
-            for tick in range(500)
-        ]
-        noise[cutoff] = np.std(found)
-    assert noise[50.0] < 0.5 * noise[0.0]
 
 
 def test_commands_mirror_the_measured_position():
@@ -159,7 +147,6 @@ def test_measured_torques_have_the_sign_of_the_setting(sign):
     ("fields", "words"),
     [
         ({"session_state": 2}, "the FRI session is MONITORING_READY; expected COMMANDING_ACTIVE"),
-        ({"session_state": 9}, "the FRI session is state 9"),
         ({"connection_quality": 1}, "the FRI connection is FAIR; expected at least GOOD"),
         ({"client_command_mode": 1}, "FRI takes POSITION; expected TORQUE"),
         ({"sample_time": 0.005}, "FRI sends every 5 ms, but state_rate is 500 Hz"),
@@ -172,11 +159,6 @@ def test_a_driver_that_is_not_ready_is_explained_and_gives_states_nevertheless(f
     assert target.problem.startswith(words)
     target.read(message(2), START_NS)
     assert not target.problem
-
-
-def test_states_that_are_no_numbers_are_refused():
-    with pytest.raises(InputError, match=r"lbr/state: measured_joint_position = .*nan.* expected finite"):
-        make_lbr().read(message(measured_joint_position=np.full(7, np.nan)), START_NS)
 
 
 def test_kukas_external_torque_is_compared_with_the_observers():
@@ -231,7 +213,12 @@ def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
     node, command = bench.node, np.arange(7.0)
     sent, states, source = [], [], node._target._source
     node._write = lambda data: sent.append(deserialize_message(data, lbr.LBRTorqueCommand).torque.tolist())
-    node._write_state = lambda data: states.append(deserialize_message(data, JointState))
+
+    def forward(data):
+        states.append(deserialize_message(data, JointState))
+        node.inbox.give(topics.JOINT_STATES, data)
+
+    node._write_state = forward
 
     def show(tick, **fields):
         node.inbox.give(source, serialize_message(message(tick, **fields)))
@@ -272,34 +259,17 @@ def test_nothing_passes_before_the_reflexes_are_set():
     assert len(node.asked) == 1
 
 
-def test_reflexes_that_are_refused_are_set_again():
-    node = Node(answer(False, "the robot moves"))
-    target = make_franka(node, ask_joints=False)
-    target.look()
-    assert target.problem == "the arm refuses the reflexes: the robot moves"
-    node.answer = answer(True)
-    target.look()
-    assert not target.problem
-
-
 @pytest.mark.parametrize(
     ("node", "settings", "words"),
     [
         ("controller", {"limits.torque_rate": 4000.0}, "limits.torque_rate = 4000 in the controller"),
-        ("controller", {"limits.torque_rate": 1000.0}, ""),
         ("observer", {"budget.torque_thresholds": [30.0] * 5 + [28.0, 8.0]}, "the reflex of lbr_A5 comes at 29 Nm"),
         ("observer", {"budget.torque_thresholds": [30.0, 30.0, 25.0, 25.0, 15.0, 10.0, 8.0]}, ""),
-        ("planner", {"limits.torque_rate": 4000.0}, ""),
     ],
 )
 def test_settings_that_the_arm_would_cut_short_are_named(node, settings, words):
     said = make_franka().hear(node, settings)
     assert said.startswith(words) and bool(said) == bool(words)
-
-
-def test_harmless_torques_change_no_faster_than_the_arm_follows():
-    with pytest.raises(SettingsError, match="torque_rate = 4000; expected at most 1000 Nm/s"):
-        make_franka(torque_rate=4000.0)
 
 
 def test_a_request_whose_answer_is_lost_is_sent_again(monkeypatch):

@@ -287,7 +287,7 @@ class Bench:
             node.inbox.wait(_WAIT_NS)
         if isinstance(node, DriverNode):
             node._tick(node.robot.now_ns)
-            node._publish(node._read())
+            node._publish(node.robot.read(), node.robot.shows_obstacles())
         self._executor.spin_once(0.001)
 
     def call(self, kind, service, request):
@@ -342,7 +342,7 @@ def test_absurd_messages_are_refused(node_class, tmp_path, monkeypatch):
         commands = []
         if node_class is ControllerNode:
             it.node._write_commands = commands.append
-            it.node._look_around()
+            it.node.look_around()
         for heard in (topics.JOINT_STATES, topics.GOAL_POSE):
             if heard in ATTACKS[node_class]:
                 # So that there is something to lose.

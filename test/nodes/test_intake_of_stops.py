@@ -34,13 +34,13 @@ def test_a_requested_stop_is_noted_at_once_with_all_that_came_before(node):
     node.running = True
     node.inbox.intake.add(Taken.JOINT_STATES, 1, 2)
     assert rows == []
-    node._stop_for(requested("stop service called"))
+    node.stop_for(requested("stop service called"))
     assert [row[0] for row in rows] == [Taken.JOINT_STATES, Taken.STOP]
 
 
 def test_while_the_node_is_inactive_and_nobody_records_it_waits(node):
     rows = published_rows(node)
-    node._stop_for(requested("stop service called"))
+    node.stop_for(requested("stop service called"))
     assert rows == []
     node.inbox.intake.flush()
     assert [row[0] for row in rows] == [Taken.STOP]

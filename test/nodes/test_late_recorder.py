@@ -80,7 +80,7 @@ def test_time_waits_for_a_recorder_that_stands_still(domain, tmp_path):
 def test_seconds_of_ticks_are_in_the_bag(domain, tmp_path):
     """On a busy machine it takes that long until a recorder finds a topic."""
     look = rclpy.create_node("look")
-    topic = topics.JOINT_STATES.kept(True)
+    topic = topics.JOINT_STATES._replace(qos=topics.KEPT_STREAM)
     publisher = look.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
     for _ in range(KEPT):
         publisher.publish(JointState())

@@ -10,9 +10,8 @@ from stack_helpers import Published, ros
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
-from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.safety_state import DISTRUST, read_contact
+from contact_reach_ros.messages.safety_state import read_contact
 from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.observer.budget import ContactBudget
@@ -80,12 +79,6 @@ def test_levels_are_told_when_they_change_and_as_a_sign_of_life(watched):
     assert "contact link" not in watched.last[2]
 
 
-def test_contact_is_told_at_once(watched):
-    watched.give(LIGHT * 3.0, 8)
-    # Not at a multiple of the heartbeat.
-    assert [entry.level for entry in watched.safety.messages].count(DiagnosticStatus.WARN) == 1
-
-
 def test_stop_is_an_error_with_its_reason_and_link(watched):
     watched.give(3.0 * LIGHT, 60)
     level, message, values = watched.last
@@ -95,60 +88,3 @@ def test_stop_is_an_error_with_its_reason_and_link(watched):
     assert float(values["contact force N"]) > 20.0
     watched.give(REST, 400)
     assert watched.last[:2] == (level, message)
-
-
-def test_unknown_weight_at_hand_over_is_an_error(watched):
-    watched.give(UNKNOWN, 5)
-    watched.give(1.2 * np.array(BUDGET.handover_thresholds)[1] * np.eye(7)[1], 200)
-    assert watched.last[0] == DiagnosticStatus.ERROR
-    assert "at hand-over the external torque on lbr_A2" in watched.last[1]
-    assert watched.last[2][DISTRUST] == watched.last[1]
-
-
-def test_torque_of_which_a_part_is_not_finite_is_refused(watched):
-    external = np.zeros(7)
-    external[3] = np.nan
-    watched.give(external, 3)
-    _, values = watched.node.diagnosis()
-    assert values["refused states"] == 3
-    watched.give(REST, 50)
-    assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")
-    assert np.isfinite(float(watched.last[2]["external torque max Nm"]))
-    assert values["contacts"] == 0
-
-
-def test_contact_that_is_none_is_refused(watched):
-    watched.give(LIGHT, 60)
-    message = watched.safety.messages[-1]
-    assert read_contact(watched.safety.messages[0], iiwa14.ARM) is None
-    link, force, place = "contact link", "contact force xyz N", "contact position xyz m"
-    keys = [entry.key for entry in message.values]
-    for key, spoilt in ((link, "lbr_link_9"), (force, "1 2"), (place, "1 2 x"), (place, "nan 0 0")):
-        entry = keys.index(key)
-        kept, message.values[entry].value = message.values[entry].value, spoilt
-        with pytest.raises(InputError, match="safety_state: contact"):
-            read_contact(message, iiwa14.ARM)
-        message.values[entry].value = kept
-
-
-def test_joint_states_that_cannot_be_true_stop_the_arm_and_are_named(watched):
-    # The last joint, whose momentum is small.
-    watched.give(REST, 200, velocity=0.2 * np.eye(7)[6])
-    level, message, values = watched.last
-    assert level == DiagnosticStatus.ERROR
-    assert message.startswith("position and velocity of lbr_A7 differ by -0.02") and values[DISTRUST] == message
-
-
-def test_old_joint_states_are_left_out_and_counted(watched):
-    newest = watched._tick
-    for _ in range(5):
-        watched._tick = newest - 10
-        watched.give(10.0 * LIGHT, 1)
-        watched._tick = newest - 1
-        watched.give(10.0 * LIGHT, 1)
-        watched._tick = newest
-        newest += 1
-        watched.give(REST, 1)
-    values = watched.node.diagnosis()[1]
-    assert (values["joint states older"], values["joint states repeated"]) == (5, 5)
-    assert watched.last[:2] == (DiagnosticStatus.OK, "monitoring")

@@ -27,7 +27,7 @@ def not_yet(monkeypatch, file: str, *arguments: str) -> str:
         controller, observer = ControllerNode(), ObserverNode()
         values = [KeyValue(key=key, value=json.dumps(value)) for key, value in observer.reported_settings().items()]
         controller._on_settings(DiagnosticStatus(name="observer", values=values))
-        controller._look_around()
+        controller.look_around()
         return controller._controller.not_yet
 
 
@@ -46,7 +46,9 @@ def test_a_difference_keeps_the_arm_from_being_started_and_is_named(monkeypatch,
 def test_bring_up_gives_the_controller_what_it_changes_in_the_observer():
     table = {process.name: process for process in processes(BringupOptions(overrides=("observer:safety.debounce=5",)))}
     assert table["controller"].parameters["observer:safety.debounce"] == 5
-    check_arguments(["controller", "-p", "observer:safety.debounce:=5"], "controller", ControllerNode.SECTIONS)
+    check_arguments(
+        ["controller", "--ros-args", "-p", "observer:safety.debounce:=5"], "controller", ControllerNode.SECTIONS
+    )
 
 
 @pytest.mark.parametrize("is_required", [True, False])

@@ -24,7 +24,7 @@ class Planner:
 
     def __init__(self) -> None:
         self.node = PlannerNode()
-        self.node._solve = lambda _: None
+        self.node._make_plan = lambda _: None
         self._writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
         self._tick = 0
         self.node._on_obstacles(serialize_message(MarkerArray()))

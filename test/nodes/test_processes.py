@@ -66,6 +66,7 @@ def test_in_lockstep_time_waits_for_the_recorder_too(tmp_path, own, waited_for):
         table = {process.name: process.parameters for process in processes(options)}
         assert table["recorder"]["use_sim_time"] is lockstep
         assert table["driver"].get("waits_for") == (waited_for if lockstep else None)
+        assert table["planner"].get("planning.deadline") == (0.0 if lockstep else None)
 
 
 def test_overrides_reach_their_node_only(tmp_path):

@@ -72,13 +72,3 @@ def test_a_file_whose_parameters_bring_up_would_not_pass_on_is_refused(tmp_path,
     file.write_text("bringup: {ros__parameters: {view: true}}\nplanner: {ros__parameters: {period: 0.1}}\n")
     assert bringup.run_bringup(["bringup", "--ros-args", "--params-file", str(file)]) == 2
     assert f"for planner; give the nodes' file as -p parameters:={file}" in capsys.readouterr().err
-
-
-def test_wrong_parameters_are_named_before_anything_starts(tmp_path):
-    file = tmp_path / "own.yaml"
-    file.write_text("plannner: {ros__parameters: {period: 0.1}}\n")
-    command = [*module("cli"), "demo", "--parameters", str(file)]
-    result = subprocess.run(command, env=environment(), cwd=tmp_path, capture_output=True, text=True, timeout=60)
-    assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr == f"contact-reach: {file}: unknown node 'plannner'; did you mean 'planner'?\n"
-    assert os.listdir(tmp_path) == ["own.yaml"]

@@ -8,7 +8,7 @@ import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from stack_helpers import UNWATCHED, Published, ros
+from stack_helpers import UNWATCHED, ros
 from std_msgs.msg import Header
 
 from contact_reach_ros.arm.model import RobotModel
@@ -18,9 +18,9 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time
 from contact_reach_ros.messages.safety_state import DISTRUST
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
+from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -44,6 +44,8 @@ class Others:
         }
         self._writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
         self._controller = controller
+        topic = topics.LOCKSTEP_HORIZON
+        self._promises = self._node.create_subscription(topic.type, topic.name, print, qos_profile(topic.qos))
         while not all(publisher.get_subscription_count() for publisher in self._publishers.values()):
             time.sleep(0.01)
 
@@ -52,6 +54,16 @@ class Others:
         self._publishers[topics.JOINT_STATES.name].publish(self._writer.write(tick * TICK_NS, HOME, REST))
         while (self._controller._controller.stamp_ns or 0) < tick * TICK_NS:
             self._controller.inbox.wait(NANOSECONDS // 10)
+
+    def promised(self, tick: int) -> bool:
+        """Whether the controller promises within some seconds that it is done with a state."""
+        for _ in range(1000):
+            taken = self._promises.handle.take_message(Header, False)
+            if taken is None:
+                time.sleep(0.01)
+            elif (taken[0].frame_id, nanoseconds(taken[0].stamp)) == ("controller", (tick + 1) * TICK_NS):
+                return True
+        return False
 
     def say(self, done: int, stop: str = "") -> None:
         """The observer has seen the states up to a tick, and perhaps wants a stop."""
@@ -65,7 +77,7 @@ class Others:
 
 def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(lockstep, monkeypatch):
     node = ControllerNode()
-    node._look_around()
+    node.look_around()
     others = Others(node)
     for tick in (1, 2):
         others.say(done=tick)
@@ -81,44 +93,22 @@ def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(lockstep, mo
     assert time.monotonic() - started > 0.4
 
 
-def test_a_controller_that_commands_nothing_still_answers_in_lockstep(lockstep):
+def test_a_controller_that_commands_nothing_is_done_with_a_state_all_the_same(lockstep):
     node = ControllerNode()
-    node._look_around()
-    node._safety, horizon = Published(), Published()
-    node._lockstep = Lockstep("controller", TICK_NS, horizon.publish)
+    node.look_around()
+    others = Others(node)
     commands: list[bytes] = []
     node._write_commands = commands.append
-    writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
-
-    def show(tick: int) -> None:
-        node._on_state(writer.write(tick * TICK_NS, HOME, REST))
-
-    for tick in (1, 2, 2, 1):
-        show(tick)
-    assert len(commands) == 2 and not horizon.messages
-    values = node.diagnosis()[1]
-    assert (values["joint states repeated"], values["joint states older"]) == (1, 1)
-    message = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="observer", message="too much torque")
-    message.values = [KeyValue(key=DISTRUST, value="an encoder is stuck")]
-    node._on_safety(message)
-    show(3)
-    assert len(commands) == 2
-    (answer,) = horizon.messages
-    assert (answer.frame_id, answer.stamp.nanosec) == ("controller", 3 * TICK_NS)
-    said = node._safety.messages[-1]
-    assert (said.level, said.values[0].value) == (DiagnosticStatus.ERROR, "silent")
-    assert said.message.startswith("too much torque; an encoder is stuck; nothing is commanded any more")
-
-
-def test_the_driver_takes_that_for_an_answer(lockstep):
-    driver = DriverNode()
-    driver._prepare_messages()
-    driver._publish(driver._read())
-    assert driver._lockstep.unanswered == 1
-    driver._lockstep.hear(Header(frame_id="observer"))
-    assert driver._lockstep.unanswered == 1
-    driver._lockstep.hear(Header(frame_id="controller"))
-    assert driver._lockstep.unanswered == 0
+    for tick in (1, 2):
+        others.say(done=tick)
+        others.show(tick)
+    assert [others.promised(tick) for tick in (1, 2)] == [True, True] and len(commands) == 2
+    values = [KeyValue(key=DISTRUST, value="an encoder is stuck")]
+    node._on_safety(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="observer", message="torque", values=values))
+    others.say(done=3, stop="torque; an encoder is stuck")
+    others.show(3)
+    assert others.promised(3) and len(commands) == 2
+    assert "an encoder is stuck; nothing is commanded" in node._controller.stop_reason
 
 
 class SteadyClock:
@@ -148,21 +138,20 @@ def clock(monkeypatch):
 
 def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
     driver = DriverNode()
-    driver._prepare_messages()
     command = CommandWriter(iiwa14.ARM.n).write(np.arange(7.0))
     taken = []
     monkeypatch.setattr(driver.robot, "command", lambda torque, _: taken.append(torque.tolist()))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: driver._on_command(command))
 
     def turn(late_ns: int) -> None:
-        driver._next_ns = clock.now_ns - late_ns
+        driver.pace.next_ns = clock.now_ns - late_ns
         driver._realtime_tick()
 
     turn(-TICK_NS)
-    assert driver._lockstep.unanswered == 1 and not taken
+    assert driver._waits_for_command and not taken
     turn(2 * TICK_NS)
     assert taken == [list(range(7))]
-    driver._lockstep.unanswered = 0
+    driver._waits_for_command = False
     turn(2 * TICK_NS)
     assert len(taken) == 1
     assert driver.diagnosis()[1]["missed ticks"] == 4
@@ -170,19 +159,18 @@ def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
 
 def test_contacts_are_published_after_the_answer_where_there_is_time_for_that(clock, monkeypatch):
     driver = DriverNode()
-    driver._prepare_messages()
     done = []
     monkeypatch.setattr(driver, "publish_state", lambda _: done.append("state"))
     monkeypatch.setattr(driver, "_write_contacts", lambda _: done.append("contacts"))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: done.append("wait"))
-    driver._next_ns = clock.now_ns + TICK_NS
+    driver.pace.next_ns = clock.now_ns + TICK_NS
     for _ in range(5):
         driver._realtime_tick()
     assert done == [*4 * ["state"], "state", "wait", "contacts"]
     # Late by most of a tick: what is left of it is needed.
     done.clear()
     for _ in range(5):
-        driver._lockstep.unanswered, driver._next_ns = 0, clock.now_ns - TICK_NS * 9 // 10
+        driver._waits_for_command, driver.pace.next_ns = False, clock.now_ns - TICK_NS * 9 // 10
         driver._realtime_tick()
     assert done == [*5 * ["state"], "contacts"]
 
@@ -190,12 +178,11 @@ def test_contacts_are_published_after_the_answer_where_there_is_time_for_that(cl
 def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):
     """As when a virtual machine stands still: neither robot nor controller have done anything meanwhile."""
     driver = DriverNode()
-    driver._prepare_messages()
     monkeypatch.setattr(driver.inbox, "wait", lambda _: None)
     model = RobotModel(iiwa14.ARM)
     model.update(HOME, REST)
     command = CommandWriter(iiwa14.ARM.n).write(model.gravity)
-    driver._next_ns = clock.now_ns
+    driver.pace.next_ns = clock.now_ns
     for _ in range(1000):
         driver._realtime_tick()
         driver._on_command(command)

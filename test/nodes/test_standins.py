@@ -47,7 +47,12 @@ def parameters_of(kind, path):
 def stack(kind, rate, lockstep, env, folder):
     """A driver of that kind, and the stack on it."""
     standin = [sys.executable, str(Path(__file__).with_name("standins.py")), kind]
-    arguments = ["scene:=ball", f"state_rate:={rate}.0", f"lockstep:={str(lockstep).lower()}"]
+    arguments = [
+        "scene:=ball",
+        f"state_rate:={rate}.0",
+        f"lockstep:={str(lockstep).lower()}",
+        *(["waits_for:=adapter"] if lockstep else []),
+    ]
     driver = ["--ros-args", *(part for argument in arguments for part in ("-p", argument))]
     up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
     up += ["--parameters", str(parameters_of(kind, folder / "parameters.yaml")), *(["--lockstep"] if lockstep else [])]

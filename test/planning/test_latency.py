@@ -16,9 +16,3 @@ def test_it_is_the_slowest_of_the_last_plans_but_never_less_than_wanted() -> Non
     for _ in range(7):
         latency.add(50 * MS)
     assert latency() == 50 * MS
-
-
-def test_in_lockstep_it_is_always_the_same() -> None:
-    latency = LatencyEstimate(40 * MS, fixed=True)
-    latency.add(90 * MS)
-    assert latency() == 40 * MS
