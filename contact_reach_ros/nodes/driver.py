@@ -86,11 +86,7 @@ class DriverNode(ManagedNode):
         chosen: DriverSettings = settings[""]
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
         self.robot = SimulatedRobot(
-            self._scene,
-            settings["sensors"],
-            settings["joints"],
-            settings["watchdog"],
-            period=self.period,
+            self._scene, joints=settings["joints"], watchdog=settings["watchdog"], period=self.period
         )
         self._next_ns = 0
         self._published_ns = 0

@@ -36,8 +36,9 @@ speed_shares = st.lists(st.floats(-1.2, 1.2), min_size=ARM.n, max_size=ARM.n).ma
 class TestSpeedLimiter:
     MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
     INVERSE = np.linalg.inv(MASS)
-    LIMITS = LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
-    CONSTANTS = make_constants(ARM, limits=LIMITS)
+    CONSTANTS = make_constants(ARM)
+    CONSTANTS[Constant.BRAKED_SPEED] = 0.4 * VELOCITY_LIMITS
+    CONSTANTS[Constant.SPEED_CEILING] = 0.8 * VELOCITY_LIMITS
     CEILING = 0.8 * VELOCITY_LIMITS
 
     def permitted(self, left: np.ndarray) -> np.ndarray:
