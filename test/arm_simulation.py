@@ -104,6 +104,13 @@ UNWATCHED = ControllerSettings(supervision=SupervisionSettings(require_observer=
 """For controllers that nobody watches, and that may be pulled from afar."""
 
 
+def patient_controller(settings: ControllerSettings, period: float = TICK) -> Controller:
+    """A controller for plans that last as long as a test."""
+    controller = Controller(ARM, settings, period)
+    controller.references = ReferenceQueue(ARM.n, MAX_PLAN_LEAD)
+    return controller
+
+
 class ClosedLoop:
     """A controller and the simulated arm that it moves, in lockstep."""
 
@@ -112,9 +119,7 @@ class ClosedLoop:
     ) -> None:
         """`late`: number of states by which each command acts later than it should; `period` of the states, s."""
         self.plant = plant
-        self.controller = Controller(ARM, settings or UNWATCHED, period)
-        # For plans that last as long as a test.
-        self.controller.references = ReferenceQueue(ARM.n, MAX_PLAN_LEAD)
+        self.controller = patient_controller(settings or UNWATCHED, period)
         self.torques: list[np.ndarray] = []
         self._late = late
         self._steps = round(period / TICK)

@@ -2,13 +2,22 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, offer_plan
+from arm_simulation import (
+    ARM,
+    HOME,
+    REST,
+    TICK_NS,
+    TORQUE_LIMITS,
+    UNWATCHED,
+    ideal_plant,
+    offer_plan,
+    patient_controller,
+)
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase
-from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError, StopCode
@@ -158,7 +167,7 @@ def displacement_after_silence(is_guarded):
     """How far the joints move, rad, in half a second after a moving controller ended; their speed then, rad/s."""
     plant = ideal_plant()
     drive = Drive(plant, WatchdogSettings(enabled=False, speed_share=0.0), open_after=0.0)
-    controller, guard = Controller(ARM, UNWATCHED), CommandGuard(ARM, AdapterSettings())
+    controller, guard = patient_controller(UNWATCHED), CommandGuard(ARM, AdapterSettings())
     ended = None
     for tick in range(1, 900):
         now_ns, reading = tick * TICK_NS, plant.read()

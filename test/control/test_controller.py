@@ -5,12 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, offer_plan
+from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, offer_plan, patient_controller
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
-from contact_reach_ros.control.controller import HOLD_BLEND, START_RAMP, Controller, ControllerSettings
+from contact_reach_ros.control.controller import HOLD_BLEND, START_RAMP, ControllerSettings
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
@@ -26,7 +26,7 @@ class Bench:
     """A controller that is shown states at 1 kHz."""
 
     def __init__(self, settings: ControllerSettings = SETTINGS) -> None:
-        self.controller = Controller(ARM, settings)
+        self.controller = patient_controller(settings)
         self.now_ns = 0
         self.torque = REST
 

@@ -69,7 +69,7 @@ class TestSpeedLimiter:
 
     @given(speed_shares, torques, torques)
     def test_what_keeps_the_speed_stays_within_the_torque_limits(self, shares, previous, wish):
-        v, step = shares * VELOCITY_LIMITS, torque_rates(ARM, self.LIMITS) * 1e-3
+        v, step = shares * VELOCITY_LIMITS, torque_rates(ARM, LimitSettings()) * 1e-3
         cap = self.CONSTANTS[Constant.TORQUE_CAP]
         previous = np.clip(previous, -cap, cap)
         before = np.clip(np.clip(wish, previous - step, previous + step), -cap, cap)
@@ -90,7 +90,7 @@ class TestSpeedLimiter:
         keep_speed(self.CONSTANTS, v, self.INVERSE, rest, after, rest, 1e-3)
         wanted = -100.0 * excess * self.CEILING[joint] / self.INVERSE[joint, joint]
         expected = rest.copy()
-        expected[joint] = side * max(wanted, -torque_rates(ARM, self.LIMITS)[joint] * 1e-3)
+        expected[joint] = side * max(wanted, -torque_rates(ARM, LimitSettings())[joint] * 1e-3)
         np.testing.assert_allclose(after, expected, rtol=1e-9)
 
 
