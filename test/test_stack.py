@@ -22,11 +22,10 @@ from contact_reach_ros.planning.planning_core import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.simulation.faults import Fault, NotFinite, Silent, WrongClock
+from contact_reach_ros.simulation.faults import Fault, NotFinite, Silent
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack, Tick
 from contact_reach_ros.world.goal import FREE, Goal
-from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres
 
 SMALL = PlanningSettings(population=32, elite=8, line_search_points=16, max_steps=3, deadline=0.0)
@@ -172,19 +171,6 @@ class TestRun:
         result = stack.run(Goal(start, tolerance=0.02), 8.0)
         assert result.reached and np.linalg.norm(stack.tip_position - start) <= 0.02
 
-    def test_a_goal_that_is_not_reached_in_time(self):
-        result = staying().run(GOAL, 0.3)
-        assert not result.reached and not result.stop_reason
-        assert math.isnan(result.duration)
-        assert result.distance == pytest.approx(distance_from_target(FREE_SCENE.start), rel=0.01)
-        assert result.plans == 10
-
-    def test_it_may_go_on_for_a_while_after_the_goal(self):
-        stack, seen = staying(), []
-        result = stack.run(Goal(stack.tip_position, tolerance=0.05), 1.0, seen.append, linger=0.25)
-        assert result.reached and result.duration == 0.001
-        assert len(seen) == 251
-
     def test_it_waits_until_the_tip_has_settled_if_asked_to(self):
         stack, seen = staying(), []
         goal = Goal(stack.tip_position, tolerance=0.05)
@@ -240,15 +226,6 @@ class TestPlan:
         assert result == plain[0]
         np.testing.assert_array_equal([tick.torque for tick in ticks], plain[1])
         np.testing.assert_array_equal([tick.state.q for tick in ticks], plain[2])
-
-    @pytest.mark.parametrize("steps", [0, 1, 7, 39])
-    def test_it_knows_the_obstacles_also_between_the_moments_at_which_they_are_published(self, steps):
-        core = StayingCore()
-        stack = Stack(load_scene("ball"), planner=core)
-        for _ in range(steps):
-            stack.step()
-        stack.plan(Goal([0.5, 0.1, 0.3]))
-        assert len(core.asked[-1].spheres) == 1
 
 
 class TestStop:
@@ -319,28 +296,6 @@ class TestOwnRobot:
             with pytest.raises(InputError, match=r"^obstacles: none received yet; .*require_obstacles"):
                 ask(Goal([0.5, 0.1, 0.3]))
 
-    def test_one_that_reports_them_no_more_gets_no_plan(self):
-        class Blind(SimulatedRobot):
-            def obstacles(self) -> Spheres | None:
-                return super().obstacles() if self.plant.steps < 100 else None
-
-        stack = Stack(load_scene("ball"), planner=StayingCore(), robot=Blind(load_scene("ball")))
-        stack.settle(0.5)
-        stack.command(Goal([0.5, 0.1, 0.3]))
-        with pytest.raises(InputError, match=r"^obstacles: last seen 0\.5\d\d s ago"):
-            stack.settle(1.0)
-
-    def test_one_around_the_simulated_robot_changes_nothing_by_itself(self, core, free_run):
-        class Forwarding:
-            def __init__(self, inner: SimulatedRobot) -> None:
-                self._inner = inner
-
-            def __getattr__(self, name: str):
-                return getattr(self._inner, name)
-
-        robot = Forwarding(SimulatedRobot(FREE_SCENE, noise_seed=1))
-        assert_identical(watched(Stack(FREE_SCENE, planner=core, robot=robot)), free_run)
-
     @pytest.mark.parametrize("field", ["q", "v"])
     @pytest.mark.parametrize("value", [math.nan, math.inf])
     @pytest.mark.parametrize("number", [0, 50])
@@ -356,15 +311,6 @@ class TestOwnRobot:
         # Nothing is commanded before the observer has seen the first state.
         assert len(stack.robot.commands) == max(number - 1, 0)
 
-    def test_torques_of_some_joints_only_stop_the_arm_and_are_named(self):
-        def change(count: int, states: list[JointState]) -> list[JointState]:
-            torque = np.where(np.arange(ARM.n) == 3, math.nan, 0.0)
-            return [state._replace(torque=torque) if count >= 50 else state for state in states]
-
-        stack = staying(robot=OddRobot(change))
-        stack.settle(0.1)
-        assert f"blind: joint_states carry no finite effort for {ARM.joint_names[3]}" in stack.stop_reason
-
     def test_a_state_that_comes_again_is_refused_and_named(self):
         def again(states: list[JointState]) -> list[JointState]:
             return [state._replace() for state in states]
@@ -372,13 +318,6 @@ class TestOwnRobot:
         stack = staying(robot=OddRobot(lambda count, states: [*states, *again(states)] if count == 50 else states))
         with pytest.raises(InputError, match="joint state of 50000000 ns came again or late"):
             stack.settle(0.1)
-
-    def test_in_a_step_without_a_state_nothing_is_commanded(self):
-        stack = staying(robot=OddRobot(lambda count, states: [] if 50 <= count < 60 else states))
-        ticks = [stack.step() for _ in range(100)]
-        answered = [number for number, tick in enumerate(ticks) if tick.torque is not None]
-        assert answered == [*range(1, 50), *range(60, 100)]
-        assert len(stack.robot.commands) == 89
 
     def test_states_that_arrive_together_are_all_answered(self):
         waiting: list[JointState] = []
@@ -418,15 +357,6 @@ class TestFaults:
         assert not result.stop_reason
         assert stack.refused["joint states"] == stack.refused["observed joint states"] > 50
 
-    def test_old_joint_states(self):
-        stack, _ = self.run(WrongClock(share=0.5, duration=0.4))
-        assert stack.refused["old joint states"] > 100
-
-    def test_old_joint_states_that_are_not_finite_either(self):
-        """Only the own watch looks into these."""
-        stack, _ = self.run(WrongClock(share=0.5), NotFinite("states", "position", share=0.3))
-        assert stack.refused["old joint states"] > 50 and stack.refused["joint states"] > 50
-
     def test_the_goal_is_withdrawn_when_the_robot_pauses_for_long(self):
         for pause, is_left in ((1.0, True), (2.1, False)):
             faults = [Silent("driver", duration=pause)]
@@ -437,26 +367,6 @@ class TestFaults:
             robot.start_faults()
             stack.settle(0.9 + pause)
             assert (stack.planner.goal is not None) == is_left
-
-    def test_commands(self):
-        stack, _ = self.run(NotFinite("commands", share=0.3))
-        assert stack.refused["commands"] > 50
-
-
-def test_arguments_of_other_types_are_refused_and_named():
-    for name, value in (("planning", ImpedanceSettings()), ("robot", object()), ("planner", 3), ("budget", {})):
-        with pytest.raises(SettingsError, match=name):
-            Stack(FREE_SCENE, **{name: value})
-    with pytest.raises(SettingsError, match="scene"):
-        Stack("free")
-    with pytest.raises(SettingsError, match=r"period = 1\.5 ms: the simulated robot has a whole number"):
-        Stack(FREE_SCENE, period=0.0015)
-
-
-def test_the_scene_names_the_arm_and_the_parts_have_it():
-    stack = staying()
-    assert isinstance(stack.scene, Scene)
-    assert stack.arm is stack.controller.arm is stack.observer.arm is FREE_SCENE.arm
 
 
 def test_the_planner_knows_when_the_controller_drops_its_plans():
