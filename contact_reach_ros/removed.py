@@ -96,8 +96,12 @@ COMMANDS: Mapping[str, str] = {
     "bench bags": "contact-reach bag info counts the lost messages of a recording",
     "bench floor": _MEASURED_ONCE,
     "bench page": "run `make -C benchmarks` in a checkout of the repository",
+    "bench --ticks": "leave it out: bench times the controller in the running stack",
+    "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
+    "report --with": "run contact-reach reexecute BAG --with FILE",
+    "view --dark": "append ?darkMode to the page's address",
 }
-"""Commands of `contact-reach`, by their first words."""
+"""Commands of `contact-reach` by their first words, and options by command and name."""
 
 EXECUTABLES: Mapping[str, str] = {"faults": _FAULTS}
 """Executables of `ros2 run`."""
@@ -112,7 +116,8 @@ def removed_parameter(name: str) -> str:
 
 def removed_command(words: list[str]) -> str:
     """Why `contact-reach` does not take these arguments any more, and what to do; empty if it does, or never did."""
-    names = [" ".join(words[:count]) for count in (1, 2)]
+    options = [word.partition("=")[0] for word in words if word.startswith("--")]
+    names = [*words[:1], " ".join(words[:2]), *(f"{words[0]} {option}" for option in options)]
     return next((_refusal(name, COMMANDS[name]) for name in names if name in COMMANDS), "")
 
 

@@ -29,8 +29,14 @@ def test_parameters(tmp_path, node, name):
 
 @pytest.mark.parametrize("command", removed.COMMANDS)
 def test_commands(capsys, command):
-    assert contact_reach(*command.split(), "--any", "argument") == 2
+    assert contact_reach(*command.split(), "argument") == 2
     assert capsys.readouterr().err == f"contact-reach: '{command}' was removed in 0.3.0: {removed.COMMANDS[command]}\n"
+
+
+def test_options_count_wherever_they_stand_and_other_words_do_not():
+    assert removed.removed_command(["report", "bags/sample", "--csv=tables"])
+    assert not removed.removed_command(["bench", "--scene", "faults"])
+    assert not removed.removed_command([])
 
 
 @pytest.mark.parametrize("name", removed.EXECUTABLES)
