@@ -15,7 +15,7 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
-from contact_reach_ros.observer.safety import SafetySettings
+from contact_reach_ros.observer.safety import RELEASE_DEBOUNCE, SafetySettings
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
@@ -270,5 +270,5 @@ def count_onsets(ratios: Sequence[float]) -> Array:
     counts = []
     for scale in SCALES:
         (above,) = np.nonzero(reached > scale)
-        counts.append(int(above.size > 0) + int((np.diff(above) > SafetySettings().release_debounce).sum()))
+        counts.append(int(above.size > 0) + int((np.diff(above) > RELEASE_DEBOUNCE).sum()))
     return np.array(counts)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.removed import removed_command
 from contact_reach_ros.resources import PACKAGE, VERSION
 
 BAD_INPUT = 2
@@ -20,9 +21,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     # As in nodes/: before anything imports NumPy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    options = vars(_parser().parse_args(arguments))
-    run = options.pop("run")
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
+        if refusal := removed_command(words):
+            raise InputError(refusal)
+        options = vars(_parser().parse_args(words))
+        run = options.pop("run")
         code = run(**options)
         # What is still buffered: at the interpreter's end an error could not be caught.
         sys.stdout.flush()
@@ -109,8 +113,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
     _add_stack(speed)
-    tool = add("tool", _tool, "how to give the stack another tool: a running one keeps its tool")
-    tool.add_argument("files", nargs="*", metavar="FILE", help="of the tool; not read")
     stop = add("stop", _later("bringup.commands:stop"), "stop the arm of the running stack, compliantly, until reset")
     _add_stack(stop)
     reset = add(
@@ -184,7 +186,7 @@ def _parser() -> argparse.ArgumentParser:
     repair.set_defaults(run=_bag_repair)
 
     bench = add("bench", _bench, "how well this machine keeps the time of the running stack")
-    bench.add_argument("what", nargs="?", default="control", type=_fitness, help=argparse.SUPPRESS)
+    bench.add_argument("what", nargs="?", default="control", choices=["control"], help=argparse.SUPPRESS)
     bench.add_argument("--seconds", type=float, help="time that is measured, s (default: 60)")
     bench.add_argument("--load", type=int, help="programs beside the stack that never sleep (default: 0)")
     _add_json(bench)
@@ -243,14 +245,6 @@ def _goto(x: float, y: float, z: float, **options: Any) -> int:
     return goto((x, y, z), **options)
 
 
-def _tool(**_: Any) -> None:
-    raise InputError(
-        "tool: a running stack keeps its tool. Stop the arm (contact-reach stop) and let the brakes close, end the "
-        "stack, put the section 'tool' under '/**: ros__parameters:' in the parameter file, and start it again with "
-        "this file; see docs/real_robot.md"
-    )
-
-
 def _identify(discovery: str = "host", namespace: str = "", **options: Any) -> int:
     from contact_reach_ros.identification.command import RecordedMotion, run_identification
 
@@ -268,13 +262,6 @@ def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) ->
     from contact_reach_ros.nodes.viewer import view
 
     return view(chosen, parameters, namespace)
-
-
-def _fitness(name: str) -> str:
-    """Refuse what is not the fitness check: the other benchmarks are in the repository, not in the package."""
-    if name != "control":
-        raise argparse.ArgumentTypeError(f"benchmarks run in a checkout of the repository: make bench NAME={name}")
-    return name
 
 
 def _bench(what: str, **options: Any) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 from contact_reach_ros.errors import ContactReachError
 
 PACKAGE = "contact_reach_ros"
-VERSION = "0.2.0"
+VERSION = "0.3.0"
 """Version of this package, the same as in package.xml."""
 
 _PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numba", "numpy", "pin", "mcap", "ros-rclpy")

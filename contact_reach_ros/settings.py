@@ -18,6 +18,7 @@ from typing import Any, Protocol, Self
 import yaml
 
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.removed import removed_parameter
 
 Scalar = bool | int | float | str
 Value = Scalar | tuple[Scalar, ...] | None
@@ -200,7 +201,9 @@ Sections = Mapping[str, type[Settings]]
 
 
 def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str, what: str = "key") -> str:
-    """The message for an undeclared key, with the nearest declared one if there is any; `what` it is, if no key."""
+    """The message for an undeclared key, with the nearest declared one if any, or what to do if it was removed."""
+    if what == "key" and (refusal := removed_parameter(key)):
+        return f"{source}: {refusal}"
     near = difflib.get_close_matches(key, list(known), n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"known {what}s: " + ", ".join(sorted(known))
     return f"{source}: unknown {what} '{key}'; {hint}"

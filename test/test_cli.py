@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 from contact_reach_command import contact_reach
 
-from contact_reach_ros.cli import main
-
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
 
@@ -40,16 +38,3 @@ def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypat
     given = []
     monkeypatch.setattr("contact_reach_ros.nodes.viewer.view", lambda chosen, *_: given.append(chosen) or 0)
     assert contact_reach("view", *arguments) == 0 and given == [expected]
-
-
-def test_tool_says_how_a_stack_gets_another_tool(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["tool", "my_tool.yaml"])
-    assert ended.value.code == 2
-    assert "put the section 'tool' under '/**: ros__parameters:'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("arguments", [["table1", "--targets", "2"], ["page", "--out", "page"], ["planner", "--quick"]])
-def test_benchmarks_of_the_repository_are_named_with_the_command_that_runs_them(capsys, arguments):
-    assert contact_reach("bench", *arguments) == 2
-    assert f"make bench NAME={arguments[0]}" in capsys.readouterr().err

@@ -31,12 +31,9 @@ def test_the_packages_own_file_passes():
     [
         ({"plannner": {"period": 0.1}}, "unknown node 'plannner'; did you mean 'planner'"),
         ({"/arm/planner": {}}, "unknown node '/arm/planner'"),
-        ({"xyz": {}}, "unknown node 'xyz'; known nodes: adapter, bringup, controller"),
         ({"planner": {"perod": 0.1}}, "planner: unknown key 'perod'; did you mean 'period'"),
-        ({"/**": {"period": 0.1}}, "driver: unknown key 'period'"),
         ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
         ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
-        ({"controller": {"state_rate": 5}}, "controller: state_rate = 5: expected a number in"),
         ({"/**": {"robot": "r2"}}, "robot: arm 'r2' is unknown; expected one of fr3, iiwa14"),
         ({"driver": {"watchdog": {"hold_after": 0.5}}}, "driver: .*hold_after = 0.5: expected less than stop_after"),
         (
@@ -50,7 +47,6 @@ def test_the_packages_own_file_passes():
             r"tool\.mass = 0\.0 for the driver, .* 1\.0 for the planner; expected the same",
         ),
         ({"/**": {"tool": {"inertia": [1.0] * 6}}}, r"driver: Tool\.inertia = .* expected zeros, as mass = 0 kg"),
-        ({"/**": {"tool": {"weight": 1.0}}}, r"driver: unknown key 'tool\.weight'"),
         ({"/**": {"state_rate": 300.0}}, "the simulated robot has a whole number of milliseconds"),
         ({"observer": {"contact_budget": "/no/such.yaml"}}, "/no/such.yaml: cannot be read"),
     ],

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
 
 
@@ -20,7 +20,6 @@ class Everything(Settings):
     count: int = setting(3, "a count", minimum=1, maximum=10)
     gain: float = setting(0.5, "a gain", unit="1/s", minimum=0.0)
     limit: float = setting(1.0, "a limit", unit="m", maximum=2.0)
-    free: float = setting(0.0, "anything finite")
     name: str = setting("abc", "a name")
     mode: str = setting("slow", "a mode", choices=("slow", "fast"))
     corner: tuple[float, ...] = setting((1.0, 2.0, 3.0), "a corner", unit="m", minimum=-5.0, maximum=5.0)
@@ -31,61 +30,43 @@ def make(**values) -> Everything:
     return Everything.from_mapping(values, "settings.yaml")
 
 
-def test_defaults_hold_for_what_is_not_given():
-    assert make() == Everything()
-    assert make(count=4) == Everything(count=4)
-
-
 @given(
     st.fixed_dictionaries(
-        {
+        {},
+        optional={
             "switch": st.booleans(),
             "count": st.integers(1, 10),
             "gain": st.floats(0, allow_infinity=False),
             "limit": st.floats(max_value=2.0, allow_infinity=False),
-            "free": st.floats(allow_nan=False, allow_infinity=False),
             "name": st.text(),
             "mode": st.sampled_from(["slow", "fast"]),
             "corner": st.lists(st.floats(-5, 5), min_size=3, max_size=3),
             "place": st.none() | st.lists(st.floats(-5, 5), min_size=2, max_size=2),
-        }
+        },
     )
 )
 def test_values_within_the_declarations_are_taken_as_they_are(values):
-    settings = make(**values)
-    for key, value in values.items():
-        assert getattr(settings, key) == (tuple(value) if isinstance(value, list) else value)
+    taken = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+    assert vars(make(**values)) == {**vars(Everything()), **taken}
 
 
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
         ("switch", 1, "true or false"),
-        ("switch", "true", "true or false"),
         ("switch", None, "true or false"),
         ("count", 2.0, "an integer in [1, 10]"),
         ("count", True, "an integer in [1, 10]"),
-        ("count", 0, "an integer in [1, 10]"),
         ("count", 11, "an integer in [1, 10]"),
-        ("count", "3", "an integer in [1, 10]"),
         ("gain", -1e-9, "a number in [0, inf] 1/s"),
         ("gain", math.nan, "a number in [0, inf] 1/s"),
-        ("gain", math.inf, "a number in [0, inf] 1/s"),
-        ("gain", False, "a number in [0, inf] 1/s"),
+        ("gain", 10**400, "a number in [0, inf] 1/s"),
         ("gain", "0.5", "a number in [0, inf] 1/s"),
-        ("gain", [0.5], "a number in [0, inf] 1/s"),
         ("limit", 2.1, "a number in [-inf, 2] m"),
-        ("free", -math.inf, "a number"),
-        ("free", 10**400, "a number"),
         ("name", 5, "a string"),
         ("mode", "medium", "one of slow, fast"),
         ("place", [1.0], "null, or a list of 2 values, each a number in [-inf, 5] m"),
-        ("place", 1.0, "null, or a list of 2 values, each a number in [-inf, 5] m"),
-        ("place", "ab", "null, or a list of 2 values, each a number in [-inf, 5] m"),
-        ("mode", 1, "one of slow, fast"),
         ("corner", (1.0, 2.0), "a list of 3 values, each a number in [-5, 5] m"),
-        ("corner", (1.0, 2.0, 3.0, 4.0), "a list of 3 values, each a number in [-5, 5] m"),
-        ("corner", 1.0, "a list of 3 values, each a number in [-5, 5] m"),
         ("corner", "123", "a list of 3 values, each a number in [-5, 5] m"),
     ],
 )
@@ -102,50 +83,28 @@ def test_wrong_element_of_a_list_is_named(wrong):
     assert str(raised.value).startswith(f"settings.yaml: corner = {wrong!r}: expected a list of 3 values")
 
 
-def test_integers_become_floats_where_a_number_is_declared():
-    settings = make(gain=2, corner=[1, 2, 3])
-    assert type(settings.gain) is float
-    assert settings.corner == (1.0, 2.0, 3.0)
-    assert {type(value) for value in settings.corner} == {float}
-
-
-def test_lists_of_any_kind_become_tuples():
+def test_integers_and_arrays_become_floats_and_tuples_where_these_are_declared():
     # ROS parameters come as arrays.
-    assert make(corner=array.array("d", [1, 2, 3])).corner == (1.0, 2.0, 3.0)
+    settings = make(gain=2, corner=array.array("i", [1, 2, 3]))
+    assert settings.corner == (1.0, 2.0, 3.0)
+    assert {type(value) for value in (settings.gain, *settings.corner)} == {float}
 
 
-def test_values_given_in_code_are_checked_alike():
+def test_values_given_in_code_are_checked_alike_and_cannot_be_changed():
     with pytest.raises(SettingsError) as raised:
         Everything(count=11)
     assert str(raised.value) == "Everything.count = 11: expected an integer in [1, 10]"
     with pytest.raises(SettingsError):
         dataclasses.replace(Everything(), gain=-1.0)
-
-
-def test_settings_cannot_be_changed():
     with pytest.raises(dataclasses.FrozenInstanceError):
         Everything().count = 4
 
 
-def test_unknown_key_names_the_nearest_one():
+def test_unknown_key_names_the_nearest_one_or_all():
     with pytest.raises(SettingsError) as raised:
         make(cuont=4)
     assert str(raised.value) == "settings.yaml: unknown key 'cuont'; did you mean 'count'?"
-
-
-def test_unknown_key_that_resembles_none_lists_them_all():
-    message = unknown_key("xyzzy", ["beta", "alpha"], "file")
-    assert message == "file: unknown key 'xyzzy'; known keys: alpha, beta"
-
-
-def test_declarations_tell_what_there_is():
-    declared = {entry.name: entry for entry in Everything.declared()}
-    assert list(declared) == ["switch", "count", "gain", "limit", "free", "name", "mode", "corner", "place"]
-    assert declared["gain"].unit == "1/s"
-    assert declared["gain"].default == 0.5
-    assert declared["gain"].description == "a gain"
-    kinds = [entry.kind for entry in declared.values()]
-    assert kinds == [bool, int, float, float, float, str, str, float, float]
+    assert unknown_key("xyzzy", ["beta", "alpha"], "file") == "file: unknown key 'xyzzy'; known keys: alpha, beta"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,37 +126,24 @@ class ThreeJoints:
 class TestPerJoint:
     """Lists with one value for each joint, whose length and default are the arm's."""
 
-    def test_until_an_arm_is_known_there_is_no_default(self):
-        assert PerJoint().thresholds is None and PerJoint().friction is None
-
     def test_the_arms_own_values_stand_in_for_those_that_are_not_given(self):
+        assert PerJoint().thresholds is None
         resolved = PerJoint(friction=[4, 5, 6], gain=2.0).resolve(ThreeJoints())
         assert resolved == PerJoint(thresholds=(1.0, 2.0, 3.0), friction=(4.0, 5.0, 6.0), gain=2.0)
-
-    def test_resolving_again_changes_nothing(self):
-        resolved = PerJoint(thresholds=[9.0, 9.0, 9.0]).resolve(ThreeJoints())
         assert resolved.resolve(ThreeJoints()) == resolved
 
-    def test_settings_without_such_values_are_the_same_for_every_arm(self):
-        settings = Everything(count=4)
-        assert settings.resolve(ThreeJoints()) is settings
-
-    @pytest.mark.parametrize("count", [0, 1, 2, 4])
+    @pytest.mark.parametrize("count", [0, 2, 4])
     def test_another_number_of_values_than_joints_is_refused_when_the_arm_is_known(self, count):
         settings = PerJoint(friction=[1.0] * count)
         with pytest.raises(SettingsError, match=r"^PerJoint\.friction = .*: expected a list of 3 values"):
             settings.resolve(ThreeJoints())
 
-    @pytest.mark.parametrize("wrong", [0.4, 10.1, math.nan, True, "1", None])
+    @pytest.mark.parametrize("wrong", [0.4, math.nan, "1"])
     def test_each_value_is_checked_at_once(self, wrong):
         with pytest.raises(SettingsError) as raised:
             PerJoint.from_mapping({"thresholds": [1.0, wrong, 1.0]}, "file")
         expected = "expected a list with one value for each joint, each a number in [0.5, 10] Nm"
         assert str(raised.value) == f"file: thresholds = {wrong!r}: {expected}"
-
-    def test_a_single_value_is_no_list(self):
-        with pytest.raises(SettingsError, match="a list with one value for each joint"):
-            PerJoint(friction=1.0)
 
     def test_for_an_arm_the_declaration_has_its_length_and_default(self):
         declared = {entry.name: entry.for_arm(ThreeJoints()) for entry in PerJoint.declared()}
@@ -207,9 +153,9 @@ class TestPerJoint:
 
 
 class TestYamlFiles:
-    def test_mapping_is_read(self, tmp_path):
+    def test_mappings_are_read_and_the_lists_of_launch(self, tmp_path):
         file = tmp_path / "a.yaml"
-        file.write_text("a: 1\nb: {c: [1, 2]}\n")
+        file.write_text("a: 1\nb: {c: !!python/tuple [1, 2]}\n")
         assert read_yaml(file) == {"a": 1, "b": {"c": [1, 2]}}
 
     @pytest.mark.parametrize(
@@ -217,7 +163,6 @@ class TestYamlFiles:
         [
             (b"", "holds NoneType; expected a mapping"),
             (b"- 1", "holds list; expected a mapping"),
-            (b"text", "holds str; expected a mapping"),
             (b"a: [1", "not valid YAML"),
             (b"a: \xff", "not valid YAML"),
             (b"a: !!python/object/apply:os.getcwd []", "not valid YAML"),
@@ -231,16 +176,5 @@ class TestYamlFiles:
         assert str(raised.value).startswith(f"{file}: {message}")
 
     def test_file_that_cannot_be_read_is_named(self, tmp_path):
-        for path in (tmp_path / "missing.yaml", tmp_path):
-            with pytest.raises(SettingsError, match=f"{path}: cannot be read .*give the path of a YAML file"):
-                read_yaml(path)
-
-
-def test_errors_are_those_of_the_package():
-    assert issubclass(SettingsError, ContactReachError)
-
-
-def test_lists_of_launch_are_read(tmp_path):
-    file = tmp_path / "launch_params"
-    file.write_text("/**:\n  ros__parameters:\n    custom_data: !!python/tuple\n    - a=1\n    - b=2\n")
-    assert read_yaml(file)["/**"]["ros__parameters"]["custom_data"] == ["a=1", "b=2"]
+        with pytest.raises(SettingsError, match=f"{tmp_path}: cannot be read .*give the path of a YAML file"):
+            read_yaml(tmp_path)

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_reach_ros.timing import (
-    PERCENTILES,
     Histogram,
     StampOrder,
     counts_between,
@@ -34,11 +33,6 @@ def test_percentiles_are_exact_to_a_bucket(durations_us, percent):
     assert true <= filled(durations_us).percentile_us(percent) <= true + max(1.0, SHARE * true)
 
 
-def test_no_percentile_exceeds_the_longest_duration():
-    histogram = filled([1.0, 2.0, 3.0])
-    assert set(histogram.summary().values()) == {3.0}
-
-
 def test_longest_duration_is_kept_exactly():
     histogram = filled([10.0] * 99 + [250_000.25])
     assert histogram.maximum_ns == 250_000_250
@@ -52,17 +46,6 @@ def test_negative_durations_count_as_zero():
     assert histogram.count == 3
     assert histogram.percentile_us(50) == 1.0
     assert histogram.maximum_ns == 20_000
-
-
-def test_without_durations_there_is_nothing_to_say():
-    assert all(math.isnan(value) for value in Histogram().summary().values())
-
-
-def test_summary_has_the_names_that_reports_use():
-    summary = filled(list(np.linspace(0, 1000, 1001))).summary()
-    assert list(summary) == list(PERCENTILES)
-    for name, percent in PERCENTILES.items():
-        assert summary[name] == pytest.approx(10 * percent, rel=SHARE, abs=2.0)
 
 
 def test_counts_hold_how_many_durations_there_were_of_each_length():

@@ -8,11 +8,11 @@ from contact_reach_ros.control.settings import LimitSettings, SupervisionSetting
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Settings, setting
 
-DAMPING, ZERO = "damping", "zero"
-"""What is sent instead of commands."""
-
 EFFORT, LBR, FRANKA = KINDS = ("effort", "lbr", "franka")
 """What takes the commands; each kind has a section of settings with its name."""
+
+FRANKA_TORQUE_RATE = 1000.0
+"""Nm/s that libfranka lets through of each joint's torque."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,6 @@ class AdapterSettings(Settings):
         minimum=0.005,
         maximum=5.0,
     )
-    on_silence: str = setting(
-        DAMPING,
-        "the harmless torques: those of the controller's compliant stop, or zero for a drive that damps by itself",
-        choices=(DAMPING, ZERO),
-    )
     gravity_compensation: bool = setting(
         True, "carry the arm; false for arms that compensate gravity themselves, as in the controller"
     )
@@ -50,16 +45,6 @@ class AdapterSettings(Settings):
         minimum=0.0,
         maximum=50.0,
     )
-    torque_rate: float = setting(
-        4000.0,
-        "greatest rate of change of A1's harmless torque; the others' are in proportion to their torque limits",
-        unit="Nm/s",
-        minimum=1.0,
-        maximum=20000.0,
-    )
-    resume_ramp: float = setting(
-        0.5, "time in which commands reach full authority after a silence", unit="s", minimum=0.0, maximum=5.0
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -67,11 +52,6 @@ class AdapterSettings(Settings):
             raise SettingsError(
                 f"AdapterSettings.hold_after = {self.hold_after:g}: expected less than stop_after, "
                 f"{self.stop_after:g} s"
-            )
-        if self.on_silence == ZERO and self.gravity_compensation:
-            raise SettingsError(
-                "AdapterSettings.on_silence = zero: expected damping, or gravity_compensation = false; zero torques "
-                "would drop an arm that does not carry itself"
             )
         if self.kind != EFFORT and self.gravity_compensation:
             raise SettingsError(
@@ -95,7 +75,7 @@ class AdapterSettings(Settings):
     @property
     def limits(self) -> LimitSettings:
         """The limits of these torques."""
-        return LimitSettings(torque_rate=self.torque_rate)
+        return LimitSettings(torque_rate=FRANKA_TORQUE_RATE) if self.kind == FRANKA else LimitSettings()
 
 
 @dataclass(frozen=True)
@@ -108,7 +88,6 @@ class EffortSettings(Settings):
         "read the order of joints from the controller's parameter joints before anything is passed on; false for a "
         "drive without one, as the simulated driver, whose order is the arm's",
     )
-    manager: str = setting("controller_manager", "name of the controller manager, which deactivates the controller")
     brakes: bool = setting(
         False,
         "the drive closes its brakes when the controller is deactivated; otherwise an arm that does not carry itself "
@@ -147,26 +126,11 @@ class FrankaSettings(EffortSettings):
     """An effort controller of ros2_control on franka_ros2, and the reflexes of the arm below it."""
 
     brakes: bool = setting(True, "the drive holds the arm when the controller is deactivated, which a stop does")
-    reflex_torques: tuple[float, ...] = setting(
-        (35.0, 35.0, 32.0, 30.0, 29.0, 27.0, 24.0),
-        "external torque of each joint at which the arm's reflex stops it; not less than the contact budget's "
-        "`torque_thresholds`, or the reflex comes before the compliant stop",
-        unit="Nm",
-        minimum=1.0,
-        maximum=100.0,
-    )
-    reflex_force: float = setting(
-        60.0, "the same for external forces at the flange", unit="N", minimum=1.0, maximum=200.0
-    )
-    reflex_moment: float = setting(
-        30.0, "the same for external moments at the flange", unit="Nm", minimum=1.0, maximum=100.0
-    )
     set_reflexes: bool = setting(
         True,
         "set these reflexes in the arm before anything is passed on, which needs franka_msgs; false if they are set "
         "already",
     )
-    reflexes: str = setting("service_server/set_full_collision_behavior", "name of the service that sets them")
 
 
 ADAPTER_SECTIONS: Sections = {

@@ -11,7 +11,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState, checked_torque
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.adapter_settings import DAMPING, AdapterSettings
+from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, stopping_torque
 from contact_reach_ros.control.stability import stable_damping
@@ -20,6 +20,8 @@ from contact_reach_ros.timing import NANOSECONDS
 
 COMMANDS = "adapter/commands"
 """Topic that refusals name."""
+RESUME_RAMP = 0.5
+"""Time in which commands reach full authority after a silence, s, as the controller's laws at its start."""
 
 
 class Phase(Enum):
@@ -38,7 +40,7 @@ class CommandGuard:
 
     After `hold_after` without a command, the harmless torques are those of the compliant stop: gravity compensation and
     damping, without damping while the joint states are silent, too. If they last until `stop_after`, a stop is latched
-    until `reset`. After a silence commands get their authority back within `resume_ramp`.
+    until `reset`. After a silence commands get their authority back within `RESUME_RAMP`.
 
     Times `clock_ns` are integer nanoseconds of the watchdogs' clock, which must never jump. When nobody called `watch`
     for long, because the process stood still, the latch waits for its time of harmless torques nevertheless: then it is
@@ -62,12 +64,11 @@ class CommandGuard:
         stop = settings.stop
         self._constants = make_constants(arm, limits=settings.limits, supervision=stop, period=period)
         self._damping = self._constants[Constant.STOP_DAMPING].copy()
-        self._damps = settings.on_silence == DAMPING
         self._rest_speed = stop.reset_velocity
         self._period = period
         self._hold_ns = round(settings.hold_after * NANOSECONDS)
         self._stop_ns = round(settings.stop_after * NANOSECONDS)
-        self._ramp_ns = round(settings.resume_ramp * NANOSECONDS)
+        self._ramp_ns = round(RESUME_RAMP * NANOSECONDS)
         self._repeat_ns = round(2.0 * period * NANOSECONDS)
         self._state: JointState | None = None
         self._seen_ns = 0
@@ -187,7 +188,7 @@ class CommandGuard:
         """The torque of the compliant stop (n,), N m, from the last joint state; it may follow the last such torque."""
         assert self._state is not None
         # Damping by an old velocity would drive the arm.
-        damps = self._damps and clock_ns - self._seen_ns <= self._hold_ns
+        damps = clock_ns - self._seen_ns <= self._hold_ns
         torque = self._stopping_torque(self._state.q, self._state.v) if damps else None
         if torque is None or math.isnan(torque[0]):
             torque = self._stopping_torque(self._state.q, np.zeros(self._arm.n))

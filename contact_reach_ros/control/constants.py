@@ -7,9 +7,28 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.kernels import Constant
-from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.settings import (
+    SINGULARITY_FLOOR,
+    ImpedanceSettings,
+    LimitSettings,
+    SupervisionSettings,
+)
 from contact_reach_ros.control.stability import lightness, stable_damping
 from contact_reach_ros.timing import PERIOD
+
+REPULSION_SHARE = 0.5
+"""Repulsion at the position limit, as a share of the joint's torque limit: the other half is left to carry the arm."""
+REPULSION_DAMPING = 10.0
+"""Damping of motion towards a limit, at the limit, N m s/rad, for the strongest joint; the others' are in proportion to
+their torque limits. Without it the repulsion would throw the joint back."""
+BRAKED_SHARE = 0.3
+"""Joint speed beyond which motion in the null space is braked, as a share of the data sheet's limit: the task needs the
+rest."""
+CEILING_SHARE = 0.9
+"""Joint speed beyond which no joint is driven, as a share of the data sheet's limit, at which the arm is stopped."""
+CEILING_RATE = 100.0
+"""Greatest acceleration per speed left below that ceiling, and deceleration per speed above it, 1/s: ten states at the
+usual rate."""
 
 
 def make_constants(
@@ -31,17 +50,17 @@ def make_constants(
         Constant.TASK_DAMPING: impedance.task_damping,
         Constant.NULL_STIFFNESS: impedance.null_stiffness,
         Constant.NULL_DAMPING: impedance.null_damping,
-        Constant.SINGULARITY_FLOOR: impedance.singularity_floor,
+        Constant.SINGULARITY_FLOOR: SINGULARITY_FLOOR,
         Constant.LOWER_THRESHOLD: arm.lower + limits.joint_limit_margin,
         Constant.UPPER_THRESHOLD: arm.upper - limits.joint_limit_margin,
         Constant.REPULSION_MARGIN: limits.joint_limit_margin,
-        Constant.REPULSION_STRENGTH: limits.joint_limit_torque_share * torques,
+        Constant.REPULSION_STRENGTH: REPULSION_SHARE * torques,
         Constant.REPULSION_DAMPING: stable_damping(
-            limits.joint_limit_damping * torques / torques.max(), lightness(arm).mobility, period
+            REPULSION_DAMPING * torques / torques.max(), lightness(arm).mobility, period
         ),
-        Constant.BRAKED_SPEED: limits.null_velocity_share * speeds,
-        Constant.SPEED_CEILING: limits.velocity_limit_share * speeds,
-        Constant.SPEED_RATE: limits.velocity_limit_rate,
+        Constant.BRAKED_SPEED: BRAKED_SHARE * speeds,
+        Constant.SPEED_CEILING: CEILING_SHARE * speeds,
+        Constant.SPEED_RATE: CEILING_RATE,
         Constant.TORQUE_CAP: limits.torque_share * torques,
         Constant.TORQUE_RATE: torque_rates(arm, limits),
         Constant.GRAVITY_SHARE: float(supervision.gravity_compensation),

@@ -22,6 +22,18 @@ from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.timing import NANOSECONDS, PAUSE, StampOrder
 
+START_RAMP = 0.5
+"""Time in which the laws reach full authority, s: a wrong model or plan shows as a slow motion first."""
+HOLD_BLEND = 0.3
+"""Time in which the reference decays to the present pose without a plan, s: the arm comes to rest meanwhile."""
+MAX_PLAN_LEAD = 1.0
+"""Time in the future above which the stamp of a plan is refused, s: such a stamp is from another clock."""
+MAX_PLAN_DURATION = 1.0
+"""Duration above which a plan is refused, s: the arm would follow a planner that is gone."""
+WATCH_RATE = 250.0
+"""Joint states per second that the controller's own watch takes at most, Hz, each with the mean torque since the last:
+it is a second line of defence, and must leave the tick its time."""
+
 
 @dataclass(frozen=True)
 class ControllerSettings:
@@ -62,16 +74,31 @@ class Controller:
     """
 
     def __init__(
-        self, arm: Arm, settings: ControllerSettings, period: float = 0.001, inertias: str = "nominal"
+        self,
+        arm: Arm,
+        settings: ControllerSettings,
+        period: float = 0.001,
+        inertias: str = "nominal",
+        watch_rate: float = WATCH_RATE,
     ) -> None:
-        """`period`: nominal time between joint states, s; `inertias`: the arm's inertia set to control with."""
+        """Raise `SettingsError` if the gains are not stable at this rate.
+
+        Parameters
+        ----------
+        arm, settings
+            The arm, and all settings.
+        period
+            Nominal time between joint states, s.
+        inertias
+            The arm's inertia set to control with.
+        watch_rate
+            Joint states that the controller's own watch takes at most, Hz.
+        """
         check_gains(arm, settings.impedance, period)
         self.arm = arm
         self.settings = settings
         self.model = RobotModel(arm, inertias)
-        self.references = ReferenceQueue(
-            arm.n, settings.supervision.max_plan_lead, settings.supervision.max_plan_duration
-        )
+        self.references = ReferenceQueue(arm.n, MAX_PLAN_LEAD, MAX_PLAN_DURATION)
         self.supervisor = Supervisor(arm, settings.supervision, period)
         self.order = StampOrder()
         self.state: JointState | None = None
@@ -81,6 +108,7 @@ class Controller:
         self.error = np.zeros(6)
         self._watch: OwnWatch | None = None
         self._period = period
+        self._watch_rate = watch_rate
         self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period)
         self._stop_damping = self._constants[Constant.STOP_DAMPING].copy()
         lightest = stable_damping(self._stop_damping, lightness(arm).mobility, period)
@@ -115,7 +143,7 @@ class Controller:
     def watch_period(self) -> float:
         """Nominal time between the states that the controller's own watch takes, s."""
         # Not more often: the next whole number, but for the rounding of the quotient.
-        return self._period * max(1, math.ceil(1.0 / (self.settings.supervision.watch_rate * self._period) - 1e-9))
+        return self._period * max(1, math.ceil(1.0 / (self._watch_rate * self._period) - 1e-9))
 
     @property
     def started(self) -> bool:
@@ -349,7 +377,7 @@ class Controller:
         """The torque (n,) towards the reference in force, N m; NaN if it is not finite."""
         model = self.model
         reference = self._reference(q, now_ns)
-        ramp = self.settings.supervision.start_ramp
+        ramp = START_RAMP
         since_start = (now_ns - self._started_ns) / NANOSECONDS
         return tracking_torque(
             self._constants,
@@ -429,11 +457,10 @@ class Controller:
 
     def _held(self, now_ns: int) -> Reference:
         """The reference without a plan: it decays to the pose to hold; after a further limit the arm stops."""
-        supervision = self.settings.supervision
         held_for = (now_ns - self._hold_since_ns) / NANOSECONDS
         self.supervisor.watch_hold(held_for, self._had_plan)
-        if held_for < supervision.hold_blend:
-            return blend(self._blend_from, self._hold, held_for / supervision.hold_blend)
+        if held_for < HOLD_BLEND:
+            return blend(self._blend_from, self._hold, held_for / HOLD_BLEND)
         return self._hold
 
 

@@ -199,8 +199,7 @@ class ReferenceQueue:
             )
         if ends_ns[-1] > self._max_duration * NANOSECONDS:
             raise InputError(
-                f"{kind}: the plan lasts {ends_ns[-1] / NANOSECONDS:g} s; expected at most {self._max_duration:g} s "
-                "(supervision.max_plan_duration)"
+                f"{kind}: the plan lasts {ends_ns[-1] / NANOSECONDS:g} s; expected at most {self._max_duration:g} s"
             )
         if stamp_ns + ends_ns[-1] <= now_ns:
             late = (now_ns - stamp_ns - ends_ns[-1]) / NANOSECONDS

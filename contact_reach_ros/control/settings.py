@@ -12,6 +12,10 @@ TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
 """Rows that law (1) controls, by the setting `task`: translation and rotation, translation and the direction of the
 tip's z axis, or translation alone."""
 
+SINGULARITY_FLOOR = 0.03
+"""Eigenvalues of J M⁻¹ Jᵀ below this are lifted, 1/kg, which bounds Λ: it costs less than 1 mm
+while the elbow is bent by 0.4 rad, see docs/control.md."""
+
 
 @dataclass(frozen=True)
 class ImpedanceSettings(Settings):
@@ -24,9 +28,6 @@ class ImpedanceSettings(Settings):
     task_damping: float = setting(100.0, "Kd of law (1)", unit="1/s", minimum=0.0, maximum=300.0)
     null_stiffness: float = setting(30.0, "Kqp of law (2)", unit="Nm/rad", minimum=0.0, maximum=200.0)
     null_damping: float = setting(1.0, "Kqd of law (2)", unit="Nm s/rad", minimum=0.0, maximum=50.0)
-    singularity_floor: float = setting(
-        0.03, "eigenvalues of J M⁻¹ Jᵀ below this are lifted, which bounds Λ", unit="1/kg", minimum=1e-6, maximum=1.0
-    )
     reference_ramp: float = setting(
         0.03,
         "time in which x_d and q_d move to those of a new plan or knot; 0 for steps, as in the paper",
@@ -56,35 +57,6 @@ class LimitSettings(Settings):
     joint_limit_margin: float = setting(
         0.1, "distance to a position limit at which repulsion begins", unit="rad", minimum=0.01, maximum=0.5
     )
-    joint_limit_torque_share: float = setting(
-        0.5, "repulsion at the position limit, as a share of the joint's torque limit", minimum=0.0, maximum=1.0
-    )
-    joint_limit_damping: float = setting(
-        10.0,
-        "damping of A1's motion towards a limit, at the limit; the others' are in proportion to their torque limits",
-        unit="Nm s/rad",
-        minimum=0.0,
-        maximum=50.0,
-    )
-    null_velocity_share: float = setting(
-        0.3,
-        "joint speed beyond which motion in the null space is braked, as a share of the data sheet's limit",
-        minimum=0.05,
-        maximum=1.0,
-    )
-    velocity_limit_share: float = setting(
-        0.9,
-        "joint speed beyond which no joint is driven, as a share of the data sheet's limit",
-        minimum=0.05,
-        maximum=1.0,
-    )
-    velocity_limit_rate: float = setting(
-        100.0,
-        "greatest acceleration per speed left below that limit, and deceleration per speed above it",
-        unit="1/s",
-        minimum=1.0,
-        maximum=500.0,
-    )
 
 
 @dataclass(frozen=True)
@@ -101,10 +73,6 @@ class SupervisionSettings(Settings):
         False, "publish the torques on adapter/commands, for an adapter that passes them on to the drive"
     )
     gravity_compensation: bool = setting(True, "send g(q); false for arms that compensate gravity themselves")
-    start_ramp: float = setting(0.5, "time in which the laws reach full authority", unit="s", minimum=0.0, maximum=5.0)
-    hold_blend: float = setting(
-        0.3, "time in which the reference decays to the current pose", unit="s", minimum=0.01, maximum=2.0
-    )
     hold_limit: float = setting(
         5.0, "time from the end of the last plan to the compliant stop", unit="s", minimum=0.1, maximum=3600.0
     )
@@ -113,24 +81,6 @@ class SupervisionSettings(Settings):
     )
     watch_itself: bool = setting(
         True, "let the controller have an observer of its own, so that one that is late leaves nothing unwatched"
-    )
-    watch_rate: float = setting(
-        250.0,
-        "joint states that this one takes at most, each with the mean torque since the last",
-        unit="Hz",
-        minimum=100.0,
-        maximum=1000.0,
-    )
-    observer_patience: float = setting(
-        0.5,
-        "silence of the observer that stops the arm while the controller watches itself",
-        unit="s",
-        minimum=0.005,
-        maximum=5.0,
-    )
-    max_plan_lead: float = setting(1.0, "lead time above which a plan is refused", unit="s", minimum=0.0, maximum=10.0)
-    max_plan_duration: float = setting(
-        1.0, "duration above which a plan is refused", unit="s", minimum=0.01, maximum=60.0
     )
     workspace_minimum: tuple[float, ...] = setting(
         (-2.0, -2.0, -2.0),
@@ -155,44 +105,12 @@ class SupervisionSettings(Settings):
     max_posture_error: float = setting(
         0.5, "the same for each joint's distance from the reference posture", unit="rad", minimum=0.01, maximum=7.0
     )
-    correct_stop: bool = setting(
-        True, "carry in the compliant stop what the observer found that the model lacks, so that the arm does not sink"
-    )
     stop_damping: float = setting(
         20.0,
         "damping of A1 in the compliant stop; the others' are in proportion to their torque limits",
         unit="Nm s/rad",
         minimum=0.0,
         maximum=50.0,
-    )
-    rest_within: float = setting(
-        0.5,
-        "time within which a stop must bring the arm to rest; otherwise all commands end, so that the drive's watchdog "
-        "takes over",
-        unit="s",
-        minimum=0.05,
-        maximum=10.0,
-    )
-    stop_speed_gain: float = setting(
-        0.5,
-        "increase in the speed of a joint since the stop that has the same effect",
-        unit="rad/s",
-        minimum=0.05,
-        maximum=3.0,
-    )
-    stop_creep: float = setting(
-        0.01,
-        "motion of a joint since it came to rest in a stop, too slow to be a hand's, that has the same effect",
-        unit="rad",
-        minimum=0.001,
-        maximum=7.0,
-    )
-    brake_after: float = setting(
-        2.0,
-        "time after the arm came to rest in a stop at which all commands end, so that the drive's brakes hold it",
-        unit="s",
-        minimum=0.0,
-        maximum=3600.0,
     )
     drive_brakes: bool = setting(
         True,
@@ -205,10 +123,6 @@ class SupervisionSettings(Settings):
         minimum=0.0,
         maximum=1.0,
     )
-    velocity_share: float = setting(
-        1.0, "joint speed that stops the arm, as a share of the data sheet's limit", minimum=0.05, maximum=1.0
-    )
-    velocity_debounce: int = setting(3, "time above that speed that stops the arm", unit="ms", minimum=1, maximum=100)
 
     def __post_init__(self) -> None:
         super().__post_init__()

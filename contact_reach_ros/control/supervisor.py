@@ -13,7 +13,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.control.stop_watch import StopWatch
+from contact_reach_ros.control.stop_watch import SPEED_DEBOUNCE, StopWatch
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, is_missing_states, with_sequel
 from contact_reach_ros.timing import NANOSECONDS, states_in
 
@@ -63,6 +63,9 @@ TRANSITIONS = {
 }
 """The state that an event leads to; an event that is not listed for a state changes nothing."""
 
+OBSERVER_PATIENCE = 0.5
+"""Silence of the observer that stops the arm while the controller watches itself, s: nothing is left unwatched, and it
+may be a machine that is busy for a moment."""
 _PAUSE_PERIODS = 5
 """Ticks further apart than so many periods mean that the controller itself was held up."""
 
@@ -92,14 +95,14 @@ class Supervisor:
         self._arm = arm
         self._pause_ns = _PAUSE_PERIODS * round(period * NANOSECONDS)
         self._timeout_ns = max(round(settings.observer_timeout * NANOSECONDS), self._pause_ns)
-        self._patience_ns = max(round(settings.observer_patience * NANOSECONDS), self._timeout_ns)
-        self._velocity_debounce = states_in(settings.velocity_debounce, period)
+        self._patience_ns = max(round(OBSERVER_PATIENCE * NANOSECONDS), self._timeout_ns)
+        self._velocity_debounce = states_in(SPEED_DEBOUNCE, period)
         self._settings = settings
         self._first_reason = ""
         self._escalation = ""
         self._stop_watch = StopWatch(arm, settings, period)
-        self._speed_limits = settings.velocity_share * arm.velocity_limits
-        self._speed_list = self._speed_limits.tolist()
+        self._speed_limits = arm.velocity_limits
+        self._speed_list = arm.velocity_limits.tolist()
         self._position_limits = list(zip(arm.lower.tolist(), arm.upper.tolist(), strict=True))
         self._speeding = 0
         self._observer_ns: int | None = None
@@ -156,7 +159,7 @@ class Supervisor:
             self._first_reason = reason
             own_error = () if self._own is None else self._own.model_error
             error = np.array(own_error or self._verdict.model_error)
-            is_usable = self._settings.correct_stop and error.shape == (self._arm.n,) and np.isfinite(error).all()
+            is_usable = error.shape == (self._arm.n,) and np.isfinite(error).all()
             self.model_error = error if is_usable else np.zeros(self._arm.n)
             self._stop_watch.begin()
 

@@ -22,6 +22,8 @@ try:
 except ImportError:
     SwitchController = None
 
+MANAGER = "controller_manager"
+"""Name of the controller manager, which deactivates the controller; remap its service if it has another."""
 PACKAGE = "controller_manager_msgs"
 _PATIENCE_S = 2.0
 """An answer that is lost, as before the server has discovered who asks, is not waited for any longer."""
@@ -93,7 +95,7 @@ class EffortTarget:
                 "torques until ~/reset; install ros-jazzy-controller-manager-msgs"
             )
         else:
-            self._switch = node.create_client(SwitchController, f"{settings.manager}/switch_controller")
+            self._switch = node.create_client(SwitchController, f"{MANAGER}/switch_controller")
 
     @property
     def problem(self) -> str:
@@ -152,4 +154,4 @@ class EffortTarget:
         if future.result() is not None and future.result().ok:
             logger.info(f"{act}d {name}")
         else:
-            logger.error(f"{self._settings.manager} did not {act} {name}; see its log")
+            logger.error(f"{MANAGER} did not {act} {name}; see its log")

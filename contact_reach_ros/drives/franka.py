@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.node import Node
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.control.adapter_settings import FrankaSettings
+from contact_reach_ros.control.adapter_settings import FRANKA_TORQUE_RATE, FrankaSettings
 from contact_reach_ros.drives.effort import EffortTarget, RepeatedRequest
 from contact_reach_ros.errors import SettingsError
 
@@ -17,8 +17,13 @@ try:
 except ImportError:
     SetFullCollisionBehavior = None
 
-TORQUE_RATE = 1000.0
-"""Nm/s that libfranka lets through of each joint's torque."""
+REFLEX_TORQUES = (35.0, 35.0, 32.0, 30.0, 29.0, 27.0, 24.0)
+"""External torque of each joint at which the arm's reflex stops it, N m: above the contact budget that is shipped, so
+that the compliant stop comes first."""
+REFLEX_FORCE, REFLEX_MOMENT = 60.0, 30.0
+"""The same for external forces, N, and moments, N m, at the flange."""
+REFLEX_SERVICE = "service_server/set_full_collision_behavior"
+"""Service of franka_ros2 that sets them."""
 
 _CONTROLLER, _OBSERVER = "controller", "observer"
 _RATE, _THRESHOLDS = "limits.torque_rate", "budget.torque_thresholds"
@@ -31,20 +36,11 @@ class FrankaTarget(EffortTarget):
     limits would cut short.
     """
 
-    def __init__(self, node: Node, arm: Arm, settings: FrankaSettings, torque_rate: float) -> None:
-        """`torque_rate`: of the adapter's harmless torques, Nm/s.
-
-        Raises `SettingsError` if that is above Franka's limit, the arm has not one joint for each reflex, or
-        franka_msgs is needed and not installed.
-        """
-        if torque_rate > TORQUE_RATE:
-            raise SettingsError(f"kind = franka: torque_rate = {torque_rate:g}; expected at most {TORQUE_RATE:g} Nm/s")
-        if arm.n != len(settings.reflex_torques):
-            raise SettingsError(
-                f"kind = franka: {arm.name} has {arm.n} joints; expected {len(settings.reflex_torques)}"
-            )
+    def __init__(self, node: Node, arm: Arm, settings: FrankaSettings) -> None:
+        """Raise `SettingsError` if the arm has not one joint for each reflex, or franka_msgs is needed and missing."""
+        if arm.n != len(REFLEX_TORQUES):
+            raise SettingsError(f"kind = franka: {arm.name} has {arm.n} joints; expected {len(REFLEX_TORQUES)}")
         super().__init__(node, arm, settings, carries=False)
-        self._reflexes = settings
         self._unset = ""
         """Why the reflexes are not set; empty when they are."""
         self._setter: RepeatedRequest | None = None
@@ -55,9 +51,9 @@ class FrankaTarget(EffortTarget):
                 "kind = franka: the message package franka_msgs is not installed; build franka_ros2, and source its "
                 "workspace before the adapter starts, or set the reflexes by hand and franka.set_reflexes: false"
             )
-        client = node.create_client(SetFullCollisionBehavior, settings.reflexes)
+        client = node.create_client(SetFullCollisionBehavior, REFLEX_SERVICE)
         self._setter = RepeatedRequest(client, self._on_set)
-        self._unset = f"the reflexes are not set yet: {settings.reflexes} does not answer"
+        self._unset = f"the reflexes are not set yet: {REFLEX_SERVICE} does not answer"
 
     @property
     def problem(self) -> str:
@@ -73,15 +69,18 @@ class FrankaTarget(EffortTarget):
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the arm's own limits; empty if they do."""
         rate = settings.get(_RATE, 0.0)
-        if node == _CONTROLLER and rate > TORQUE_RATE:
-            return f"{_RATE} = {rate:g} in the controller; expected at most {TORQUE_RATE:g} Nm/s, which the arm follows"
+        if node == _CONTROLLER and rate > FRANKA_TORQUE_RATE:
+            return (
+                f"{_RATE} = {rate:g} in the controller; expected at most {FRANKA_TORQUE_RATE:g} Nm/s, which the arm "
+                "follows"
+            )
         if node == _OBSERVER and _THRESHOLDS in settings:
             own = settings[_THRESHOLDS]
-            for name, budget, reflex in zip(self._arm.joint_names, own, self._reflexes.reflex_torques, strict=True):
+            for name, budget, reflex in zip(self._arm.joint_names, own, REFLEX_TORQUES, strict=True):
                 if budget > reflex:
                     return (
                         f"the reflex of {name} comes at {reflex:g} Nm, before the contact budget's stop at {budget:g} "
-                        "Nm: raise franka.reflex_torques, or lower the budget's torque_thresholds"
+                        "Nm: lower the budget's torque_thresholds"
                     )
         return ""
 
@@ -90,14 +89,13 @@ class FrankaTarget(EffortTarget):
         return {"reflexes": self._unset or "set"}
 
     def _request(self) -> Any:
-        settings = self._reflexes
-        wrench = [settings.reflex_force] * 3 + [settings.reflex_moment] * 3
+        wrench = [REFLEX_FORCE] * 3 + [REFLEX_MOMENT] * 3
         return SetFullCollisionBehavior.Request(
             **{
                 f"{bound}_{kind}_thresholds_{phase}": list(limits)
                 for bound in ("lower", "upper")
                 for phase in ("acceleration", "nominal")
-                for kind, limits in (("torque", settings.reflex_torques), ("force", wrench))
+                for kind, limits in (("torque", REFLEX_TORQUES), ("force", wrench))
             }
         )
 

@@ -139,7 +139,7 @@ class AdapterNode(StoppableNode):
         if chosen.kind == LBR:
             return LbrTarget(self, self.arm, settings, self.period, is_synchronous=self.lockstep)
         if chosen.kind == FRANKA:
-            return FrankaTarget(self, self.arm, settings, chosen.torque_rate)
+            return FrankaTarget(self, self.arm, settings)
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)
 
     def _make_guard(self) -> CommandGuard:

@@ -134,7 +134,7 @@ class Observer:
         self.order = StampOrder()
         self.sight = Sight(arm, period)
         self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
-        self._torque_check = TorqueCheck(arm, settings.plausibility, period)
+        self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(self._models.observed, budget.contact_thresholds)
         self._locates = locates
         self._commanded: Array | None = None

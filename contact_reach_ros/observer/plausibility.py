@@ -13,6 +13,11 @@ from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, states_in
 _MEMORY = 0.2
 """Time constant with which a difference between position and integrated velocity is forgotten, s."""
 
+FROZEN_TIME = 30
+"""Time for which a position may stay the same, to the last bit, while the joint's sudden external torque is that of a
+contact, ms; a contact that lasts so long bends the arm by more than an encoder's resolution."""
+FROZEN_TORQUE_TIME = 200
+"""Time for which a measured torque may stay the same, to the last bit, while its joint moves, ms."""
 _MOVING = 0.05
 """Speed from which a joint's torque has to change, rad/s."""
 
@@ -31,7 +36,7 @@ class PlausibilityCheck:
         """`contact_thresholds`: sudden external torque (n,) that would move a joint, N m; `period`: of states, s."""
         self._names = arm.joint_names
         self._max_step_ns = GAP_PERIODS * round(period * NANOSECONDS)
-        self._frozen_states = states_in(settings.frozen_time, period)
+        self._frozen_states = states_in(FROZEN_TIME, period)
         self._settings = settings
         self._thresholds = contact_thresholds
         self._q: list[float] | None = None
@@ -89,10 +94,10 @@ class TorqueCheck:
     Friction, gravity and inertia change the torque of a joint that moves, and every sensor has noise.
     """
 
-    def __init__(self, arm: Arm, settings: PlausibilitySettings, period: float = 0.001) -> None:
+    def __init__(self, arm: Arm, period: float = 0.001) -> None:
         """`period`: nominal time between states, s."""
         self._names = arm.joint_names
-        self._states = states_in(settings.frozen_torque_time, period)
+        self._states = states_in(FROZEN_TORQUE_TIME, period)
         self._last = [math.nan] * arm.n
         self._same = [0] * arm.n
 

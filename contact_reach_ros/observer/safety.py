@@ -28,6 +28,24 @@ class SafetyLevel(Enum):
     """Above the budget, or stopped for another reason: the stop is latched."""
 
 
+HANDOVER_DEBOUNCE = 30
+"""Time above a threshold at hand-over that stops the arm, ms: brakes that open let the torque jump for a
+moment."""
+RELEASE_SHARE = 0.6
+"""Share of the contact thresholds below which a contact ends: noise must not end it and begin another."""
+RELEASE_DEBOUNCE = 50
+"""Time below that share that ends a contact, ms."""
+MEAN_TIME = 300
+"""Time constant of the slow mean of the external torque, ms: slower than a contact grows, faster than postures change
+the model's error."""
+MODEL_ERROR_PER_RAD = 1.0
+"""Greatest change of the slow mean with the posture, 1/rad, as a share of the budget's `model_error`."""
+MODEL_ERROR_AT_REST = 0.3
+"""Greatest change of the slow mean while the posture stays, as a share of the budget's `contact_thresholds`: what grows
+further in a resting arm is a contact."""
+RESET_SHARE = 0.5
+"""Share of the thresholds below which a stop may be reset, so that the arm does not stop again at once."""
+
 _CONTACT_MEMORY = 10
 _HANDOVER_MEAN = 10
 """Time constant of the slow mean while the arm is handed over, ms."""
@@ -61,9 +79,9 @@ class SafetyMonitor:
         self._names = arm.joint_names
         self._debounce = states_in(settings.debounce, period)
         self._contact_debounce = states_in(settings.contact_debounce, period)
-        self._handover_debounce = states_in(settings.handover_debounce, period)
-        self._release_debounce = states_in(settings.release_debounce, period)
-        self._mean_states = states_in(settings.mean_time, period)
+        self._handover_debounce = states_in(HANDOVER_DEBOUNCE, period)
+        self._release_debounce = states_in(RELEASE_DEBOUNCE, period)
+        self._mean_states = states_in(MEAN_TIME, period)
         self._handover_states = states_in(_HANDOVER_MEAN, period)
         self.budget = budget
         self.stop_reason = ""
@@ -71,15 +89,15 @@ class SafetyMonitor:
         self.stops = 0
         self.in_contact = False
         self.contacts = 0
-        per_rad = [settings.model_error_per_rad * bound for bound in budget.model_error]
-        at_rest = [settings.model_error_at_rest * threshold for threshold in budget.contact_thresholds]
+        per_rad = [MODEL_ERROR_PER_RAD * bound for bound in budget.model_error]
+        at_rest = [MODEL_ERROR_AT_REST * threshold for threshold in budget.contact_thresholds]
         self._model_error = ModelError(budget.model_error, per_rad, at_rest)
         self._mean_before = self._model_error.mean
         self._stop_limits = list(
             zip(budget.torque_thresholds, budget.torque_per_speed, budget.sudden_thresholds, strict=True)
         )
         self._contact_limits = self._scaled_contact_limits(1.0)
-        self._release_limits = self._scaled_contact_limits(settings.contact_release)
+        self._release_limits = self._scaled_contact_limits(RELEASE_SHARE)
         self._handover_limits = np.array(budget.handover_thresholds)
         self._above = 0
         self._touched = 0
@@ -186,7 +204,7 @@ class SafetyMonitor:
         budget = self.budget
         # What would stop the arm again at once is no reason to let go either.
         at_once = np.add(budget.model_error, budget.sudden_thresholds)
-        limits = np.minimum(self.settings.reset_share * np.array(budget.torque_thresholds), at_once)
+        limits = np.minimum(RESET_SHARE * np.array(budget.torque_thresholds), at_once)
         # Not `>`: a NaN residual is no reason to let go.
         pushed = ~(np.abs(self._last_residual) <= limits)
         if pushed.any():

@@ -92,36 +92,6 @@ class SafetySettings(Settings):
 
     debounce: int = setting(3, "time above a threshold that stops the arm", unit="ms", minimum=1, maximum=100)
     contact_debounce: int = setting(2, "time above a threshold that means contact", unit="ms", minimum=1, maximum=100)
-    handover_debounce: int = setting(
-        30, "time above a threshold that stops the arm at hand-over", unit="ms", minimum=1, maximum=1000
-    )
-    contact_release: float = setting(
-        0.6, "share of the thresholds below which a contact ends", minimum=0.01, maximum=1.0
-    )
-    release_debounce: int = setting(50, "time below it that ends a contact", unit="ms", minimum=1, maximum=1000)
-    mean_time: int = setting(
-        300,
-        "time constant of the slow mean of the external torque; ten times as long in contact",
-        unit="ms",
-        minimum=2,
-        maximum=100000,
-    )
-    model_error_per_rad: float = setting(
-        1.0,
-        "greatest change of the slow mean with the posture, as a share of `model_error`",
-        unit="1/rad",
-        minimum=0.0,
-        maximum=1000.0,
-    )
-    model_error_at_rest: float = setting(
-        0.3,
-        "greatest change of the slow mean while the posture stays, as a share of `contact_thresholds`",
-        minimum=0.0,
-        maximum=1000.0,
-    )
-    reset_share: float = setting(
-        0.5, "share of the thresholds below which a stop may be reset", minimum=0.01, maximum=1.0
-    )
     reset_velocity: float = setting(
         0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
     )
@@ -137,21 +107,6 @@ class PlausibilitySettings(Settings):
         unit="rad",
         minimum=0.001,
         maximum=0.5,
-    )
-    frozen_time: int = setting(
-        30,
-        "time for which a position may stay the same, to the last bit, while the joint's sudden external torque is "
-        "that of a contact; longer stops the arm: the encoder is stuck, or the joint blocked",
-        unit="ms",
-        minimum=5,
-        maximum=10000,
-    )
-    frozen_torque_time: int = setting(
-        200,
-        "a measured torque that stays the same, to the last bit, for so long while its joint moves stops the arm",
-        unit="ms",
-        minimum=5,
-        maximum=10000,
     )
 
 

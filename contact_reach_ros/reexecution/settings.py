@@ -7,9 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE, TOOL_PARAMETERS
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control import constants, controller, stop_watch, supervisor
+from contact_reach_ros.control.settings import (
+    CONTROLLER_SECTIONS,
+    SINGULARITY_FLOOR,
+    ImpedanceSettings,
+    SupervisionSettings,
+)
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget, load_budget
+from contact_reach_ros.observer import plausibility, safety
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
 from contact_reach_ros.settings import Sections, check_node_names, full_name, parameters_in, unknown_key
@@ -32,37 +39,37 @@ SECTIONS: Mapping[str, Sections] = {
 }
 """What the nodes that are re-executed record, by parameter prefix."""
 
-RENAMED = {
-    "safety.mean_states": "safety.mean_time",
-    "plausibility.frozen_states": "plausibility.frozen_time",
+FIXED: Mapping[str, Any] = {
+    "impedance.singularity_floor": SINGULARITY_FLOOR,
+    "limits.joint_limit_torque_share": constants.REPULSION_SHARE,
+    "limits.joint_limit_damping": constants.REPULSION_DAMPING,
+    "limits.null_velocity_share": constants.BRAKED_SHARE,
+    "limits.velocity_limit_share": constants.CEILING_SHARE,
+    "limits.velocity_limit_rate": constants.CEILING_RATE,
+    "supervision.start_ramp": controller.START_RAMP,
+    "supervision.hold_blend": controller.HOLD_BLEND,
+    "supervision.max_plan_lead": controller.MAX_PLAN_LEAD,
+    "supervision.max_plan_duration": controller.MAX_PLAN_DURATION,
+    "supervision.watch_rate": controller.WATCH_RATE,
+    "supervision.observer_patience": supervisor.OBSERVER_PATIENCE,
+    "supervision.correct_stop": True,
+    "supervision.velocity_share": 1.0,
+    "supervision.velocity_debounce": stop_watch.SPEED_DEBOUNCE,
+    "supervision.stop_speed_gain": stop_watch.SPEED_GAIN,
+    "supervision.stop_creep": stop_watch.CREEP,
+    "supervision.rest_within": stop_watch.REST_WITHIN,
+    "supervision.brake_after": stop_watch.BRAKE_AFTER,
+    "safety.contact_release": safety.RELEASE_SHARE,
+    "safety.release_debounce": safety.RELEASE_DEBOUNCE,
+    "safety.handover_debounce": safety.HANDOVER_DEBOUNCE,
+    "safety.mean_time": safety.MEAN_TIME,
+    "safety.model_error_per_rad": safety.MODEL_ERROR_PER_RAD,
+    "safety.model_error_at_rest": safety.MODEL_ERROR_AT_REST,
+    "safety.reset_share": safety.RESET_SHARE,
+    "plausibility.frozen_time": plausibility.FROZEN_TIME,
+    "plausibility.frozen_torque_time": plausibility.FROZEN_TORQUE_TIME,
 }
-"""Settings by the names that earlier versions recorded."""
-
-FORMERLY: Mapping[str, Mapping[str, Any]] = {
-    "controller": {
-        "impedance.reference_ramp": 0.0,
-        "supervision.require_observer": False,
-        "supervision.correct_stop": False,
-        "supervision.watch_itself": False,
-        "supervision.watch_rate": 1000.0,
-        "supervision.brake_after": 3600.0,
-        "supervision.stop_creep": 7.0,
-        "supervision.workspace_minimum": [-10.0] * 3,
-        "supervision.workspace_maximum": [10.0] * 3,
-    },
-    "observer": {
-        "safety.model_error_per_rad": 1000.0,
-        "safety.model_error_at_rest": 1000.0,
-        "budget.model_error": [MAX_THRESHOLD] * 7,
-        "commanded.threshold_factor": 1.0,
-        "commanded.handover_time": 0.0,
-        "commanded.lost": 0,
-    },
-}
-"""What earlier versions did: values by node of settings that their bags lack."""
-
-DROPPED = {"momentum.max_gap": 0.003}
-"""Settings that earlier versions recorded and this one derives, with the only values that it can re-execute."""
+"""Settings that version 0.2 recorded and this one has as constants: the only values that it can re-execute."""
 
 MODEL = "model"
 """Stands for a node in a parameter file: its parameter inertia_set is the model that controller and observer have."""
@@ -88,10 +95,14 @@ def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> di
         If a name or a value is none of this version's: the node may have worked in another way. `bag` is named.
     """
     source = f"bag '{bag}', settings of the {node}"
-    every = {**FORMERLY.get(node, {}), **recorded}
-    renamed = {RENAMED.get(name, name): value for name, value in every.items() if DROPPED.get(name) != value}
+    for name in FIXED.keys() & recorded.keys():
+        if recorded[name] != FIXED[name]:
+            raise BagError(
+                f"{source}: {name} = {recorded[name]}; expected {FIXED[name]}, which is fixed since version 0.3.0; use "
+                "the version that recorded the bag"
+            )
     try:
-        values = _by_prefix(node, renamed, _EVERY_NODE, source)
+        values = _by_prefix(node, recorded, (*FIXED, *_EVERY_NODE), source)
     except SettingsError as error:
         raise BagError(f"{error}; use the version that recorded the bag") from error
     try:

@@ -12,11 +12,14 @@ from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.timing import NANOSECONDS
 
+OPEN_AFTER = 0.5
+"""Time of steady commands after which the brakes open, s: a controller that is starting up pauses now and then."""
+
 
 class Drive:
     """Passes commands to the plant and watches them.
 
-    The brakes are closed until commands have arrived for `open_after` seconds without a gap of `hold_after`, so that a
+    The brakes are closed until commands have arrived for `OPEN_AFTER` seconds without a gap of `hold_after`, so that a
     controller that is still starting up does not get the arm. From then on, `hold_after` seconds without a command
     trigger the damped hold, and `stop_after` seconds a stop that is latched until `reset`. A joint that is too fast by
     the drive's own sensors triggers a stop too, even if the joint states that it sends are faulty.
@@ -32,11 +35,12 @@ class Drive:
         Number of refused commands.
     """
 
-    def __init__(self, plant: Plant, settings: WatchdogSettings) -> None:
+    def __init__(self, plant: Plant, settings: WatchdogSettings, open_after: float = OPEN_AFTER) -> None:
+        """`open_after`: time of steady commands after which the brakes open, s."""
         self.plant = plant
         self.stop_reason = ""
         self.rejected = 0
-        self._open_ns = int(settings.open_after * NANOSECONDS)
+        self._open_ns = int(open_after * NANOSECONDS)
         self._hold_ns = int(settings.hold_after * NANOSECONDS)
         self._stop_ns = int(settings.stop_after * NANOSECONDS)
         self._watches_silence = settings.enabled

@@ -25,6 +25,11 @@ from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSet
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
+HOLD_DAMPING = 30.0
+"""Damping of the damped hold, N m s/rad: it brings every joint to rest before the brakes close."""
+BRAKE_TORQUE = 150.0
+"""Holding torque of a closed brake, N m: more than the arm weighs in any posture."""
+
 _IMPEDANCE = 0.9
 """MuJoCo's default impedance."""
 _BRAKE_IMPEDANCE = 0.9999
@@ -271,8 +276,8 @@ class Plant:
         joints, scale = self._joints, self._friction_scale
         damping, friction = {
             Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
-            Actuation.DAMPED_HOLD: (joints.hold_damping, scale * joints.coulomb_friction),
-            Actuation.BRAKED: (scale * joints.viscous_friction, joints.brake_torque),
+            Actuation.DAMPED_HOLD: (HOLD_DAMPING, scale * joints.coulomb_friction),
+            Actuation.BRAKED: (scale * joints.viscous_friction, BRAKE_TORQUE),
         }[self.actuation]
         # MuJoCo integrates joint damping implicitly, so the damped hold is stable whatever the inertia.
         self.model.dof_damping[self._arm] = damping

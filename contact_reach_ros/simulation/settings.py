@@ -23,36 +23,41 @@ def check_period(period: float) -> int:
 
 
 @dataclass(frozen=True)
-class SensorSettings(Settings):
-    """Noise of the joint sensors, as standard deviations, and their resolution."""
+class SensorSettings:
+    """Noise of the joint sensors, as standard deviations, and their resolution.
 
-    position_noise: float = setting(1e-5, "noise of positions", unit="rad", minimum=0.0, maximum=0.01)
-    position_resolution: float = setting(
-        1e-5, "resolution of positions, 0 for none", unit="rad", minimum=0.0, maximum=0.01
-    )
-    velocity_noise: float = setting(1e-3, "noise of velocities", unit="rad/s", minimum=0.0, maximum=0.1)
-    torque_noise: float = setting(0.05, "noise of measured torques", unit="Nm", minimum=0.0, maximum=5.0)
+    The defaults are those of a good arm; the mismatch of a scene multiplies them.
+
+    Attributes
+    ----------
+    position_noise, position_resolution
+        Of positions, rad; a resolution of 0 stands for none.
+    velocity_noise
+        Of velocities, rad/s.
+    torque_noise
+        Of measured torques, N m.
+    """
+
+    position_noise: float = 1e-5
+    position_resolution: float = 1e-5
+    velocity_noise: float = 1e-3
+    torque_noise: float = 0.05
 
 
 @dataclass(frozen=True)
 class JointSettings(Settings):
-    """Joint friction, which controller and observer do not know, and how the joints come to rest."""
+    """Joint friction, which controller and observer do not know."""
 
     viscous_friction: float = setting(0.3, "viscous friction", unit="Nm s/rad", minimum=0.0, maximum=50.0)
     coulomb_friction: float = setting(0.2, "dry friction", unit="Nm", minimum=0.0, maximum=50.0)
-    hold_damping: float = setting(30.0, "damping of the damped hold", unit="Nm s/rad", minimum=1.0, maximum=500.0)
-    brake_torque: float = setting(150.0, "holding torque of a closed brake", unit="Nm", minimum=1.0, maximum=1000.0)
 
 
 @dataclass(frozen=True)
 class WatchdogSettings(Settings):
-    """When the brakes open, and when the drive closes them by itself."""
+    """When the drive closes the brakes by itself."""
 
     enabled: bool = setting(
         True, "watch for silence; false holds the last torque for ever, as effort controllers of ros2_control do"
-    )
-    open_after: float = setting(
-        0.5, "time of steady commands after which the brakes open", unit="s", minimum=0.0, maximum=5.0
     )
     hold_after: float = setting(
         0.02, "time without a command after which the damped hold begins", unit="s", minimum=0.002, maximum=1.0
@@ -96,7 +101,6 @@ class DriverSettings(Settings):
 DRIVER_SECTIONS: Sections = {
     "": DriverSettings,
     "watchdog": WatchdogSettings,
-    "sensors": SensorSettings,
     "joints": JointSettings,
 }
 """Settings of the driver by parameter prefix."""

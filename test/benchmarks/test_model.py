@@ -11,7 +11,7 @@ from arm_simulation import ARM
 from benchmarks.model import MUJOCO, OURS, Motion, bench_model, simulate
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
 from contact_reach_ros.planning.cost import knot_bounds, make_objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -118,7 +118,7 @@ def simulated(case: Case) -> tuple[Motion, bool]:
 
     motion = simulate(case.scene, case.v, case.actions, watch=watch)
     is_slow = max(speeds) <= MAX_SPEED_SHARE * max(ARM.velocity_limits)
-    return motion, is_slow and min(margins) > 0.0 and min(mobilities) >= ImpedanceSettings().singularity_floor
+    return motion, is_slow and min(margins) > 0.0 and min(mobilities) >= SINGULARITY_FLOOR
 
 
 def compared(cases: list[Case]) -> list[tuple[Motion, Motion, bool]]:

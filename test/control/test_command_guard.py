@@ -1,16 +1,23 @@
 """The watchdog before a drive that has none: commands pass, silence brings harmless torques, then a latched stop."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, offer_plan
+from arm_simulation import (
+    ARM,
+    HOME,
+    REST,
+    TICK_NS,
+    TORQUE_LIMITS,
+    UNWATCHED,
+    ideal_plant,
+    offer_plan,
+    patient_controller,
+)
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase
-from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError, StopCode
@@ -93,8 +100,8 @@ def test_a_command_that_is_none_is_refused_and_counts_as_silence(bench, torque, 
 
 @pytest.mark.parametrize(
     ("settings", "carried"),
-    [(AdapterSettings(), GRAVITY), (FLOATING, REST), (dataclasses.replace(FLOATING, on_silence="zero"), REST)],
-    ids=["raw", "carries itself", "damps itself"],
+    [(AdapterSettings(), GRAVITY), (FLOATING, REST)],
+    ids=["raw", "carries itself"],
 )
 def test_harmless_torques_damp_and_carry_only_where_they_must(settings, carried):
     bench = Bench(settings)
@@ -102,7 +109,7 @@ def test_harmless_torques_damp_and_carry_only_where_they_must(settings, carried)
     bench.command(carried)
     velocity = np.array([0.3, 0, 0, 0, 0, 0, 0])
     torque = bench.tick(80, velocity)[-1]
-    expected = carried[0] - (settings.on_silence == "damping") * 20.0 * velocity[0]
+    expected = carried[0] - 20.0 * velocity[0]
     # Beside damping there are the Coriolis torques, which are small here.
     np.testing.assert_allclose(torque[0], expected, atol=0.1)
     # By an old velocity it would be driven.
@@ -149,7 +156,6 @@ def test_a_stop_is_reset_only_at_rest_and_in_sight(bench):
     ("values", "message"),
     [
         ({"hold_after": 0.1}, "expected less than stop_after"),
-        ({"on_silence": "zero"}, "would drop an arm that does not carry itself"),
     ],
 )
 def test_settings_that_harm_are_refused(values, message):
@@ -160,8 +166,8 @@ def test_settings_that_harm_are_refused(values, message):
 def displacement_after_silence(is_guarded):
     """How far the joints move, rad, in half a second after a moving controller ended; their speed then, rad/s."""
     plant = ideal_plant()
-    drive = Drive(plant, WatchdogSettings(enabled=False, open_after=0.0, speed_share=0.0))
-    controller, guard = Controller(ARM, UNWATCHED), CommandGuard(ARM, AdapterSettings())
+    drive = Drive(plant, WatchdogSettings(enabled=False, speed_share=0.0), open_after=0.0)
+    controller, guard = patient_controller(UNWATCHED), CommandGuard(ARM, AdapterSettings())
     ended = None
     for tick in range(1, 900):
         now_ns, reading = tick * TICK_NS, plant.read()

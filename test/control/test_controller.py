@@ -5,12 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, offer_plan
+from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, offer_plan, patient_controller
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import HOLD_BLEND, START_RAMP, ControllerSettings
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
@@ -26,7 +26,7 @@ class Bench:
     """A controller that is shown states at 1 kHz."""
 
     def __init__(self, settings: ControllerSettings = SETTINGS) -> None:
-        self.controller = Controller(ARM, settings)
+        self.controller = patient_controller(settings)
         self.now_ns = 0
         self.torque = REST
 
@@ -79,7 +79,7 @@ class TestStart:
         bench = Bench(steps).start()
         bench.plan((0.002, 0.0, 0.0), (0.002, 0.0, 0.0), (0.002, 0.0, 0.0), (0.002, 0.0, 0.0))
         pulls = [np.linalg.norm(bench.tick() - gravity()) for _ in range(400)]
-        ramp = SETTINGS.supervision.start_ramp
+        ramp = START_RAMP
         np.testing.assert_allclose(pulls, np.arange(400) * 1e-3 / ramp * pulls[-1] / (0.399 / ramp), atol=1e-9)
 
 
@@ -115,7 +115,7 @@ class TestPlans:
         for _ in range(400):
             bench.tick()
             errors.append(-bench.controller.error[0])
-        blend = SETTINGS.supervision.hold_blend
+        blend = HOLD_BLEND
         expected = np.maximum(0.03 * (1 - np.arange(400) * 1e-3 / blend), 0)
         np.testing.assert_allclose(errors, expected, atol=1e-9)
 
@@ -192,7 +192,7 @@ class TestReset:
 
 class TestTorques:
     def test_rate_holds_across_every_transition(self):
-        patient = SupervisionSettings(hold_limit=0.2, rest_within=10.0, stop_speed_gain=3.0)
+        patient = SupervisionSettings(hold_limit=0.2, drive_brakes=False)
         bench = Bench(ControllerSettings(supervision=patient)).start()
         random = np.random.default_rng(0)
         torques = [bench.tick()]

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
 
 SETTINGS = ImpedanceSettings()
 
@@ -33,7 +33,7 @@ def regular_states(model: RobotModel, count: int) -> list[tuple[np.ndarray, np.n
     found = []
     for q, v in zip(*random_states(20 * count), strict=True):
         model.update(q, v)
-        if np.linalg.eigvalsh(mobility(model))[0] > SETTINGS.singularity_floor:
+        if np.linalg.eigvalsh(mobility(model))[0] > SINGULARITY_FLOOR:
             found.append((q, v))
     assert len(found) >= count
     return found[:count]
@@ -74,7 +74,7 @@ def test_task_of_positions_controls_three_rows_and_leaves_the_rest_to_law_two(ar
         q, v = random.uniform(arm.lower, arm.upper), random.normal(0.0, 0.5, arm.n)
         model.update(q, v)
         rows = model.jacobian[:3]
-        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < settings.singularity_floor:
+        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < SINGULARITY_FLOOR:
             continue
         error, postures = random.uniform(-0.1, 0.1, 6), random.uniform(-1.0, 1.0, (2, arm.n))
         torques = [law.torque(model, v, posture, error) for posture in postures]
@@ -97,7 +97,7 @@ def test_task_of_position_and_axis_turns_the_axis_as_asked_and_leaves_the_rotati
         model.update(q, v)
         x, y, z = model.rotation.T
         rows = np.concatenate([model.jacobian[:3], [x, y] @ model.jacobian[3:]])
-        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < settings.singularity_floor:
+        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < SINGULARITY_FLOOR:
             continue
         # However the reference is turned about its axis.
         about, tilt = pin.exp3(random.uniform(-3.0, 3.0) * z), pin.exp3(random.uniform(-0.5, 0.5, 3))

@@ -16,7 +16,7 @@ from arm_simulation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.constants import make_constants, torque_rates
+from contact_reach_ros.control.constants import REPULSION_SHARE, make_constants, torque_rates
 from contact_reach_ros.control.kernels import (
     limit_torque,
     repulsion_torque,
@@ -65,7 +65,7 @@ def test_repulsion_is_continuous(joint, side, depth, speed):
 @given(joints, sides)
 def test_repulsion_at_the_limit_is_the_declared_share(joint, side):
     torque = repulsion_at(joint, side, SETTINGS.joint_limit_margin)
-    assert -side * torque[joint] == pytest.approx(SETTINGS.joint_limit_torque_share * TORQUE_LIMITS[joint])
+    assert -side * torque[joint] == pytest.approx(REPULSION_SHARE * TORQUE_LIMITS[joint])
     # It grows with the square, so that it begins without a kink.
     halfway = repulsion_at(joint, side, 0.5 * SETTINGS.joint_limit_margin)
     assert halfway[joint] == pytest.approx(0.25 * torque[joint])

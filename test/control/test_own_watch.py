@@ -7,7 +7,7 @@ from arm_simulation import ARM, HOME, REST, TICK_NS
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.control.supervisor import OBSERVER_PATIENCE, Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
@@ -33,8 +33,8 @@ def make_controller(watch_itself: bool, torque_source: str = "measured") -> Cont
 
 def watched_by(watcher, **supervision) -> Controller:
     """A controller with this watcher, which is shown every state."""
-    settings = SupervisionSettings(watch_rate=1000.0, **supervision)
-    controller = Controller(ARM, ControllerSettings(supervision=settings))
+    settings = ControllerSettings(supervision=SupervisionSettings(**supervision))
+    controller = Controller(ARM, settings, watch_rate=1000.0)
     controller.watch_with(watcher)
     return controller
 
@@ -87,7 +87,7 @@ def test_a_push_during_the_pause_is_seen_a_state_later_than_by_the_observer():
 def test_an_observer_that_is_silent_for_too_long_stops_the_arm():
     after, reason = stopped_after(make_controller(True), 10_000)
     assert reason.startswith("observer silent for ")
-    assert 1000 * (SETTINGS.observer_patience - 0.01) <= after <= 1000 * SETTINGS.observer_patience + 1
+    assert 1000 * (OBSERVER_PATIENCE - 0.01) <= after <= 1000 * OBSERVER_PATIENCE + 1
 
 
 class Watcher:
@@ -171,7 +171,7 @@ class TestVerdicts:
         return None
 
     def test_the_observer_alone_may_miss_states_for_as_long_as_it_may_be_silent(self, controller):
-        longest = round(1000 * SETTINGS.observer_patience)
+        longest = round(1000 * OBSERVER_PATIENCE)
         missed = Verdict(self.MISSED, doubt=self.MISSED)
         self.update(controller, 2)
         assert self.update_all(controller, range(3, 2 * longest), missed) == 3 + longest + 1
@@ -230,8 +230,7 @@ class TestRate:
 
     def shown(self, stamps, torques, watch_rate=250.0):
         watcher = Recorder()
-        settings = SupervisionSettings(watch_rate=watch_rate)
-        controller = Controller(ARM, ControllerSettings(supervision=settings))
+        controller = Controller(ARM, ControllerSettings(), watch_rate=watch_rate)
         controller.watch_with(watcher)
         for stamp, torque in zip(stamps, torques, strict=True):
             measured = None if torque is None else np.full(7, torque)

@@ -10,9 +10,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import solve_bounded
 from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings
-
-FLOOR = ImpedanceSettings().singularity_floor
+from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
 
 SINGULAR = {
     "stretched upwards": np.zeros(ARM.n),
@@ -39,16 +37,16 @@ seeds = st.integers(0, 1000)
 @given(eigenvalues, seeds)
 def test_bounded_inverse_is_bounded(values, seed):
     vectors = orthogonal(seed)
-    inverse = bounded_inverse((vectors * values) @ vectors.T, FLOOR)
+    inverse = bounded_inverse((vectors * values) @ vectors.T, SINGULARITY_FLOOR)
     np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=1e-9)
-    assert np.linalg.norm(inverse, 2) <= 2.0 / FLOOR * (1 + 1e-9)
+    assert np.linalg.norm(inverse, 2) <= 2.0 / SINGULARITY_FLOOR * (1 + 1e-9)
 
 
 @given(eigenvalues, seeds)
 def test_bounded_inverse_is_the_inverse_above_the_floor(values, seed):
     vectors = orthogonal(seed)
-    matrix = (vectors * (values + FLOOR)) @ vectors.T
-    np.testing.assert_allclose(bounded_inverse(matrix, FLOOR) @ matrix, np.eye(6), rtol=0, atol=1e-10)
+    matrix = (vectors * (values + SINGULARITY_FLOOR)) @ vectors.T
+    np.testing.assert_allclose(bounded_inverse(matrix, SINGULARITY_FLOOR) @ matrix, np.eye(6), rtol=0, atol=1e-10)
 
 
 @given(eigenvalues, seeds)
@@ -56,7 +54,7 @@ def test_bounded_inverse_never_asks_for_more_than_the_inverse(values, seed):
     # Λ_bounded (J M⁻¹ Jᵀ) has eigenvalues in [0, 1]: an acceleration may fall short, never overshoot.
     vectors = orthogonal(seed)
     matrix = (vectors * values) @ vectors.T
-    share = np.linalg.eigvals(bounded_inverse(matrix, FLOOR) @ matrix)
+    share = np.linalg.eigvals(bounded_inverse(matrix, SINGULARITY_FLOOR) @ matrix)
     np.testing.assert_allclose(share.imag, 0, atol=1e-9)
     assert share.real.min() >= -1e-9
     assert share.real.max() <= 1 + 1e-9

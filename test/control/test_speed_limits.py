@@ -36,8 +36,9 @@ speed_shares = st.lists(st.floats(-1.2, 1.2), min_size=ARM.n, max_size=ARM.n).ma
 class TestSpeedLimiter:
     MASS = np.diag([4.0, 3.0, 2.0, 1.0, 0.5, 0.1, 0.01]) + 0.002
     INVERSE = np.linalg.inv(MASS)
-    LIMITS = LimitSettings(null_velocity_share=0.4, velocity_limit_share=0.8, velocity_limit_rate=100.0)
-    CONSTANTS = make_constants(ARM, limits=LIMITS)
+    CONSTANTS = make_constants(ARM)
+    CONSTANTS[Constant.BRAKED_SPEED] = 0.4 * VELOCITY_LIMITS
+    CONSTANTS[Constant.SPEED_CEILING] = 0.8 * VELOCITY_LIMITS
     CEILING = 0.8 * VELOCITY_LIMITS
 
     def permitted(self, left: np.ndarray) -> np.ndarray:
@@ -68,7 +69,7 @@ class TestSpeedLimiter:
 
     @given(speed_shares, torques, torques)
     def test_what_keeps_the_speed_stays_within_the_torque_limits(self, shares, previous, wish):
-        v, step = shares * VELOCITY_LIMITS, torque_rates(ARM, self.LIMITS) * 1e-3
+        v, step = shares * VELOCITY_LIMITS, torque_rates(ARM, LimitSettings()) * 1e-3
         cap = self.CONSTANTS[Constant.TORQUE_CAP]
         previous = np.clip(previous, -cap, cap)
         before = np.clip(np.clip(wish, previous - step, previous + step), -cap, cap)
@@ -89,7 +90,7 @@ class TestSpeedLimiter:
         keep_speed(self.CONSTANTS, v, self.INVERSE, rest, after, rest, 1e-3)
         wanted = -100.0 * excess * self.CEILING[joint] / self.INVERSE[joint, joint]
         expected = rest.copy()
-        expected[joint] = side * max(wanted, -torque_rates(ARM, self.LIMITS)[joint] * 1e-3)
+        expected[joint] = side * max(wanted, -torque_rates(ARM, LimitSettings())[joint] * 1e-3)
         np.testing.assert_allclose(after, expected, rtol=1e-9)
 
 

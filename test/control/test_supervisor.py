@@ -9,6 +9,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST
 
 from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.stop_watch import BRAKE_AFTER, CREEP, REST_WITHIN, SPEED_DEBOUNCE, SPEED_GAIN
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor
 from contact_reach_ros.errors import InputError, Verdict
 
@@ -69,7 +70,7 @@ class TestStopThatBringsNoRest:
             supervisor.watch_stop(q, v, ms * self.MS)
 
     def test_an_arm_that_is_not_at_rest_in_time(self, stopped):
-        due = round(1000 * SETTINGS.rest_within)
+        due = round(1000 * REST_WITHIN)
         self.watch(stopped, self.SLOW, 0, due - 1)
         assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
         self.watch(stopped, self.SLOW, due, due)
@@ -84,11 +85,9 @@ class TestStopThatBringsNoRest:
 
     def test_an_arm_that_rested_may_be_moved_by_hand_but_not_fast(self, stopped):
         self.watch(stopped, REST, 0, 600)
-        self.watch(stopped, SETTINGS.stop_speed_gain * np.eye(ARM.n)[1], 601, 1800)
+        self.watch(stopped, SPEED_GAIN * np.eye(ARM.n)[1], 601, 1800)
         assert stopped.mode is Mode.STOPPED
-        self.watch(
-            stopped, -1.01 * SETTINGS.stop_speed_gain * np.eye(ARM.n)[1], 1801, 1800 + SETTINGS.velocity_debounce
-        )
+        self.watch(stopped, -1.01 * SPEED_GAIN * np.eye(ARM.n)[1], 1801, 1800 + SPEED_DEBOUNCE)
         assert stopped.mode is Mode.SILENT
         assert "in the stop lbr_A2 got faster" in stopped.stop_reason
 
@@ -128,7 +127,7 @@ class TestRest:
         return math.inf
 
     def test_the_brakes_get_the_arm_once_it_has_rested(self):
-        supervisor, due = self.stopped(), round(1000 * SETTINGS.brake_after)
+        supervisor, due = self.stopped(), round(1000 * BRAKE_AFTER)
         for ms in range(300):
             supervisor.watch_stop(HOME, np.full(ARM.n, 0.3), ms * self.MS)
         for ms in range(300, 300 + due):
@@ -142,7 +141,7 @@ class TestRest:
     @pytest.mark.parametrize("joint", range(ARM.n))
     def test_a_joint_that_creeps_has_them_at_once(self, joint):
         supervisor = self.stopped()
-        assert SETTINGS.stop_creep < self.creep(supervisor, joint, 2000) <= SETTINGS.stop_creep + 1e-4
+        assert CREEP < self.creep(supervisor, joint, 2000) <= CREEP + 1e-4
         assert supervisor.mode is Mode.SILENT
         expected = (
             f"pushed; {ARM.joint_names[joint]} has crept by 0.010 rad since it came to rest; nothing is commanded"
@@ -173,10 +172,10 @@ class TestRest:
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_joint_that_is_too_fast_for_some_states_in_a_row_stops_the_arm(supervisor, joint, side):
     fast = np.where(np.arange(ARM.n) == joint, side * 1.01 * LIMITS, 0.0)
-    for _ in range(SETTINGS.velocity_debounce - 1):
+    for _ in range(SPEED_DEBOUNCE - 1):
         supervisor.watch_joints(HOME, fast)
     supervisor.watch_joints(HOME, REST)
-    for _ in range(SETTINGS.velocity_debounce - 1):
+    for _ in range(SPEED_DEBOUNCE - 1):
         supervisor.watch_joints(HOME, fast)
     assert supervisor.mode is Mode.HOLDING
     supervisor.watch_joints(HOME, fast)

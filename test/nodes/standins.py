@@ -21,13 +21,14 @@ from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import DRIVER_PRIORITY, Role
+from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation
 from contact_reach_ros.timing import NANOSECONDS
 
 ARGUMENTS = {
     "effort": ["watchdog.enabled:=false"],
-    "lbr": ["watchdog.enabled:=false", "watchdog.carries:=true", "watchdog.open_after:=0.0"],
-    "franka": ["watchdog.enabled:=false", "watchdog.carries:=true", "watchdog.open_after:=0.0"],
+    "lbr": ["watchdog.enabled:=false", "watchdog.carries:=true"],
+    "franka": ["watchdog.enabled:=false", "watchdog.carries:=true"],
 }
 """Parameters of the simulated robot by kind of driver."""
 
@@ -40,6 +41,8 @@ class EffortDriver(DriverNode):
 
     def __init__(self):
         super().__init__()
+        if self.BRAKES:
+            open_at_once(self)
         self.joints = [self.arm.joint_names[index] for index in (2, 0, 1, 6, 5, 4, 3)]
         self._is_active = True
         self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
@@ -116,6 +119,7 @@ class LbrDriver(DriverNode):
 
     def __init__(self):
         super().__init__()
+        open_at_once(self)
         self._torque = self._external = None
         self._is_open = True
         name = "lbr/controller_manager/set_hardware_component_state"
@@ -170,6 +174,11 @@ class LbrDriver(DriverNode):
     def _end(self, why):
         self._is_open = False
         self.robot.drive.stop(why)
+
+
+def open_at_once(driver):
+    """Open the brakes with the first command."""
+    driver.robot.drive = Drive(driver.robot.plant, driver.settings["watchdog"], open_after=0.0)
 
 
 def send_zeros(driver):

@@ -14,7 +14,8 @@ from stack_helpers import ros
 from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.adapter_settings import FrankaSettings, LbrSettings
+from contact_reach_ros.control.adapter_settings import FRANKA_TORQUE_RATE, AdapterSettings, FrankaSettings, LbrSettings
+from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.drives import effort, franka, lbr
 from contact_reach_ros.errors import SettingsError, StopCode
 from contact_reach_ros.messages import topics
@@ -238,8 +239,8 @@ def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
     assert (np.abs(sent[-1][1:]) < command[1:]).all() and len(sent) == 2 and len(states) == 3
 
 
-def make_franka(node=None, torque_rate=1000.0, **settings):
-    return franka.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings), torque_rate)
+def make_franka(node=None, **settings):
+    return franka.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings))
 
 
 def answer(success, error=""):
@@ -248,13 +249,13 @@ def answer(success, error=""):
 
 def test_nothing_passes_before_the_reflexes_are_set():
     node = Node(answer(True))
-    target = make_franka(node, ask_joints=False, reflex_force=50.0)
+    target = make_franka(node, ask_joints=False)
     assert target.problem.startswith("the reflexes are not set yet")
     target.look()
     (request,) = node.asked
     assert not target.problem and target.diagnosis() == {"reflexes": "set"}
-    assert request.lower_torque_thresholds_nominal.tolist() == list(FrankaSettings().reflex_torques)
-    assert request.upper_force_thresholds_acceleration.tolist() == [50.0] * 3 + [30.0] * 3
+    assert request.lower_torque_thresholds_nominal.tolist() == list(franka.REFLEX_TORQUES)
+    assert request.upper_force_thresholds_acceleration.tolist() == [60.0] * 3 + [30.0] * 3
     target.look()
     assert len(node.asked) == 1
 
@@ -270,6 +271,11 @@ def test_nothing_passes_before_the_reflexes_are_set():
 def test_settings_that_the_arm_would_cut_short_are_named(node, settings, words):
     said = make_franka().hear(node, settings)
     assert said.startswith(words) and bool(said) == bool(words)
+
+
+def test_harmless_torques_change_no_faster_than_the_arm_follows():
+    settings = AdapterSettings(kind="franka", gravity_compensation=False)
+    assert torque_rates(ARM, settings.limits).max() <= FRANKA_TORQUE_RATE
 
 
 def test_a_request_whose_answer_is_lost_is_sent_again(monkeypatch):

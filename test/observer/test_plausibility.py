@@ -9,7 +9,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
-from contact_reach_ros.observer.plausibility import PlausibilityCheck, PlausibilitySettings, TorqueCheck
+from contact_reach_ros.observer.plausibility import FROZEN_TIME, PlausibilityCheck, PlausibilitySettings, TorqueCheck
 from contact_reach_ros.observer.settings import COMMANDED, MEASURED, ObserverSettings
 
 SETTINGS = PlausibilitySettings()
@@ -71,11 +71,11 @@ def test_a_stuck_position_of_a_moving_joint_whose_speed_is_reported_is_named_at_
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_a_joint_that_stays_while_torque_acts_on_it_is_named(noise):
     arm = MovingArm(0.5, noise)
-    for number in range(2 * SETTINGS.frozen_time):
+    for number in range(2 * FROZEN_TIME):
         q, v = arm.read()
         q[3], v[3] = HOME[3], 0.0
         wrong = arm.check.update(q, v, TOUCHED, arm.stamp_ns)
-        assert bool(wrong) == (number >= SETTINGS.frozen_time)
+        assert bool(wrong) == (number >= FROZEN_TIME)
     assert wrong.startswith("the position of lbr_A4 has not changed for ")
 
 
@@ -85,7 +85,7 @@ class TestStuckTorque:
     MOVING = np.where(np.arange(ARM.n) == 2, 0.1, 0.0)
 
     def states(self, torques, v, period=0.001):
-        check = TorqueCheck(ARM, PlausibilitySettings(), period)
+        check = TorqueCheck(ARM, period)
         return [check.update(v, torque) for torque in torques]
 
     @pytest.mark.parametrize("period", [0.001, 0.005])

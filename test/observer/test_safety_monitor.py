@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor, SafetySettings
+from contact_reach_ros.observer.safety import (
+    MEAN_TIME,
+    RELEASE_DEBOUNCE,
+    SafetyLevel,
+    SafetyMonitor,
+    SafetySettings,
+)
 
 SETTINGS = SafetySettings()
 # Nothing is too sudden, so that the other thresholds can be told apart.
@@ -140,9 +146,9 @@ class TestContact:
 
     def test_contact_ends_only_well_below_the_threshold_and_after_a_while(self, monitor):
         push(monitor, 1.5 * self.thresholds, 5)
-        push(monitor, 0.8 * self.thresholds, 2 * SETTINGS.release_debounce)
+        push(monitor, 0.8 * self.thresholds, 2 * RELEASE_DEBOUNCE)
         assert monitor.in_contact
-        push(monitor, REST, SETTINGS.release_debounce - 1)
+        push(monitor, REST, RELEASE_DEBOUNCE - 1)
         assert monitor.in_contact
         push(monitor, REST, 1)
         assert monitor.level is SafetyLevel.FREE
@@ -223,7 +229,7 @@ class TestOtherRates:
     def test_the_slow_mean_follows_in_as_long(self, period):
         monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
         torque = 0.9 * np.array(self.budget.contact_thresholds)
-        for state in range(round(1e-3 * SETTINGS.mean_time / period)):
+        for state in range(round(1e-3 * MEAN_TIME / period)):
             monitor.update(torque, HOME + 0.05 * state, REST)
         assert not monitor.in_contact
         np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)

@@ -99,7 +99,7 @@ def test_scenes_are_made_and_simulated(name):
     plant = Plant(scene, IDEAL_SENSORS, NO_FRICTION)
     assert plant.contact_links == SIX_AXIS.contact_links
     np.testing.assert_array_equal(plant.read().position, scene.start)
-    drive = Drive(plant, WatchdogSettings(open_after=0.0))
+    drive = Drive(plant, WatchdogSettings(), open_after=0.0)
     with pytest.raises(InputError, match="7 values; expected 6"):
         drive.command(np.zeros(ARM.n), 0)
     model = RobotModel(SIX_AXIS)

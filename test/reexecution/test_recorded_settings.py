@@ -12,7 +12,8 @@ from contact_reach_ros.arms import arm_settings
 from contact_reach_ros.bags.recorded_arm import recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.values import read_settings
-from contact_reach_ros.reexecution.settings import recorded_sections
+from contact_reach_ros.reexecution.settings import FIXED, recorded_sections
+from contact_reach_ros.removed import PARAMETERS
 
 
 class TestArm:
@@ -37,11 +38,14 @@ class TestArm:
             recorded_arm({"controller": {"robot table": {**table_of(SIX_AXIS), "home": [0.0]}}})
 
 
-def test_bags_from_before_the_slow_mean_was_limited_are_executed_as_they_were():
-    old = recorded_sections("observer", {"safety.mean_states": 300}, "old")
-    assert old["safety"].model_error_at_rest == 1000.0
-    assert old["budget"].resolve(ARM).model_error == (320.0,) * ARM.n
-    assert (old["commanded"].threshold_factor, old["commanded"].lost) == (1.0, 0)
+@pytest.mark.parametrize("name", FIXED)
+def test_settings_that_are_constants_now_must_have_been_recorded_with_their_values(name):
+    (node,) = {node for node in ("controller", "observer") if name in PARAMETERS[node]}
+    recorded = {name: FIXED[name], "state_rate": 500.0}
+    assert recorded_sections(node, recorded, "old") == recorded_sections(node, {}, "old")
+    other = not FIXED[name] if FIXED[name] is True else 0.9 * FIXED[name]
+    with pytest.raises(BagError, match=f"bag 'old', settings of the {node}: {name} = {other}; expected {FIXED[name]}"):
+        recorded_sections(node, {name: other}, "old")
 
 
 def test_values_are_json_and_whatever_is_none_stays_text():

@@ -20,7 +20,7 @@ class Bench:
 
     def __init__(self, open_after: float = 0.0, enabled: bool = True) -> None:
         # Brakes that open at once, except where that is what is tested.
-        self.drive = Drive(ideal_plant(joints=JointSettings()), WatchdogSettings(enabled, open_after))
+        self.drive = Drive(ideal_plant(joints=JointSettings()), WatchdogSettings(enabled), open_after)
         self.clock_ns = 5_000_000_000
 
     def command(self, torque: np.ndarray = GRAVITY) -> None:
@@ -165,7 +165,7 @@ def test_a_joint_that_is_too_fast_closes_the_brakes(bench, speed, stops):
 def test_a_drive_that_carries_the_arm_holds_it_without_any_torque():
     for carries, moves in ((True, False), (False, True)):
         bench = Bench()
-        bench.drive = Drive(bench.drive.plant, WatchdogSettings(enabled=False, open_after=0.0, carries=carries))
+        bench.drive = Drive(bench.drive.plant, WatchdogSettings(enabled=False, carries=carries), open_after=0.0)
         bench.command(REST)
         bench.tick(500)
         assert (bench.displacement > 1e-3) == moves

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.control.settings import AXIS, POSE, ImpedanceSettings
+from contact_reach_ros.control.settings import AXIS, POSE, SINGULARITY_FLOOR, ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames
 from contact_reach_ros.planning.transfer.lanes import cross, dot, ratio, root
@@ -86,7 +86,7 @@ def joint_acceleration(
     torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
 
     factor, solved, pivots = _factorise_mass(mass_matrix, jnp.concatenate([jacobian, jnp.stack(torques)]))
-    wrench = _task_wrench(solved, desired, implicit, gains.singularity_floor)
+    wrench = _task_wrench(solved, desired, implicit, SINGULARITY_FLOOR)
     # q̈ = L⁻ᵀ (L⁻¹ Jᵀ f + L⁻¹ τ₀ + L⁻¹ τ_contact), from the last joint to the first.
     acceleration: list[jax.Array] = [wrench[0]] * n
     for joint in reversed(range(n)):

@@ -1,0 +1,47 @@
+"""Everything that the last version had and this one has not is refused with what to do instead."""
+
+import re
+
+import pytest
+import yaml
+from contact_reach_command import contact_reach
+
+from contact_reach_ros import removed
+from contact_reach_ros.arms import known_parameters, load_arm
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.presets import SECTIONS, check_parameters
+from contact_reach_ros.settings import check_name
+
+PARAMETERS = [(node, name) for node, names in removed.PARAMETERS.items() for name in names]
+
+
+@pytest.mark.parametrize(("node", "name"), PARAMETERS)
+def test_parameters(tmp_path, node, name):
+    expected = re.escape(f"'{name}' was removed in 0.3.0: {removed.PARAMETERS[node][name]}")
+    file = tmp_path / "old.yaml"
+    file.write_text(yaml.safe_dump({node: {"ros__parameters": {name: 1.0}}}))
+    with pytest.raises(SettingsError, match=f"^{file}: {node}: {expected}$"):
+        check_parameters(file)
+    # As in `--set` and `-p`, by the name alone.
+    with pytest.raises(SettingsError, match=f"^argument: {expected}$"):
+        check_name(known_parameters(SECTIONS[node], load_arm()), name, "argument")
+
+
+@pytest.mark.parametrize("command", removed.COMMANDS)
+def test_commands(capsys, command):
+    assert contact_reach(*command.split(), "argument") == 2
+    assert capsys.readouterr().err == f"contact-reach: '{command}' was removed in 0.3.0: {removed.COMMANDS[command]}\n"
+
+
+def test_options_count_wherever_they_stand_and_other_words_do_not():
+    assert removed.removed_command(["report", "bags/sample", "--csv=tables"])
+    assert not removed.removed_command(["bench", "--scene", "faults"])
+    assert not removed.removed_command([])
+
+
+@pytest.mark.parametrize("name", removed.EXECUTABLES)
+def test_executables(monkeypatch, capsys, name):
+    monkeypatch.setattr("sys.argv", [f"/opt/ros/lib/contact_reach_ros/{name}", "kinds"])
+    with pytest.raises(SystemExit) as ended:
+        removed.removed_executable()
+    assert ended.value.code == 2 and removed.EXECUTABLES[name] in capsys.readouterr().err
