@@ -63,6 +63,29 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "planning.contact_patience_share": "leave it out: the weight of contact recovers as soon as a plan expects "
         "more than the permitted force",
         "unexpected_contact.radius": "leave it out: it belonged to the reaction replan, which is gone",
+        "planning.contact_measure": "leave it out: the largest force on a link counts",
+        "planning.detour_weight": _NOT_TUNED + "0.5; planning.detour_patience: 0 means no detours",
+        "planning.joint_limit_weight": _NOT_TUNED + "20 1/rad²",
+        "planning.joint_limit_margin": _NOT_TUNED + "0.1 rad",
+        "planning.joint_speed_weight": _NOT_TUNED + "0.3 s²/rad²",
+        "planning.clearance_margin": _NOT_TUNED + "0.02 m; planning.clearance_weight says how strongly it counts",
+        "planning.collision_tolerance": _NOT_TUNED + "0.002 m",
+        "planning.reference_posture": "leave it out: law (6) pulls to the arm's own reference posture",
+        "planning.rotation_bound": _NOT_TUNED + "0.2 rad; planning.translation_bound and speed_scale set the speed",
+        "planning.posture_bound": _NOT_TUNED + "0.2 rad; planning.translation_bound and speed_scale set the speed",
+        "planning.gradient_steps": _NOT_TUNED + "10 for the solver gradient",
+        "planning.elite": "leave it out: it is a quarter of planning.population",
+        "planning.boundary_penalty": "leave it out: sampling: paper has the penalty of line 9, bounds has none",
+        "planning.sigma": _NOT_TUNED + "0.3 of the bounds",
+        "planning.boundary_weight": _NOT_TUNED + "0.3",
+        "planning.stagnation_tolerance": _NOT_TUNED + "1e-4",
+        "planning.stagnation_steps": _NOT_TUNED + "3",
+        "unexpected_contact.patience": _NOT_TUNED + "0.01 s",
+        "unexpected_contact.least_force": _NOT_TUNED + "5 N",
+        "unexpected_contact.retreat": _NOT_TUNED + "0.05 m",
+        "settle_time": _NOT_TUNED + "0.2 s",
+        "goal_angle_tolerance": _NOT_TUNED + "0.05 rad; Goal(angle_tolerance=...) in the library",
+        "rest_speed": _NOT_TUNED + "0.01 m/s; Goal(rest_speed=...) in the library",
     },
     "adapter": {
         "on_silence": "leave it out: harmless torques always damp",
@@ -78,9 +101,37 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
     "viewer": {
         "dark": "append ?darkMode to the page's address",
         "shadows": "leave it out: shadows are always drawn",
+        "rate": _NOT_TUNED + "30 Hz",
+        "bags": "leave it out: the page offers the neighbours of bag, or the folder bags",
+    },
+    "recorder": {
+        "storage.compression": "leave it out: bags are compressed with zstd",
+        "storage.split_mb": "leave it out: a bag has one file; ros2 bag convert splits",
+        "storage.split_s": "leave it out: a bag has one file; ros2 bag convert splits",
+        "storage.min_free_mb": _NOT_TUNED + "500 MB",
+        "lockstep": "set use_sim_time: true instead",
+    },
+    "bringup": {
+        "seed": "set seed of the driver: in its section of the parameter file, or --set driver:seed=N",
+        "target": 'set target of the driver: --set "driver:target=X Y Z"',
     },
 }
 """Parameters by node and full name."""
+
+SCENE_KEYS: Mapping[str, str] = {
+    "min_overlap": _NOT_TUNED + "0.02 m for balls and 0.04 m for walls",
+    "max_overlap": _NOT_TUNED + "0.05 m for balls and 0.15 m for walls",
+    "hand_clearance": _NOT_TUNED + "0.02 m",
+    "start_clearance": _NOT_TUNED + "0.01 m",
+    "max_hand_overlap": _NOT_TUNED + "0.02 m",
+    "min_squeeze": _NOT_TUNED + "0.005 m",
+    "target_clearance": _NOT_TUNED + "0.06 m",
+    "hardening": _NOT_TUNED + "0.3",
+    "anchor_stiffness": _NOT_TUNED + "0",
+    "planner_stiffness_scale": "leave it out, and set edge_stiffness of the planner",
+    "id": "leave it out: obstacles are numbered from 0",
+}
+"""Keys of obstacles in scene files."""
 
 COMMANDS: Mapping[str, str] = {
     "tool": "a running stack keeps its tool. Stop the arm (contact-reach stop) and let the brakes close, end the "
@@ -99,6 +150,12 @@ COMMANDS: Mapping[str, str] = {
     "bench --ticks": "leave it out: bench times the controller in the running stack",
     "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
     "report --with": "run contact-reach reexecute BAG --with FILE",
+    "up --seed": "use --set driver:seed=N",
+    "up --target": 'use --set "driver:target=X Y Z"',
+    "identify --without": "identify the arm without its tool with --links first, start the stack with the file that "
+    "this writes, then identify the tool",
+    "bench --scene": "leave it out: the scene is always ball",
+    "view --bags": "leave it out: the page offers the neighbours of the bag, or the folder bags",
     "view --dark": "append ?darkMode to the page's address",
 }
 """Commands of `contact-reach` by their first words, and options by command and name."""
@@ -106,11 +163,11 @@ COMMANDS: Mapping[str, str] = {
 EXECUTABLES: Mapping[str, str] = {"faults": _FAULTS}
 """Executables of `ros2 run`."""
 
-_SENTENCES = {name: sentence for parameters in PARAMETERS.values() for name, sentence in parameters.items()}
+_SENTENCES = {name: sentence for named in (SCENE_KEYS, *PARAMETERS.values()) for name, sentence in named.items()}
 
 
 def removed_parameter(name: str) -> str:
-    """Why a node has no parameter of this full name any more, and what to do; empty if it never had."""
+    """Why this full name of a parameter or key of a scene is gone, and what to do; empty if it is not."""
     return _refusal(name, _SENTENCES.get(name, ""))
 
 

@@ -8,9 +8,10 @@ from contact_reach_command import contact_reach
 
 from contact_reach_ros import removed
 from contact_reach_ros.arms import known_parameters, load_arm
-from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.settings import check_name
+from contact_reach_ros.world.scene_file import read_scene
 
 PARAMETERS = [(node, name) for node, names in removed.PARAMETERS.items() for name in names]
 
@@ -27,6 +28,14 @@ def test_parameters(tmp_path, node, name):
         check_name(known_parameters(SECTIONS[node], load_arm()), name, "argument")
 
 
+@pytest.mark.parametrize("key", removed.SCENE_KEYS)
+def test_keys_of_scenes(tmp_path, key):
+    file = tmp_path / "old.yaml"
+    file.write_text(yaml.safe_dump({"base": "free", "ball": {key: 0.1}}))
+    with pytest.raises(ContactReachError, match=f"'{key}' was removed in 0.3.0: "):
+        read_scene(str(file))
+
+
 @pytest.mark.parametrize("command", removed.COMMANDS)
 def test_commands(capsys, command):
     assert contact_reach(*command.split(), "argument") == 2
@@ -35,7 +44,7 @@ def test_commands(capsys, command):
 
 def test_options_count_wherever_they_stand_and_other_words_do_not():
     assert removed.removed_command(["report", "bags/sample", "--csv=tables"])
-    assert not removed.removed_command(["bench", "--scene", "faults"])
+    assert not removed.removed_command(["bench", "--json", "faults"])
     assert not removed.removed_command([])
 
 
