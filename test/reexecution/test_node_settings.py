@@ -11,7 +11,7 @@ from contact_reach_ros.presets import SECTIONS as DECLARED
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute_controller, reexecute_observer
 from contact_reach_ros.reexecution.plans import RecordedPlans
-from contact_reach_ros.reexecution.settings import RENAMED, SECTIONS, ChangedSettings, recorded_sections
+from contact_reach_ros.reexecution.settings import SECTIONS, ChangedSettings, recorded_sections
 from contact_reach_ros.resources import share_directory
 
 SAMPLE = share_directory() / "bags" / "sample"
@@ -49,14 +49,6 @@ def test_a_value_that_is_not_accepted_is_named(sample: RecordedInputs, node: str
     sample.settings[node][full(prefix, name)] = "much"
     with pytest.raises(BagError, match=f"settings of the {node}: {name} = 'much'"):
         RUNS[node](sample)
-
-
-@pytest.mark.parametrize(("old", "new"), RENAMED.items())
-def test_a_renamed_setting_keeps_its_value(old: str, new: str) -> None:
-    prefix, _, name = new.rpartition(".")
-    for node in [node for node, sections in SECTIONS.items() if prefix in sections]:
-        assert old.rpartition(".")[2] not in [entry.name for entry in SECTIONS[node][prefix].declared()]
-        assert getattr(recorded_sections(node, {old: 77}, "bag")[prefix], name) == 77
 
 
 class TestChanges:
