@@ -81,7 +81,11 @@ def pieces_between(
 
     `hold` is in force without a plan.
     """
-    changes = {instant for plan in plans for instant in plan.changes_ns}
+    # A plan is in force until the next one takes effect.
+    lasts = [*(plan.effect_ns for plan in plans[1:]), end_ns]
+    changes: set[int] = set()
+    for plan, last in zip(plans, lasts, strict=False):
+        changes.update(instant for instant in plan.changes_ns if instant <= last)
     instants = [start_ns, *sorted(instant for instant in changes if start_ns < instant < end_ns), end_ns]
     pieces = []
     for begin, end in itertools.pairwise(instants):

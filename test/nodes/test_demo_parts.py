@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from contact_reach_ros.bringup.demo import _print_summary
+from contact_reach_ros.bringup import demo
+from contact_reach_ros.bringup.demo import INTERRUPTED, DemoOptions, _print_summary, run_demo
 from contact_reach_ros.report.summary import EpisodeSummary
 
 NAN = float("nan")
@@ -20,12 +21,33 @@ def summary_of(reached: bool = False, ticks: int = 5000, missed: int = 0, stops:
 STOPS = [{"time_s": 1.5, "source": "observer", "reason": "too much torque"}]
 
 
-def test_a_run_that_failed_on_a_slow_machine_points_to_lockstep(capsys: pytest.CaptureFixture[str]) -> None:
-    said = {}
-    for missed in (50, 400):
-        _print_summary("not reached", summary_of(missed=missed), Path("bag"), Path("plot"))
-        said[missed] = "add --lockstep" in capsys.readouterr().out
-    assert said == {50: False, 400: True}
+@pytest.mark.parametrize(
+    ("code", "summary", "options", "runs"),
+    [
+        (1, summary_of(missed=400, stops=STOPS), {}, [False, True]),
+        (1, summary_of(missed=400), {}, [False, True]),
+        (1, summary_of(missed=50, stops=STOPS), {}, [False]),
+        (0, summary_of(reached=True, missed=400), {}, [False]),
+        (1, summary_of(missed=400), {"lockstep": True}, [True]),
+        (1, summary_of(missed=400), {"view": True}, [False]),
+        (INTERRUPTED, summary_of(missed=400), {}, [False]),
+        (1, None, {}, [False]),
+    ],
+    ids=["stopped", "out of time", "a stop in time", "reached", "lockstep", "page", "interrupted", "a process died"],
+)
+def test_what_a_slow_machine_fails_in_real_time_is_repeated_in_lockstep(
+    code: int, summary: EpisodeSummary | None, options: dict, runs: list[bool], monkeypatch, capsys
+) -> None:
+    found: list[bool] = []
+
+    def run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
+        found.append(options.lockstep)
+        return (code, summary) if len(found) == 1 else (0, summary_of(reached=True))
+
+    monkeypatch.setattr(demo, "_run", run)
+    assert run_demo(DemoOptions(**options)) == (code if len(runs) == 1 else 0)
+    assert found == runs
+    assert ("400 ticks of 5400 were missed" in capsys.readouterr().out) == (len(runs) == 2)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +61,7 @@ def test_a_goal_that_was_not_reached_has_a_reason_instead_of_numbers(
     stops: list[dict], why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     summary = summary_of(stops=stops)
-    _print_summary("not reached", summary, Path("bag"))
+    _print_summary("not reached", summary, Path("bag"), Path("plot"))
     printed = capsys.readouterr().out
     assert why in printed and "no plan took effect" in printed and "nan" not in printed
     assert "4.00 s, the least time that" in printed
