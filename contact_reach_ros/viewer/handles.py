@@ -1,21 +1,17 @@
-"""Meshes and colours for viser, which sends a property to the browsers only when its value changes."""
+"""Balls and colours for viser, which sends a property to the browsers only when its value changes."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import trimesh
 import viser
 
-from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.drawing.palette import ORANGE, VERMILION, rgb
 from contact_reach_ros.drawing.parts import BODY
 
 Rgb = tuple[int, int, int]
 
-AROUND = 36
-"""Number of corners of a circle."""
 _SHARES = (0.0, 0.5, 1.0)
 _RAMP = np.array([BODY, rgb(ORANGE), rgb(VERMILION)])
 
@@ -23,14 +19,6 @@ _RAMP = np.array([BODY, rgb(ORANGE), rgb(VERMILION)])
 def add_ball(server: viser.ViserServer, name: str, radius: float, colour: str) -> Any:
     """Add a ball with a radius, m, and a colour '#rrggbb'."""
     return server.scene.add_icosphere(name, radius=radius, color=as_bytes(rgb(colour)))
-
-
-def capsule_mesh(start: Array, end: Array, radius: float) -> trimesh.Trimesh:
-    """Mesh of a capsule from `start` (3,) to `end` (3,), m."""
-    place = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end - start)
-    place[:3, 3] = 0.5 * (start + end)
-    length = float(np.linalg.norm(end - start))
-    return trimesh.creation.capsule(length, float(radius), count=[AROUND, AROUND // 2], transform=place)
 
 
 def as_bytes(colour: tuple[float, ...]) -> Rgb:
