@@ -54,7 +54,14 @@ def serve(port: int, label: str) -> viser.ViserServer:
     ContactReachError
         If this version of viser would answer everybody.
     """
-    with _listen(port) as listener, _guarded(listener) as used, contextlib.redirect_stdout(io.StringIO()):
+    try:
+        # viser would take the next free port, where nobody would look for the page.
+        listener = socket.create_server((ADDRESS, port))
+    except OSError as error:
+        raise SettingsError(
+            f"port = {port}: {error.strerror}; is another viewer running? Choose another port"
+        ) from error
+    with listener, _guarded(listener) as used, contextlib.redirect_stdout(io.StringIO()):
         server = _Server(host=ADDRESS, port=listener.getsockname()[1], label=label, verbose=False)
         if not used:
             server.stop()
@@ -78,22 +85,16 @@ def _refusal(request: Request) -> str:
     """Why a request is refused; empty to let it pass."""
     hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
     host = hosts[0] if len(hosts) == 1 else ""
-    if _name(host) not in _LOOPBACK_NAMES:
+    try:
+        name = urlsplit(f"//{host}").hostname
+    except ValueError:
+        name = None
+    if name not in _LOOPBACK_NAMES:
         # The name of another server can be made to point here, and its pages would then have the same origin.
         return "open this page as localhost or 127.0.0.1"
     if any(urlsplit(origin).netloc != host for origin in origins):
         return "requests from other pages are refused"
     return ""
-
-
-def _listen(port: int) -> socket.socket:
-    # viser would take the next free port, where nobody would look for the page.
-    try:
-        return socket.create_server((ADDRESS, port))
-    except OSError as error:
-        raise SettingsError(
-            f"port = {port}: {error.strerror}; is another viewer running? Choose another port"
-        ) from error
 
 
 @contextlib.contextmanager
@@ -119,11 +120,3 @@ def _guarded(listener: socket.socket) -> Iterator[list[bool]]:
         yield used
     finally:
         websockets.asyncio.server.serve = original  # type: ignore[assignment,misc]
-
-
-def _name(host: str) -> str:
-    """Name in a Host header, without its port."""
-    try:
-        return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""

@@ -10,9 +10,8 @@ import viser
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, rgb
+from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, as_bytes, rgb
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import as_bytes
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.spheres import Spheres
 

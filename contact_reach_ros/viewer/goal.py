@@ -13,9 +13,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import is_attainable, unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
+from contact_reach_ros.drawing.palette import GREEN, VERMILION, as_bytes, rgb
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import add_ball, as_bytes
 
 _REACH_PERIOD = 0.15
 """Time between runs of inverse kinematics, s."""
@@ -61,7 +60,7 @@ class GoalTab:
             depth_test=False,
             visible=False,
         )
-        self._ball = add_ball(server, "/new_goal/ball", 0.02, GREEN)
+        self._ball = server.scene.add_icosphere("/new_goal/ball", radius=0.02, color=as_bytes(rgb(GREEN)))
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 import viser
 
+from contact_reach_ros.drawing.palette import as_bytes
 from contact_reach_ros.drawing.parts import DARK, FOAM, NODE, RIGID
-from contact_reach_ros.viewer.handles import as_bytes
 from contact_reach_ros.world.rigid import slab
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
 

@@ -15,12 +15,11 @@ from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.goal import Actions, GoalTab
-from contact_reach_ros.viewer.handles import share_gradient
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
 from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.recorded import Recording
-from contact_reach_ros.viewer.scene import SceneView
+from contact_reach_ros.viewer.scene import SceneView, share_gradient
 
 _SLOW_PERIOD = 0.2
 """Time between updates of plots and timeline, s."""
@@ -119,7 +118,8 @@ class Page:
         if clock >= self._slow_due:
             self._slow_due = clock + _SLOW_PERIOD
             self._bag.follow()
-            self._show_plots()
+            history = self._live.history
+            self._plots.show(history.table() if player is None else player.recording.table(player.time))
         self._goal.show(live if player is None else None, clock)
 
     def say(self, text: str) -> None:
@@ -138,17 +138,6 @@ class Page:
         @reset.on_click
         async def _(_: Any) -> None:
             self.say(await asyncio.to_thread(actions.reset))
-
-    def _show_plots(self) -> None:
-        player = self._bag.player
-        if player is not None:
-            self._plots.show(player.recording.table(player.time))
-            return
-        table = self._live.history.table()
-        if len(table):
-            # Zero is now.
-            table[:, 0] -= table[-1, 0]
-        self._plots.show(table)
 
 
 def _banner_text(frame: Frame | None, silence: float | None) -> tuple[int | None, str, str]:

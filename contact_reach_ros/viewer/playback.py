@@ -141,12 +141,9 @@ class BagTab:
         player = self.player
         if player is None:
             return
-        time = round(player.time, 3)
-        if self._slider.value != time:
-            self._slider.value = time
-        label = "Pause" if player.playing else "Play"
-        if self._play.label != label:
-            self._play.label = label
+        # viser sends a value to the browsers only when it changes.
+        self._slider.value = round(player.time, 3)
+        self._play.label = "Pause" if player.playing else "Play"
 
     def _names(self) -> list[str]:
         return sorted((file.parent.name for file in self._bags.glob("*/*.mcap")), reverse=True)

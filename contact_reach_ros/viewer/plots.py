@@ -50,8 +50,10 @@ class History:
             self._rows.popleft()
 
     def table(self) -> Array:
-        """The history: (n, `quantities`)."""
-        return np.array(self._rows, float).reshape(-1, 1 + len(self._columns))
+        """The history: (n, `quantities`), with time 0 now."""
+        table = np.array(self._rows, float).reshape(-1, 1 + len(self._columns))
+        table[:, 0] -= table[-1:, 0]
+        return table
 
 
 class Plots:

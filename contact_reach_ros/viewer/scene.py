@@ -13,19 +13,20 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, rgb
-from contact_reach_ros.drawing.parts import link_shapes
+from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, VERMILION, as_bytes, rgb
+from contact_reach_ros.drawing.parts import BODY, link_shapes
 from contact_reach_ros.drawing.shapes import Capsule, Cylinder, Solid, Sphere
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.viewer.contacts import ContactView
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import add_ball, as_bytes, share_colour
 from contact_reach_ros.viewer.obstacles import ObstacleView
 
 _BASE_PARTS = 2
 """Number of base shapes that show the first joint's torque if its link has no shape of its own."""
 _AROUND = 36
 """Number of corners of a circle."""
+_SHARES = (0.0, 0.5, 1.0)
+_RAMP = np.array([BODY, rgb(ORANGE), rgb(VERMILION)])
 
 
 class SceneView:
@@ -59,7 +60,7 @@ class SceneView:
         scene.world_axes.visible = False
         server.initial_camera.position = (1.2, -1.25, 0.95)
         server.initial_camera.look_at = (0.25, 0.0, 0.35)
-        self._goal = add_ball(server, "/goal", 0.025, SKY_BLUE)
+        self._goal = scene.add_icosphere("/goal", radius=0.025, color=as_bytes(rgb(SKY_BLUE)))
         self._goal.visible = False
 
     def show(self, frame: Frame) -> None:
@@ -133,6 +134,17 @@ class _PlanView:
             self._lines.append(
                 self._server.scene.add_line_segments(f"/plan/{name}", segments, as_bytes(rgb(colour)), thickness=0.006)
             )
+
+
+def share_colour(share: float) -> tuple[int, int, int]:
+    """Colour from the arm's own at 0 to vermilion at 1 and beyond."""
+    return as_bytes(tuple(float(np.interp(share, _SHARES, channel)) for channel in _RAMP.T))
+
+
+def share_gradient() -> str:
+    """The colours of `share_colour` as a CSS gradient from left to right."""
+    stops = ", ".join(f"rgb{share_colour(share)} {share:.0%}" for share in _SHARES)
+    return f"linear-gradient(to right, {stops})"
 
 
 def _mesh(server: viser.ViserServer, name: str, shape: Solid) -> Any:
