@@ -153,7 +153,6 @@ def _parser() -> argparse.ArgumentParser:
     check = arm.add_parser("check", help="what a URDF says, lacks and leaves to rules, and whether the arm moves")
     check.add_argument("name", metavar="ARM", help="a name, or the path of a URDF or YAML file")
     check.add_argument("--table", type=Path, metavar="FILE", help="write all numbers as a table, a YAML file")
-    check.add_argument("--view", action="store_true", help="show the capsules over the collision geometry in a browser")
     check.set_defaults(run=_later("doctor.arm_check:check_arm"))
 
     report = add(

@@ -155,6 +155,7 @@ COMMANDS: Mapping[str, str] = {
     "identify --without": "identify the arm without its tool with --links first, start the stack with the file that "
     "this writes, then identify the tool",
     "bench --scene": "leave it out: the scene is always ball",
+    "arm --view": "arm check prints how much larger each capsule is than its link; RViz shows the URDF",
     "view --bags": "leave it out: the page offers the neighbours of the bag, or the folder bags",
     "view --dark": "append ?darkMode to the page's address",
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from rich.console import Console
 from rich.table import Table
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_name, shapes
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.table import table_text
@@ -22,9 +20,6 @@ from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.doctor.findings import write_text
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import NANOSECONDS, PERIOD
-from contact_reach_ros.viewer.access import serve
-from contact_reach_ros.viewer.fit import show_fit
-from contact_reach_ros.viewer.settings import ViewerSettings
 from contact_reach_ros.world.scene import Scene
 
 _SETTLING, _MOTION = 0.8, 2.0
@@ -36,7 +31,7 @@ _CLOSE = 0.01
 """Distance from where it began at which the tip counts as back, m."""
 
 
-def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
+def check_arm(name: str, table: Path | None = None) -> int:
     """Print what there is, what was assumed, and how the arm moves; returns 0 only if it moves as it should.
 
     Raises `SettingsError` if the description is refused, naming link or joint and the key that mends it, and
@@ -48,14 +43,12 @@ def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
         What `load_arm` takes.
     table
         File to write the arm's table to; none is written by default.
-    view
-        Serve a page that shows the capsules over the collision geometry, until Ctrl-C.
     """
     console = Console()
     if name.endswith(ENDINGS):
-        arm, fits, assumed, geometry = read_arm_file(Path(name))
+        arm, fits, assumed, _ = read_arm_file(Path(name))
     else:
-        arm, fits, assumed, geometry = load_arm(name), {}, [], []
+        arm, fits, assumed = load_arm(name), {}, []
     console.print(
         f"arm '{arm.name}': {arm.n} joints from {arm.base_frame} to {arm.tip_frame}, reach {arm.reach:g} m around "
         f"{list(arm.shoulder)} m"
@@ -77,23 +70,7 @@ def check_arm(name: str, table: Path | None = None, view: bool = False) -> int:
     console.print(
         problem or f"moved by {1000 * _AMPLITUDE:.0f} mm and back in {_MOTION:g} s of simulation", markup=False
     )
-    if view:
-        _serve(arm, geometry, console)
     return 1 if problem else 0
-
-
-def _serve(arm: Arm, geometry: Sequence[Sequence[Array]], console: Console) -> None:
-    settings = ViewerSettings()
-    server = serve(settings.port, arm.name)
-    try:
-        show_fit(server, arm, geometry)
-        shown = "capsules over the collision geometry" if geometry else "capsules"
-        console.print(f"{shown}: {settings.page_address(settings.port)}, until Ctrl-C")
-        server.sleep_forever()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.stop()
 
 
 def _joints(arm: Arm) -> Table:

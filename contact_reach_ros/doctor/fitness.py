@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -10,15 +11,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rclpy
 from rclpy.node import Node
 
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.children import Interruption, StackError
@@ -73,7 +74,7 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
         raise SettingsError(f"--load {load}: expected 0 to 64 processes")
     scene = load_scene(SCENE, load_arm())
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+        signal.signal(number, signal.default_int_handler)
     # Removed only on success, so that the log of a failure remains.
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
     options = BringupOptions(scene=SCENE, bag=str(directory / "bag"))
@@ -105,36 +106,30 @@ def _measure(seconds: float, load: int, stack: StackProcesses, follower: Followe
     identities = stack.process_ids
     realtime = all(os.sched_getscheduler(identities[name]) == os.SCHED_FIFO for name in (DRIVER, CONTROLLER))
     with _hogs(load):
-        trips = _go_to_and_fro(stack, follower, [follower.target, follower.position.copy()])
-        _until(time.monotonic() + _SETTLE_S, trips)
+        goals = itertools.cycle([follower.target, follower.position.copy()])
+        _drive(stack, follower, goals, _SETTLE_S)
         first = {name: follower.diagnostics[name] for name in (DRIVER, CONTROLLER)}
-        _until(time.monotonic() + seconds, trips)
+        reached = _drive(stack, follower, goals, seconds)
         last = {name: follower.diagnostics[name] for name in (DRIVER, CONTROLLER)}
-    return {"realtime": realtime, **timing_between(first, last), "goals_reached": next(trips)}
+    return {"realtime": realtime, **timing_between(first, last), "goals_reached": reached}
 
 
-def _go_to_and_fro(stack: StackProcesses, follower: Follower, goals: Sequence[np.ndarray]) -> Iterator[int]:
-    """Watch for a moment at each step; yields how many goals were reached so far."""
-    reached = sent = 0
-    deadline = 0.0
-    while True:
-        arrived = sent > 0 and follower.distance <= SUCCESS_DISTANCE
-        if arrived or time.monotonic() > deadline:
+def _drive(stack: StackProcesses, follower: Follower, goals: Iterator[Array], seconds: float) -> int:
+    """Send one goal after the other for some seconds; returns how many were reached."""
+    end, due, reached = time.monotonic() + seconds, 0.0, 0
+    follower.distance = float("nan")
+    while time.monotonic() < end:
+        arrived = follower.distance <= SUCCESS_DISTANCE
+        if arrived or time.monotonic() > due:
             reached += arrived
-            follower.target = goals[sent % len(goals)]
+            follower.target = next(goals)
             follower.send_target()
-            sent += 1
-            deadline = time.monotonic() + _GOAL_S
+            due = time.monotonic() + _GOAL_S
             follower.distance = float("nan")
         stack.watch(_LOOK_S)
         if follower.stops:
             raise StackError(follower.state)
-        yield reached
-
-
-def _until(deadline: float, trips: Iterator[int]) -> None:
-    while time.monotonic() < deadline:
-        next(trips)
+    return reached
 
 
 @contextmanager
@@ -184,7 +179,3 @@ def print_report(report: Mapping[str, Any]) -> None:
     ]
     for label, text in rows:
         print(f"  {label:16}{text}")
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

@@ -39,7 +39,6 @@ _ANYTHING = topics.Qos(2000, reliable=False)
 
 _SETTLED_S = 3.5
 """A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
-_LOOK_S = 0.1
 _ANSWER_S = 3.0
 _MATCHING_S = 1.0
 _DRAIN_S = 0.01
@@ -65,9 +64,7 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
     with bare_node(DOCTOR, discovery) as node:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        settled = time.monotonic() + _SETTLED_S
-        while time.monotonic() < settled:
-            executor.spin_once(timeout_sec=_LOOK_S)
+        time.sleep(_SETTLED_S)
         names, states, order = _nodes(node), {}, None
         for name in (name for name in MANAGED if f"/{name}" in names):
             answer = _call(node, executor, GetState, f"/{name}/get_state", GetState.Request())

@@ -24,3 +24,9 @@ def rgb(colour: str) -> tuple[float, float, float]:
     """Parse '#rrggbb' into red, green and blue in [0, 1]."""
     red, green, blue = (int(colour[index : index + 2], 16) / 255.0 for index in (1, 3, 5))
     return red, green, blue
+
+
+def as_bytes(colour: tuple[float, ...]) -> tuple[int, int, int]:
+    """Convert red, green and blue in [0, 1] to bytes."""
+    red, green, blue = (round(255.0 * value) for value in colour[:3])
+    return red, green, blue

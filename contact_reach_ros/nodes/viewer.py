@@ -19,6 +19,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
+from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import JointOrder
 from contact_reach_ros.observer.budget import load_budget
@@ -32,7 +33,7 @@ from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.ros.stopping import release, stop_arm
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.viewer.access import call, serve
-from contact_reach_ros.viewer.frame import ANY_MATERIAL, SafetyLevel, safety_status
+from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page
 from contact_reach_ros.viewer.playback import bag_directory
@@ -58,7 +59,7 @@ class ViewerNode(ManagedNode):
         self._due = 0.0
         self._busy_ns = 0
         self._turns = 0
-        self.live = LiveState(self.arm)
+        self.live = LiveState(self.arm, time.monotonic())
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._torque_order = JointOrder(self.arm.joint_names)
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
@@ -83,11 +84,6 @@ class ViewerNode(ManagedNode):
         self.get_logger().info(
             f"open {settings.page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"
         )
-
-    def loop(self) -> None:
-        """Run the updates; from now on the page expects joint states."""
-        self.live.start(time.monotonic())
-        super().loop()
 
     def turn(self) -> None:
         """Update the page once."""
@@ -172,7 +168,7 @@ class _StackActions:
 
     def reset(self) -> str:
         """See `Actions`."""
-        stopped = [name for name, status in self._live.safety.items() if status.level is SafetyLevel.STOP]
+        stopped = [name for name, status in self._live.safety.items() if status.level == ERROR]
         return release(stopped, self._services.trigger).text
 
 

@@ -17,8 +17,7 @@ from urllib.parse import urlsplit
 
 import viser
 import websockets.asyncio.server
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
+from websockets.http11 import Request
 
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.viewer.settings import ADDRESS
@@ -55,7 +54,14 @@ def serve(port: int, label: str) -> viser.ViserServer:
     ContactReachError
         If this version of viser would answer everybody.
     """
-    with _listen(port) as listener, _guarded(listener) as used, contextlib.redirect_stdout(io.StringIO()):
+    try:
+        # viser would take the next free port, where nobody would look for the page.
+        listener = socket.create_server((ADDRESS, port))
+    except OSError as error:
+        raise SettingsError(
+            f"port = {port}: {error.strerror}; is another viewer running? Choose another port"
+        ) from error
+    with listener, _guarded(listener) as used, contextlib.redirect_stdout(io.StringIO()):
         server = _Server(host=ADDRESS, port=listener.getsockname()[1], label=label, verbose=False)
         if not used:
             server.stop()
@@ -75,31 +81,20 @@ def call(server: viser.ViserServer, function: Callable[[], T]) -> T:
     return asyncio.run_coroutine_threadsafe(run(), server.get_event_loop()).result()
 
 
-def _refusal(request: Request) -> Response | None:
-    """The answer to a request that is refused; None to let it pass."""
+def _refusal(request: Request) -> str:
+    """Why a request is refused; empty to let it pass."""
     hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
     host = hosts[0] if len(hosts) == 1 else ""
-    if _name(host) not in _LOOPBACK_NAMES:
-        # The name of another server can be made to point here, and its pages would then have the same origin.
-        return _forbid("open this page as localhost or 127.0.0.1")
-    if any(urlsplit(origin).netloc != host for origin in origins):
-        return _forbid("requests from other pages are refused")
-    return None
-
-
-def _listen(port: int) -> socket.socket:
-    # viser would take the next free port, where nobody would look for the page.
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((ADDRESS, port))
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise SettingsError(
-            f"port = {port}: {error.strerror}; is another viewer running? Choose another port"
-        ) from error
-    return listener
+        name = urlsplit(f"//{host}").hostname
+    except ValueError:
+        name = None
+    if name not in _LOOPBACK_NAMES:
+        # The name of another server can be made to point here, and its pages would then have the same origin.
+        return "open this page as localhost or 127.0.0.1"
+    if any(urlsplit(origin).netloc != host for origin in origins):
+        return "requests from other pages are refused"
+    return ""
 
 
 @contextlib.contextmanager
@@ -111,8 +106,11 @@ def _guarded(listener: socket.socket) -> Iterator[list[bool]]:
     def guarded(handler: Any, host: str, port: int, **options: Any) -> Any:
         answer = options["process_request"]
 
-        def process(connection: Any, request: Request) -> Response | None:
-            return _refusal(request) or answer(connection, request)
+        def process(connection: Any, request: Request) -> Any:
+            reason = _refusal(request)
+            if reason:
+                return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
+            return answer(connection, request)
 
         used.append(True)
         return original(handler, sock=listener.dup(), **{**options, "process_request": process})
@@ -122,17 +120,3 @@ def _guarded(listener: socket.socket) -> Iterator[list[bool]]:
         yield used
     finally:
         websockets.asyncio.server.serve = original  # type: ignore[assignment,misc]
-
-
-def _forbid(reason: str) -> Response:
-    body = f"{reason}\n".encode()
-    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
-    return Response(http.HTTPStatus.FORBIDDEN, http.HTTPStatus.FORBIDDEN.phrase, headers, body)
-
-
-def _name(host: str) -> str:
-    """Name in a Host header, without its port."""
-    try:
-        return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""

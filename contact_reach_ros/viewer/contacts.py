@@ -10,10 +10,9 @@ import viser
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, rgb
+from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, as_bytes, rgb
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import as_bytes
+from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.spheres import Spheres
 
 _LEAST = 0.2
@@ -110,24 +109,14 @@ def arrows(arm: Arm, frame: Frame) -> list[Arrow]:
 
 def _touched(arm: Arm, link: str, q: Array, spheres: Spheres) -> tuple[Array, Array]:
     """Point of a link's surface nearest to, or deepest in, a sphere, and the unit normal there, pointing inwards."""
-    number = arm.link_names.index(link)
-    rotations, origins = link_frames(arm, q)
-    nearest: list[tuple[float, Array, Array]] = []
-    for capsule in arm.capsules:
-        if capsule.link == number + 1:
-            start, end = (origins[number] + rotations[number] @ point for point in (capsule.start, capsule.end))
-            nearest.append(_nearest(start, end, capsule.radius, spheres))
-    _, point, normal = min(nearest, key=lambda entry: entry[0])
-    return point, normal
-
-
-def _nearest(start: Array, end: Array, radius: float, spheres: Spheres) -> tuple[float, Array, Array]:
-    """Distance of a capsule from the nearest sphere, its point there, and the unit normal, pointing inwards."""
-    axis = end - start
-    along = np.clip((spheres.center - start) @ axis / (axis @ axis), 0.0, 1.0)
-    towards = start + along[:, None] * axis - spheres.center
-    lengths = np.linalg.norm(towards, axis=1)
-    gaps = lengths - spheres.radius - radius
-    nearest = int(np.argmin(gaps))
-    normal = towards[nearest] / max(lengths[nearest], 1e-9)
-    return float(gaps[nearest]), start + along[nearest] * axis - radius * normal, normal
+    of_link = np.array([arm.link_names[capsule.link - 1] == link for capsule in arm.capsules])
+    radii = np.array([capsule.radius for capsule in arm.capsules])[of_link]
+    starts, ends = (points[of_link, None] for points in capsule_segments(arm, q))
+    axes = ends - starts
+    along = np.clip(np.sum((spheres.center - starts) * axes, axis=-1) / np.sum(axes * axes, axis=-1), 0.0, 1.0)
+    towards = starts + along[..., None] * axes - spheres.center
+    lengths = np.linalg.norm(towards, axis=-1)
+    gaps = lengths - spheres.radius - radii[:, None]
+    capsule, sphere = np.unravel_index(np.argmin(gaps), gaps.shape)
+    normal = towards[capsule, sphere] / max(lengths[capsule, sphere], 1e-9)
+    return spheres.center[sphere] + towards[capsule, sphere] - radii[capsule] * normal, normal

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Any
 
 from contact_reach_ros.arm.arm import Arm
@@ -12,7 +11,7 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_reader import PlanPicture
-from contact_reach_ros.messages.safety_state import is_stopped, read_contact, read_level
+from contact_reach_ros.messages.safety_state import ERROR, WARN, is_stopped, read_contact, read_level
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.world.spheres import Spheres
 
@@ -20,19 +19,14 @@ ANY_MATERIAL = AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0)
 """Material of obstacles, of which only positions, radii and edges are shown."""
 
 
-class SafetyLevel(Enum):
-    """Level of a safety_state message, from good to bad."""
-
-    OK = 0
-    CONTACT = 1
-    STOP = 2
-
-
 @dataclass(frozen=True)
 class SafetyStatus:
-    """Safety state of one node, with the contact that the observer has located, if any."""
+    """Safety state of one node, with the contact that the observer has located, if any.
 
-    level: SafetyLevel
+    The level is OK, WARN for a contact, or ERROR for a stop.
+    """
+
+    level: int
     message: str
     contact: Contact | None = None
 
@@ -43,9 +37,7 @@ def safety_status(message: Any, arm: Arm) -> SafetyStatus:
         contact = read_contact(message, arm)
     except InputError:
         contact = None
-    level = (
-        SafetyLevel.STOP if is_stopped(message) else SafetyLevel(min(read_level(message), SafetyLevel.CONTACT.value))
-    )
+    level = ERROR if is_stopped(message) else min(read_level(message), WARN)
     return SafetyStatus(level, message.message, contact)
 
 
@@ -81,7 +73,3 @@ class Frame:
     forces: Mapping[str, float] = field(default_factory=dict)
     goal: Array | None = None
     safety: Mapping[str, SafetyStatus] = field(default_factory=dict)
-
-    def stops(self) -> dict[str, str]:
-        """Reasons for the latched stops, by node."""
-        return {name: status.message for name, status in self.safety.items() if status.level is SafetyLevel.STOP}

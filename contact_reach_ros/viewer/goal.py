@@ -13,9 +13,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import is_attainable, unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.drawing.palette import GREEN, VERMILION, rgb
+from contact_reach_ros.drawing.palette import GREEN, VERMILION, as_bytes, rgb
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import add_ball, as_bytes
 
 _REACH_PERIOD = 0.15
 """Time between runs of inverse kinematics, s."""
@@ -41,7 +40,6 @@ class GoalTab:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, actions: Actions, say: Callable[[str], None]) -> None:
         self._arm = arm
-        self._frame: Frame | None = None
         self._due = 0.0
         self._checked: tuple[Array, Array] | None = None
         self._position = np.zeros(3)
@@ -52,7 +50,6 @@ class GoalTab:
         )
         self._reach_text = gui.add_markdown("")
         self._send = gui.add_button("Send goal", color="blue", icon=viser.Icon.SEND)
-        here = gui.add_button("Move it to the flange", color="gray")
         size = arm.reach + 0.15
         self._arrows = server.scene.add_transform_controls(
             "/new_goal",
@@ -63,7 +60,7 @@ class GoalTab:
             depth_test=False,
             visible=False,
         )
-        self._ball = add_ball(server, "/new_goal/ball", 0.02, GREEN)
+        self._ball = server.scene.add_icosphere("/new_goal/ball", radius=0.02, color=as_bytes(rgb(GREEN)))
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
@@ -73,28 +70,26 @@ class GoalTab:
         @self._field.on_update
         async def _(event: viser.GuiEvent[Any]) -> None:
             if event.client_id is not None:
-                self._place(np.array(event.target.value, float))
+                self._position = np.array(event.target.value, float)
+                self._arrows.position = self._position
 
         @self._send.on_click
         async def _(_: Any) -> None:
             say(await asyncio.to_thread(actions.send_goal, self._position.copy()))
-
-        @here.on_click
-        async def _(_: Any) -> None:
-            self._place_at_flange()
 
     def show(self, frame: Frame | None, clock: float) -> None:
         """Show whether the running arm, whose present moment is `frame`, reaches the goal; None hides the goal.
 
         `clock` is a steady clock, s.
         """
-        self._frame = frame
         self._arrows.visible = frame is not None
         self._send.disabled = frame is None
         if frame is None or clock < self._due:
             return
         if self._checked is None:
-            self._place_at_flange()
+            self._position = np.round(link_frames(self._arm, frame.q)[1][-1], 3)
+            self._arrows.position = self._position
+            self._field.value = tuple(self._position.tolist())
         elif np.array_equal(self._checked[0], self._position) and np.abs(frame.q - self._checked[1]).max() < _MOVED:
             return
         self._due = clock + _REACH_PERIOD
@@ -102,15 +97,6 @@ class GoalTab:
         reachable, text = reach(self._arm, self._position, frame.q)
         self._ball.color = as_bytes(rgb(GREEN if reachable else VERMILION))
         self._reach_text.content = f"{'✔' if reachable else '✘'} {text}"
-
-    def _place(self, position: Array) -> None:
-        self._position = position
-        self._arrows.position = position
-
-    def _place_at_flange(self) -> None:
-        if self._frame is not None:
-            self._place(np.round(link_frames(self._arm, self._frame.q)[1][-1], 3))
-            self._field.value = tuple(self._position.tolist())
 
 
 def reach(arm: Arm, position: Array, q: Array) -> tuple[bool, str]:

@@ -27,6 +27,8 @@ class LiveState:
     ----------
     arm
         The arm of the stack.
+    clock
+        When joint states begin to be expected.
 
     Attributes
     ----------
@@ -44,7 +46,7 @@ class LiveState:
         Newest safety state of each node.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, clock: float) -> None:
         self._arm = arm
         self.history = History(arm.joint_names)
         self.external_torque: Array | None = None
@@ -52,16 +54,11 @@ class LiveState:
         self.plan: PlanPicture | None = None
         self.goal: Array | None = None
         self.safety: dict[str, SafetyStatus] = {}
-        self._since = 0.0
-        self._heard: float | None = None
+        self._heard = clock
         self._stamp_ns = 0
         self._q: Array | None = None
         self._forces: Mapping[str, float] = {}
         self._peak = np.nan
-
-    def start(self, clock: float) -> None:
-        """Begin to expect joint states."""
-        self._since = clock
 
     def on_joint_state(self, stamp_ns: int, q: Array, clock: float) -> None:
         """Take joint angles `q` (n,), rad."""
@@ -86,14 +83,20 @@ class LiveState:
 
     def silence(self, clock: float) -> float:
         """Seconds since the last joint state."""
-        return clock - (self._since if self._heard is None else self._heard)
+        return clock - self._heard
 
     def frame(self) -> Frame | None:
         """The present moment, None before the first joint state; plots the largest force since the last call."""
         if self._q is None:
             return None
         time = self._stamp_ns / NANOSECONDS
-        self.history.add(time, self._plotted(self._q))
+        values = {"force": float(self._peak)}
+        if self.goal is not None:
+            flange = link_frames(self._arm, self._q)[1][-1]
+            values["distance"] = 1000.0 * float(np.linalg.norm(flange - self.goal))
+        if self.external_torque is not None:
+            values |= dict(zip(self._arm.joint_names, self.external_torque.tolist(), strict=True))
+        self.history.add(time, values)
         self._peak = np.nan
         return Frame(
             time,
@@ -105,12 +108,3 @@ class LiveState:
             self.goal,
             dict(self.safety),
         )
-
-    def _plotted(self, q: Array) -> dict[str, float]:
-        """The plotted quantities by name; unknown ones are missing or NaN."""
-        values = {"force": float(self._peak)}
-        if self.goal is not None:
-            values["distance"] = 1000.0 * float(np.linalg.norm(link_frames(self._arm, q)[1][-1] - self.goal))
-        if self.external_torque is not None:
-            values |= dict(zip(self._arm.joint_names, self.external_torque.tolist(), strict=True))
-        return values

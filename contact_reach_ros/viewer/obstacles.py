@@ -8,9 +8,9 @@ import numpy as np
 import trimesh
 import viser
 
+from contact_reach_ros.drawing.palette import as_bytes
 from contact_reach_ros.drawing.parts import DARK, FOAM, NODE, RIGID
-from contact_reach_ros.viewer.handles import as_bytes
-from contact_reach_ros.world.rigid import Environment, slab
+from contact_reach_ros.world.rigid import slab
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
 
 _COARSE, _FINE = (trimesh.creation.icosphere(subdivisions=steps) for steps in (1, 3))
@@ -20,36 +20,33 @@ class ObstacleView:
     """Balls, the nodes and edges of deformable bodies, and rigid bodies."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+        self._scene = server.scene
         self._shown: Spheres | None = None
+        self._handles: list[Any] = []
         self._spheres: Any = None
         self._edges: Any = None
-        self._rigid: list[Any] = []
-        self._environment: Environment = ()
 
     def show(self, spheres: Spheres | None) -> None:
         """Show obstacles; None for none."""
         shown = self._shown
         if spheres is shown:
             return
-        self._show_rigid(() if spheres is None else spheres.environment)
-        if shown is None or spheres is None or not _alike(spheres, shown):
-            self._build(spheres)
         self._shown = spheres
-        if spheres is None or not len(spheres):
-            return
-        self._spheres.batched_positions = spheres.center.astype(np.float32)
-        if self._edges is not None:
-            self._edges.points = spheres.center[spheres.edges].astype(np.float32)
+        if shown is None or spheres is None or not _alike(spheres, shown):
+            for handle in self._handles:
+                handle.remove()
+            self._handles, self._spheres, self._edges = [], None, None
+            if spheres is not None:
+                self._build(spheres)
+        elif self._spheres is not None:
+            self._spheres.batched_positions = spheres.center.astype(np.float32)
+            if self._edges is not None:
+                self._edges.points = spheres.center[spheres.edges].astype(np.float32)
 
-    def _show_rigid(self, environment: Environment) -> None:
-        if environment == self._environment:
-            return
-        for handle in self._rigid:
-            handle.remove()
-        self._environment = environment
-        self._rigid = [
-            self._server.scene.add_box(
+    def _build(self, spheres: Spheres) -> None:
+        scene = self._scene
+        self._handles = [
+            scene.add_box(
                 f"/obstacles/rigid_{number}",
                 color=as_bytes(RIGID),
                 dimensions=tuple(shape.size),
@@ -57,22 +54,16 @@ class ObstacleView:
                 position=np.array(shape.center),
                 opacity=0.5,
             )
-            for number, shape in enumerate(map(slab, environment))
+            for number, shape in enumerate(map(slab, spheres.environment))
         ]
-
-    def _build(self, spheres: Spheres | None) -> None:
-        for handle in (self._spheres, self._edges):
-            if handle is not None:
-                handle.remove()
-        self._spheres = self._edges = None
-        if spheres is None or not len(spheres):
+        if not len(spheres):
             return
-        scene = self._server.scene
         members = np.zeros(len(spheres), bool)
         members[spheres.edges.ravel()] = True
         if len(spheres.edges):
             points = spheres.center[spheres.edges].astype(np.float32)
             self._edges = scene.add_line_segments("/obstacles/edges", points, as_bytes(FOAM), thickness=0.003)
+            self._handles.append(self._edges)
         fixed = members & (spheres.stiffness >= FIXED_STIFFNESS)
         colours = np.where(fixed[:, None], as_bytes(DARK), np.where(members[:, None], as_bytes(NODE), as_bytes(FOAM)))
         # Drawn at half their size, the nodes of a body leave its deformation visible.
@@ -91,8 +82,10 @@ class ObstacleView:
             cast_shadow=not members.any(),
             lod="off",
         )
+        self._handles.append(self._spheres)
 
 
 def _alike(spheres: Spheres, other: Spheres) -> bool:
     """Whether they differ only in their positions."""
-    return all(np.array_equal(getattr(spheres, name), getattr(other, name)) for name in ("radius", "edges", "rest"))
+    same = (np.array_equal(getattr(spheres, name), getattr(other, name)) for name in ("radius", "edges", "rest"))
+    return spheres.environment == other.environment and all(same)

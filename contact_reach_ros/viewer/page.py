@@ -11,24 +11,24 @@ import viser
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.drawing.palette import GREEN, GREY, ORANGE, VERMILION
+from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.viewer.frame import Frame, SafetyLevel
+from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.goal import Actions, GoalTab
-from contact_reach_ros.viewer.handles import share_gradient
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
 from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.recorded import Recording
-from contact_reach_ros.viewer.scene import SceneView
+from contact_reach_ros.viewer.scene import SceneView, share_gradient
 
 _SLOW_PERIOD = 0.2
 """Time between updates of plots and timeline, s."""
 _SILENCE = 2.0
 """Time without a joint state after which the banner reports it, s."""
 _BANNER = {
-    SafetyLevel.OK: (GREEN, "#FFFFFF"),
-    SafetyLevel.CONTACT: (ORANGE, "#000000"),
-    SafetyLevel.STOP: (VERMILION, "#FFFFFF"),
+    OK: (GREEN, "#FFFFFF"),
+    WARN: (ORANGE, "#000000"),
+    ERROR: (VERMILION, "#FFFFFF"),
 }
 """Background and text colours of the banner by level."""
 _SILENT = (GREY, "#FFFFFF")
@@ -118,7 +118,8 @@ class Page:
         if clock >= self._slow_due:
             self._slow_due = clock + _SLOW_PERIOD
             self._bag.follow()
-            self._show_plots()
+            history = self._live.history
+            self._plots.show(history.table() if player is None else player.recording.table(player.time))
         self._goal.show(live if player is None else None, clock)
 
     def say(self, text: str) -> None:
@@ -138,19 +139,8 @@ class Page:
         async def _(_: Any) -> None:
             self.say(await asyncio.to_thread(actions.reset))
 
-    def _show_plots(self) -> None:
-        player = self._bag.player
-        if player is not None:
-            self._plots.show(player.recording.table(player.time))
-            return
-        table = self._live.history.table()
-        if len(table):
-            # Zero is now.
-            table[:, 0] -= table[-1, 0]
-        self._plots.show(table)
 
-
-def _banner_text(frame: Frame | None, silence: float | None) -> tuple[SafetyLevel | None, str, str]:
+def _banner_text(frame: Frame | None, silence: float | None) -> tuple[int | None, str, str]:
     """Level, headline and details of a moment; the level is None if it is unknown.
 
     Parameters
@@ -164,15 +154,15 @@ def _banner_text(frame: Frame | None, silence: float | None) -> tuple[SafetyLeve
         more = "the stack is not running, or starting" if frame is None else "the picture is out of date"
         return None, f"no joint_states for {silence:.0f} s", more
     assert frame is not None
-    stops = frame.stops()
+    stops = [f"{name}: {status.message}" for name, status in frame.safety.items() if status.level == ERROR]
     if stops:
-        return SafetyLevel.STOP, "STOPPED", "; ".join(f"{name}: {reason}" for name, reason in stops.items())
-    touched = [status for status in frame.safety.values() if status.level is SafetyLevel.CONTACT]
+        return ERROR, "STOPPED", "; ".join(stops)
+    touched = [status for status in frame.safety.values() if status.level == WARN]
     if touched:
         contact = touched[0].contact
-        return SafetyLevel.CONTACT, "contact", "" if contact is None else f"at {contact.link}"
+        return WARN, "contact", "" if contact is None else f"at {contact.link}"
     controller = frame.safety.get(_CONTROLLER)
-    return (SafetyLevel.OK, controller.message, "") if controller is not None else (None, "no controller", "")
+    return (OK, controller.message, "") if controller is not None else (None, "no controller", "")
 
 
 class _Banner:

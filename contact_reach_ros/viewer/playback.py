@@ -37,44 +37,42 @@ class Player:
         Whether time advances.
     speed
         Seconds of the recording per second.
+    time
+        Time since the first joint state, s.
     """
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         self.playing = False
         self.speed = 1.0
-        self._time = 0.0
-
-    @property
-    def time(self) -> float:
-        """Time since the first joint state, s."""
-        return self._time
+        self.time = 0.0
 
     def advance(self, seconds: float) -> None:
         """Advance the time while playing; stops at the end of the recording."""
         if self.playing:
-            self.seek(self._time + seconds * self.speed)
-            self.playing = self._time < self.recording.duration
+            self.seek(self.time + seconds * self.speed)
+            self.playing = self.time < self.recording.duration
 
     def toggle(self) -> None:
         """Play or pause; from the end, play from the start."""
-        if not self.playing and self._time >= self.recording.duration:
-            self._time = 0.0
+        if not self.playing and self.time >= self.recording.duration:
+            self.time = 0.0
         self.playing = not self.playing
 
     def seek(self, time: float) -> None:
         """Jump to a time, s; playback continues from there if it is on."""
-        self._time = min(max(time, 0.0), self.recording.duration)
+        self.time = min(max(time, 0.0), self.recording.duration)
 
     def step(self, ticks: int) -> None:
         """Pause and move by some joint states, forward or back."""
         self.playing = False
-        row = self.recording.tick(self._time) + ticks
+        row = self.recording.tick(self.time) + ticks
         self.seek(float(self.recording.ticks[min(max(row, 0), len(self.recording.ticks) - 1)]))
 
     def jump(self) -> bool:
         """Pause at the start of the next contact; returns whether there is one."""
-        time = self.recording.next_contact(self._time)
+        later = (event.time for event in self.recording.events if event.kind == "contact")
+        time = next((start for start in later if start > self.time + 1e-6), None)
         if time is None:
             return False
         self.playing = False
@@ -130,12 +128,11 @@ class BagTab:
         self.player = None if recording is None else Player(recording)
         self._folder.visible = self._back.visible = recording is not None
         self._choice.options = self._names() or ["none"]
-        if recording is not None:
+        if recording is not None and self.player is not None:
             name = bag_directory(recording.path).name
             self._choice.options = list(dict.fromkeys([name, *self._names()]))
             self._choice.value = name
-        if self.player is not None:
-            self.player.seek(self.player.recording.first_goal)
+            self.player.seek(next((event.time for event in recording.events if event.kind == "goal"), 0.0))
             with self._folder:
                 self._add_controls(self.player)
 
@@ -144,12 +141,9 @@ class BagTab:
         player = self.player
         if player is None:
             return
-        time = round(player.time, 3)
-        if self._slider.value != time:
-            self._slider.value = time
-        label = "Pause" if player.playing else "Play"
-        if self._play.label != label:
-            self._play.label = label
+        # viser sends a value to the browsers only when it changes.
+        self._slider.value = round(player.time, 3)
+        self._play.label = "Pause" if player.playing else "Play"
 
     def _names(self) -> list[str]:
         return sorted((file.parent.name for file in self._bags.glob("*/*.mcap")), reverse=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import viser
@@ -50,33 +50,10 @@ class History:
             self._rows.popleft()
 
     def table(self) -> Array:
-        """The history: (n, `quantities`)."""
-        return np.array(self._rows, float).reshape(-1, 1 + len(self._columns))
-
-
-class Curve(NamedTuple):
-    """A quantity of the plotted tables."""
-
-    quantity: str
-    label: str
-    colour: str
-
-
-class Plot(NamedTuple):
-    """Curves over the same time with the same unit."""
-
-    title: str
-    unit: str
-    curves: tuple[Curve, ...]
-
-
-def page_plots(joint_names: Sequence[str]) -> tuple[Plot, ...]:
-    """The plots of the page for an arm with these joints."""
-    return (
-        Plot("Distance to the goal", "mm", (Curve("distance", "flange", BLUE),)),
-        Plot("Largest contact force", "N", (Curve("force", "on one link", BLUE),)),
-        Plot("External torque", "Nm", tuple(map(Curve, joint_names, joint_names, itertools.cycle(JOINT_COLOURS)))),
-    )
+        """The history: (n, `quantities`), with time 0 now."""
+        table = np.array(self._rows, float).reshape(-1, 1 + len(self._columns))
+        table[:, 0] -= table[-1:, 0]
+        return table
 
 
 class Plots:
@@ -93,44 +70,40 @@ class Plots:
     """
 
     def __init__(self, server: viser.ViserServer, joint_names: Sequence[str], permitted_force: float) -> None:
-        self._columns, self._plots = quantities(joint_names), page_plots(joint_names)
         self._permitted = permitted_force
-        self._handles = [self._add(server, plot) for plot in self._plots]
+        torques = {name: {"stroke": colour} for name, colour in zip(joint_names, itertools.cycle(JOINT_COLOURS))}
+        permitted = {"stroke": VERMILION, "dash": (6, 4)}
+        self._handles = [
+            _add(server, "Distance to the goal", "mm", {"flange": {"stroke": BLUE}}),
+            _add(server, "Largest contact force", "N", {"on one link": {"stroke": BLUE}, "permitted": permitted}),
+            _add(server, "External torque", "Nm", torques),
+        ]
 
     def show(self, table: Array) -> None:
         """Show a table with the columns `quantities`."""
-        columns = dict(zip(self._columns, table.T, strict=True))
-        for plot, handle in zip(self._plots, self._handles, strict=True):
-            data = self._data(plot, columns)
-            scales = _scales(data[1:])
+        time, distance, force, *torques = (np.ascontiguousarray(column) for column in table.T)
+        permitted = np.full(len(time), self._permitted)
+        for handle, curves in zip(self._handles, ([distance], [force, permitted], torques), strict=True):
+            scales = _scales(curves)
             if scales != handle.scales:
                 handle.scales = scales
-            handle.data = data
+            handle.data = (time, *curves)
 
-    def _add(self, server: viser.ViserServer, plot: Plot) -> Any:
-        empty = dict.fromkeys(self._columns, np.zeros(0))
-        series: list[Any] = [{"label": "time"}]
-        series += [{"label": curve.label, "stroke": curve.colour, "width": 2} for curve in plot.curves]
-        if plot.unit == "N":
-            series.append({"label": "permitted", "stroke": VERMILION, "width": 2, "dash": (6, 4)})
-        axes: Any = ({**_AXIS, "label": "s"}, {**_AXIS, "label": plot.unit, "size": 46, "labelSize": 16})
-        return server.gui.add_uplot(
-            self._data(plot, empty),
-            tuple(series),
-            title=f"{plot.title} ({plot.unit})",
-            axes=axes,
-            scales=_scales(()),
-            legend={"show": len(series) > 2, "live": False},
-            height=_HEIGHT,
-            padding=(10, 14, 0, 0),
-        )
 
-    def _data(self, plot: Plot, columns: dict[str, Array]) -> tuple[Array, ...]:
-        data = [np.ascontiguousarray(columns["time"])]
-        data += [np.ascontiguousarray(columns[curve.quantity]) for curve in plot.curves]
-        if plot.unit == "N":
-            data.append(np.full(len(data[0]), self._permitted))
-        return tuple(data)
+def _add(server: viser.ViserServer, title: str, unit: str, curves: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Add an empty plot of curves with their options by label."""
+    series: Any = ({"label": "time"}, *({"label": label, "width": 2, **curve} for label, curve in curves.items()))
+    axes: Any = ({**_AXIS, "label": "s"}, {**_AXIS, "label": unit, "size": 46, "labelSize": 16})
+    return server.gui.add_uplot(
+        (np.zeros(0),) * len(series),
+        series,
+        title=f"{title} ({unit})",
+        axes=axes,
+        scales=_scales(()),
+        legend={"show": len(series) > 2, "live": False},
+        height=_HEIGHT,
+        padding=(10, 14, 0, 0),
+    )
 
 
 def _scales(curves: Sequence[Array]) -> Any:

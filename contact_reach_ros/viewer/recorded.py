@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from operator import itemgetter
@@ -20,7 +19,8 @@ from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, 
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
-from contact_reach_ros.viewer.frame import ANY_MATERIAL, Frame, SafetyLevel, SafetyStatus, safety_status
+from contact_reach_ros.messages.safety_state import WARN
+from contact_reach_ros.viewer.frame import ANY_MATERIAL, Frame, safety_status
 from contact_reach_ros.viewer.plots import SPAN
 
 _PICTURES, _OBSTACLES = "/plan/markers", "/obstacles"
@@ -91,10 +91,8 @@ class Recording:
         self._received_ns = {topic: self._reception_times(topic) for topic in (_PICTURES, _OBSTACLES)}
         self._message_times = {topic: signals.clock.of_receptions(ns) for topic, ns in self._received_ns.items()}
         self._kept: dict[str, tuple[int, Any]] = {}
-        statuses: defaultdict[str, list[tuple[float, Any]]] = defaultdict(list)
-        for time, message in sorted(signals.safety_states, key=itemgetter(0)):
-            statuses[message.name].append((time, message))
-        self._statuses = {name: (np.array([time for time, _ in found]), found) for name, found in statuses.items()}
+        self._safety = sorted(signals.safety_states, key=itemgetter(0))
+        self._safety_times = np.array([time for time, _ in self._safety])
         found = [
             *_goal_events(signals.goals, "goal", "goal"),
             *_goal_events(signals.refused_goals, "refused", "refused goal"),
@@ -110,6 +108,7 @@ class Recording:
         torque = _row(signals.external_torque.time, time)
         force = _row(signals.contact_force.time, time)
         goal = _row(signals.goals.time, time)
+        newest = {message.name: message for _, message in self._safety[: _row(self._safety_times, time) + 1]}
         return Frame(
             time=float(self.ticks[tick]),
             q=self._q[tick],
@@ -120,7 +119,7 @@ class Recording:
             if force >= 0
             else {},
             goal=signals.goals.values[goal] if goal >= 0 else None,
-            safety=self._safety_at(time),
+            safety={message.name: safety_status(message, self.arm) for message in newest.values()},
         )
 
     def tick(self, time: float) -> int:
@@ -131,15 +130,6 @@ class Recording:
         """`quantities` over the last `SPAN` seconds before a time, as `History.table`."""
         first, last = np.searchsorted(self._table[:, 0], [time - SPAN, time + _ROUNDING])
         return self._table[first:last]
-
-    @property
-    def first_goal(self) -> float:
-        """When the first goal was sent, s; 0 without one."""
-        return next((event.time for event in self.events if event.kind == "goal"), 0.0)
-
-    def next_contact(self, time: float) -> float | None:
-        """Start of the first contact after a time, s; None without any."""
-        return next((event.time for event in self.events if event.kind == "contact" and event.time > time + 1e-6), None)
 
     def _reception_times(self, topic: str) -> np.ndarray:
         """Times (n,), ns, in order: the files of a bag may overlap."""
@@ -155,7 +145,7 @@ class Recording:
         kept = self._kept.get(topic)
         if kept is None or kept[0] != row:
             try:
-                kept = row, read(self._message(topic, row))
+                kept = row, read(next(self._reader.raw_messages([topic], int(self._received_ns[topic][row]))))
             except InputError:
                 kept = row, None
             self._kept[topic] = kept
@@ -166,16 +156,6 @@ class Recording:
         """The plan in a message; None if it cannot be decoded."""
         message = self._reader.decode(raw)
         return None if message is None else read_plan(message)
-
-    def _message(self, topic: str, row: int) -> RawMessage:
-        """A message of a topic, by its place in the order of reception."""
-        return next(self._reader.raw_messages([topic], int(self._received_ns[topic][row])))
-
-    def _safety_at(self, time: float) -> dict[str, SafetyStatus]:
-        rows = {name: _row(times, time) for name, (times, _) in self._statuses.items()}
-        return {
-            name: safety_status(self._statuses[name][1][row][1], self.arm) for name, row in rows.items() if row >= 0
-        }
 
 
 def _row(times: Array, time: float) -> int:
@@ -203,7 +183,7 @@ def _contact_events(signals: EpisodeSignals) -> Iterator[Event]:
     if len(forces.time):
         touched = forces.time[forces.column("max") >= _CONTACT_FORCE]
     else:
-        touched = np.array([state.time for state in signals.safety if state.level == SafetyLevel.CONTACT.value])
+        touched = np.array([state.time for state in signals.safety if state.level == WARN])
     starts = touched[np.append(True, np.diff(touched) > _CONTACT_PAUSE)[: len(touched)]]
     for time in starts.tolist():
         yield Event(time, "contact", "contact begins")

@@ -13,17 +13,20 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, rgb
-from contact_reach_ros.drawing.parts import link_shapes
+from contact_reach_ros.drawing.palette import BLUE, ORANGE, SKY_BLUE, VERMILION, as_bytes, rgb
+from contact_reach_ros.drawing.parts import BODY, link_shapes
 from contact_reach_ros.drawing.shapes import Capsule, Cylinder, Solid, Sphere
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.viewer.contacts import ContactView
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.handles import AROUND, add_ball, as_bytes, capsule_mesh, share_colour
 from contact_reach_ros.viewer.obstacles import ObstacleView
 
 _BASE_PARTS = 2
 """Number of base shapes that show the first joint's torque if its link has no shape of its own."""
+_AROUND = 36
+"""Number of corners of a circle."""
+_SHARES = (0.0, 0.5, 1.0)
+_RAMP = np.array([BODY, rgb(ORANGE), rgb(VERMILION)])
 
 
 class SceneView:
@@ -57,7 +60,7 @@ class SceneView:
         scene.world_axes.visible = False
         server.initial_camera.position = (1.2, -1.25, 0.95)
         server.initial_camera.look_at = (0.25, 0.0, 0.35)
-        self._goal = add_ball(server, "/goal", 0.025, SKY_BLUE)
+        self._goal = scene.add_icosphere("/goal", radius=0.025, color=as_bytes(rgb(SKY_BLUE)))
         self._goal.visible = False
 
     def show(self, frame: Frame) -> None:
@@ -111,33 +114,37 @@ class _PlanView:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._shown: PlanPicture | None = None
-        self._lines: dict[str, Any] = {}
+        self._lines: list[Any] = []
 
     def show(self, plan: PlanPicture | None) -> None:
         """Show a plan; None hides it."""
         if plan is self._shown:
             return
         self._shown = plan
-        for name, colour, points in (
-            ("flange", BLUE, None if plan is None else plan.flange),
-            ("elbow", ORANGE, None if plan is None else plan.elbow),
-        ):
-            self._line(name, colour, points)
+        for line in self._lines:
+            line.remove()
+        self._lines = []
+        if plan is not None:
+            self._add("flange", BLUE, plan.flange)
+            self._add("elbow", ORANGE, plan.elbow)
 
-    def _line(self, name: str, colour: str, points: Array | None) -> None:
-        line = self._lines.get(name)
-        if points is None or len(points) < 2:
-            if line is not None:
-                line.visible = False
-            return
-        segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        if line is None:
-            self._lines[name] = self._server.scene.add_line_segments(
-                f"/plan/{name}", segments, as_bytes(rgb(colour)), thickness=0.006
+    def _add(self, name: str, colour: str, points: Array) -> None:
+        if len(points) > 1:
+            segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+            self._lines.append(
+                self._server.scene.add_line_segments(f"/plan/{name}", segments, as_bytes(rgb(colour)), thickness=0.006)
             )
-            return
-        line.points = segments
-        line.visible = True
+
+
+def share_colour(share: float) -> tuple[int, int, int]:
+    """Colour from the arm's own at 0 to vermilion at 1 and beyond."""
+    return as_bytes(tuple(float(np.interp(share, _SHARES, channel)) for channel in _RAMP.T))
+
+
+def share_gradient() -> str:
+    """The colours of `share_colour` as a CSS gradient from left to right."""
+    stops = ", ".join(f"rgb{share_colour(share)} {share:.0%}" for share in _SHARES)
+    return f"linear-gradient(to right, {stops})"
 
 
 def _mesh(server: viser.ViserServer, name: str, shape: Solid) -> Any:
@@ -147,7 +154,10 @@ def _mesh(server: viser.ViserServer, name: str, shape: Solid) -> Any:
     elif isinstance(shape, Cylinder):
         ends = np.stack([shape.start, shape.end])
         # Split at its edges; otherwise viser would shade the flat ends and the side as one round surface.
-        mesh = trimesh.creation.cylinder(shape.radius, segment=ends, sections=AROUND).smooth_shaded
+        mesh = trimesh.creation.cylinder(shape.radius, segment=ends, sections=_AROUND).smooth_shaded
     else:
-        mesh = capsule_mesh(shape.start, shape.end, shape.radius)
+        place = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], shape.end - shape.start)
+        place[:3, 3] = 0.5 * (shape.start + shape.end)
+        length = float(np.linalg.norm(shape.end - shape.start))
+        mesh = trimesh.creation.capsule(length, shape.radius, count=[_AROUND, _AROUND // 2], transform=place)
     return server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=as_bytes(shape.colour))

@@ -65,7 +65,6 @@ def test_refused_priority_names_the_limit_to_raise(monkeypatch):
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(machine.os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(machine, "_CONTAINERS", ())
     finding = machine.realtime_permission()
     assert finding.verdict is Verdict.WARN and "rtprio 90" in finding.fix and "memlock" in finding.fix
     timer = timer_jitter(0.02)

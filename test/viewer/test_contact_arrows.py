@@ -4,9 +4,10 @@ import numpy as np
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arms.iiwa14 import ARM
+from contact_reach_ros.messages.safety_state import OK, WARN
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.viewer.contacts import arrows
-from contact_reach_ros.viewer.frame import Frame, SafetyLevel, SafetyStatus
+from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.world.spheres import Spheres
 
 HOME = np.array(ARM.home)
@@ -19,8 +20,8 @@ def frame(**more) -> Frame:
 def test_estimate_is_drawn_where_the_observer_says():
     contact = Contact("lbr_link_5", np.array([0.1, 0.2, 0.9]), np.array([0.0, -4.0, 0.0]), 4.0)
     safety = {
-        "observer": SafetyStatus(SafetyLevel.CONTACT, "contact", contact),
-        "controller": SafetyStatus(SafetyLevel.OK, "tracking"),
+        "observer": SafetyStatus(WARN, "contact", contact),
+        "controller": SafetyStatus(OK, "tracking"),
     }
     (arrow,) = arrows(ARM, frame(obstacles=None, safety=safety))
     assert arrow.estimated
