@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.logging import LoggingSeverity
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS, FRANKA, LBR, AdapterSettings
@@ -189,7 +188,7 @@ class AdapterNode(StoppableNode):
         self._published = (phase, reason)
         self._safety.publish(to_stop_state(NAME, self.arm, reason, phase.value, {"state": phase.value}))
         if reason:
-            self.say(LoggingSeverity.ERROR, f"no command is passed on: {reason}; call ~/reset to continue")
+            self.say(f"no command is passed on: {reason}; call ~/reset to continue")
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
         values, differs = read_settings(message), ""

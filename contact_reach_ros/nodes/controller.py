@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.logging import LoggingSeverity
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from contact_reach_ros.control.agreement import differences, disagreement
@@ -235,7 +234,7 @@ class ControllerNode(StoppableNode):
             is_silent = controller.mode is Mode.SILENT
             what = "stop, without commands" if is_silent else "compliant stop"
             calls = "~/reset, and the driver's," if is_silent else "~/reset"
-            self.say(LoggingSeverity.ERROR, f"{what}: {controller.stop_reason}; call {calls} to continue")
+            self.say(f"{what}: {controller.stop_reason}; call {calls} to continue")
 
 
 def main() -> None:

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rclpy.logging import LoggingSeverity
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
@@ -212,7 +211,7 @@ class DriverNode(ManagedNode):
         self._published_safety = (actuation, reason)
         self._safety.publish(to_stop_state(self.NAME, self.arm, reason, actuation, {"actuation": actuation}))
         if reason:
-            self.say(LoggingSeverity.ERROR, f"brakes closed: {reason}; call ~/reset to continue")
+            self.say(f"brakes closed: {reason}; call ~/reset to continue")
 
     def _on_command(self, data: bytes) -> None:
         if self._waits_for_command:

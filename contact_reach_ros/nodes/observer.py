@@ -6,8 +6,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rclpy.logging import LoggingSeverity
-
 from contact_reach_ros.errors import is_missing_states
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_safety_state
@@ -118,7 +116,7 @@ class ObserverNode(StoppableNode):
                 is_stop = not is_missing_states(report.reason)
                 # Bags must not end between a stop and what led to it.
                 self._intake.flush()
-                self.say(LoggingSeverity.ERROR, f"stop: {why}; call ~/reset to continue" if is_stop else why)
+                self.say(f"stop: {why}; call ~/reset to continue" if is_stop else why)
             self._safety.publish(to_safety_state(report, NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
             self._write_wrench(self._wrench_writer.write(report.stamp_ns, self._observer.momentum.flange_wrench()))

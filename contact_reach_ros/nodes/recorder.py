@@ -12,7 +12,6 @@ from typing import Any
 
 import yaml
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.logging import LoggingSeverity
 from rclpy.utilities import get_rmw_implementation_identifier
 from rclpy.validate_topic_name import validate_topic_name
 
@@ -111,14 +110,13 @@ class RecorderNode(ManagedNode):
             self._ended_early = shortage_in(recorder.writer.directory)
             if self._ended_early:
                 # Others need the disk as well, and the end of a recording is not a reason to stop the arm.
-                self.say(LoggingSeverity.ERROR, f"the recording ends here: {self._ended_early}")
+                self.get_logger().error(f"the recording ends here: {self._ended_early}")
                 self._complete()
 
     def close(self) -> None:
         """Write what is still in transit and complete the bag; raises `BagError` if writing fails."""
         with self._lock:
             self._complete()
-        self.write_out()
 
     def _complete(self) -> None:
         recorder, self._recorder = self._recorder, None
@@ -129,7 +127,7 @@ class RecorderNode(ManagedNode):
         written, directory = recorder.writer.message_count, recorder.writer.directory
         size = sum(file.stat().st_size for file in directory.iterdir()) / MEGA
         line = f"recorded {written} messages ({recorder.lost} lost), {size:.1f} MB, in {directory}"
-        self.say(LoggingSeverity.INFO, line)
+        self.get_logger().info(line)
 
 
 def _provenance() -> dict[str, str]:

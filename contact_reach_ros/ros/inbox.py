@@ -43,13 +43,6 @@ class LoopGroup(CallbackGroup):
         """Return False: executors skip the entity."""
         return False
 
-    def beginning_execution(self, entity: Any) -> bool:
-        """Return False; never called, since nothing may be executed."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing; never called, since nothing may be executed."""
-
 
 class _Listened(NamedTuple):
     topic: Topic

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -66,6 +65,8 @@ class ManagedNode(LifecycleNode):
         What others publish that this node alone may, see `exclude`; empty if there is nothing.
     boundary
         Catches and counts the exceptions raised by messages and requests.
+    refuse, refused
+        Its method that counts refused input, and the numbers of refusals by what was refused.
     """
 
     NAME: ClassVar[str]
@@ -86,23 +87,19 @@ class ManagedNode(LifecycleNode):
         self.period = 1.0 / rate
         self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm, self.CHANGEABLE)
         self.arm = self._bare_arm.with_tool(self.settings[TOOL])
-        self.boundary = Boundary(lambda text: self.say(LoggingSeverity.ERROR, text), self.on_fault)
+        self.boundary = Boundary(self.say, self.on_fault)
+        self.refuse, self.refused = self.boundary.refuse, self.boundary.refused
         self.inbox = Inbox(self, self.refuse)
         self.running = False
         self.rivals = ""
         self._exclusive: Sequence[Topic] = ()
-        self._diagnostics = self.create_publisher(DIAGNOSTICS.type, DIAGNOSTICS.name, qos_profile(DIAGNOSTICS.qos))
+        self._diagnostics = self.make_publisher(DIAGNOSTICS)
         self._settings_publisher = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
-        self._lines: deque[tuple[LoggingSeverity, str]] = deque()
+        self._lines: deque[str] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.every(1.0, self._publish_diagnostics)
         self.add_on_set_parameters_callback(self._on_parameters)
-
-    @property
-    def refused(self) -> dict[str, int]:
-        """Number of refusals by what was refused."""
-        return self.boundary.refused
 
     def turn(self) -> None:
         """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
@@ -242,13 +239,9 @@ class ManagedNode(LifecycleNode):
     def on_rivals(self) -> None:
         """React to `rivals`, in the executor's thread."""
 
-    def refuse(self, what: str, error: Exception) -> None:
-        """Count refused input; the last refusal of each kind goes to the log, at most once a second."""
-        self.boundary.refuse(what, error)
-
-    def say(self, severity: LoggingSeverity, line: str) -> None:
-        """Log a line from the loop thread, which must not wait for it: another thread writes it a little later."""
-        self._lines.append((severity, line))
+    def say(self, line: str) -> None:
+        """Log an error from the loop thread, which must not wait for it: another thread writes it a little later."""
+        self._lines.append(line)
         self._said.trigger()
 
     def on_change(self) -> None:
@@ -292,18 +285,7 @@ class ManagedNode(LifecycleNode):
     def write_out(self) -> None:
         """Log the lines that the loop thread has queued."""
         while self._lines:
-            severity, line = self._lines.popleft()
-            self._log(severity, line)
-
-    def _log(self, severity: LoggingSeverity, line: str) -> None:
-        logger = self.get_logger()
-        # rclpy permits one severity for each line of code that logs.
-        if severity is LoggingSeverity.INFO:
-            logger.info(line)
-        elif severity is LoggingSeverity.WARN:
-            logger.warning(line)
-        else:
-            logger.error(line)
+            self.get_logger().error(self._lines.popleft())
 
     def _attempt(
         self,
@@ -346,7 +328,7 @@ class ManagedNode(LifecycleNode):
 
     def _log_refusals(self) -> None:
         for line in self.boundary.last_refusals():
-            self._log(LoggingSeverity.WARN, line)
+            self.get_logger().warning(line)
 
     def reported_settings(self) -> dict[str, Any]:
         """The settings in force by their full names, as the node reports them."""
