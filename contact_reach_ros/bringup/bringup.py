@@ -18,9 +18,9 @@ from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
+from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
 from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.ros.running import refuse_beside_another
 from contact_reach_ros.settings import check_node_names, sections_of_others
 
 NAME = "bringup"

@@ -25,9 +25,9 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE, Episode, EpisodeSummary
+from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import DEMO, RECORDER
 from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.ros.running import refuse_beside_another
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.settings import RATE, parameters_in
 from contact_reach_ros.timing import NANOSECONDS

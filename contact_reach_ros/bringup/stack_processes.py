@@ -18,8 +18,8 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.client import CONTROLLER, Client
+from contact_reach_ros.ros.graph import running
 from contact_reach_ros.ros.interfaces import RECORDER
-from contact_reach_ros.ros.running import running
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 

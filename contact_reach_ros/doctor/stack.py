@@ -79,9 +79,8 @@ class Graph:
 def discovery_in_use() -> Finding:
     """Check who can hear nodes that are started from here."""
     heard, domain = reach(os.environ), os.environ.get("ROS_DOMAIN_ID", "0")
-    shared = "; Fast DDS also uses shared memory, where publishers stall" if heard.shared_memory else ""
     fix = "leave discovery at host and unset the variable, or use a network of its own or SROS 2: docs/security.md"
-    return graded(f"{heard.text}, domain {domain}{shared}", fix, warn=heard.choice != "host" or heard.shared_memory)
+    return graded(f"{heard.text}, domain {domain}", fix, warn=heard.choice != "host")
 
 
 def nodes(graph: Graph) -> Finding:

@@ -22,7 +22,7 @@ from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import ADAPTER_PRIORITY, Role
+from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.timing import Histogram, StampOrder
 
@@ -218,7 +218,7 @@ class AdapterNode(StoppableNode):
 
 def main() -> None:
     """Run the adapter."""
-    sys.exit(run(AdapterNode, Role.LOOP, sys.argv, ADAPTER_PRIORITY))
+    sys.exit(run(AdapterNode, Role.ADAPTER, sys.argv))
 
 
 if __name__ == "__main__":

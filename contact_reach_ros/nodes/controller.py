@@ -29,7 +29,7 @@ from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, Obs
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import CONTROLLER_PRIORITY, Role
+from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Histogram, write_counts
@@ -239,7 +239,7 @@ class ControllerNode(StoppableNode):
 
 def main() -> None:
     """Run the controller."""
-    sys.exit(run(ControllerNode, Role.LOOP, sys.argv, CONTROLLER_PRIORITY))
+    sys.exit(run(ControllerNode, Role.CONTROLLER, sys.argv))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import OBSERVER_PRIORITY, Role
+from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.settings import Settings
 
@@ -124,7 +124,7 @@ class ObserverNode(StoppableNode):
 
 def main() -> None:
     """Run the observer."""
-    sys.exit(run(ObserverNode, Role.MONITOR, sys.argv, OBSERVER_PRIORITY))
+    sys.exit(run(ObserverNode, Role.OBSERVER, sys.argv))
 
 
 if __name__ == "__main__":

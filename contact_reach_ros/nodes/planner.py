@@ -241,7 +241,7 @@ class PlannerNode(ManagedNode):
 
 def main() -> None:
     """Run the planner."""
-    sys.exit(run(PlannerNode, Role.COMPUTING, sys.argv))
+    sys.exit(run(PlannerNode, Role.PLANNER, sys.argv))
 
 
 if __name__ == "__main__":

@@ -139,7 +139,7 @@ def _provenance() -> dict[str, str]:
 
 def main() -> None:
     """Run the recorder."""
-    sys.exit(run(RecorderNode, Role.BACKGROUND, sys.argv))
+    sys.exit(run(RecorderNode, Role.RECORDER, sys.argv))
 
 
 if __name__ == "__main__":

@@ -188,12 +188,12 @@ def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = ""
     texts = {name: value if isinstance(value, int) else str(value) for name, value in chosen.items()}
     space = namespace_arguments(f"/{namespace.strip('/')}", file, VIEWER)
     arguments = [VIEWER, "--ros-args", "--params-file", str(file), *space, *as_arguments(texts)]
-    return run(ViewerNode, Role.ONLOOKER, arguments)
+    return run(ViewerNode, Role.VIEWER, arguments)
 
 
 def main() -> None:
     """Run the viewer."""
-    sys.exit(run(ViewerNode, Role.ONLOOKER, sys.argv))
+    sys.exit(run(ViewerNode, Role.VIEWER, sys.argv))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ CHOICES = ("host", "subnet")
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-OLD_SWITCH = "ROS_LOCALHOST_ONLY"
 
 _FAST_DDS = "rmw_fastrtps"
 _PROFILE_OF = {"host": "fastdds.xml", "subnet": "fastdds_subnet.xml"}
@@ -31,13 +30,10 @@ class Reach(NamedTuple):
         One of `CHOICES`; empty where a file of the user decides.
     why
         Variable or file that decides.
-    shared_memory
-        Whether Fast DDS also uses shared memory, in which publishers were seen to stall.
     """
 
     choice: str
     why: str
-    shared_memory: bool = False
 
     @property
     def text(self) -> str:
@@ -69,15 +65,12 @@ def choose_discovery(choice: str = "host") -> None:
 def reach(env: Mapping[str, str]) -> Reach:
     """Range of a process with these environment variables, after `choose_discovery`."""
     chosen = env.get(RANGE, "SUBNET").upper()
-    fast_dds = get_rmw_implementation_identifier().startswith(_FAST_DDS)
-    if env.get(OLD_SWITCH) == "1":
-        return Reach("host", f"{OLD_SWITCH}=1", fast_dds)
     if chosen in ("LOCALHOST", "OFF"):
-        return Reach("host", f"{RANGE}={chosen}", fast_dds)
+        return Reach("host", f"{RANGE}={chosen}")
     profile = next((env[name] for name in PROFILES if env.get(name)), "")
-    if profile and fast_dds:
+    if profile and get_rmw_implementation_identifier().startswith(_FAST_DDS):
         for choice, name in _PROFILE_OF.items():
             if profile == str(config_file(name)):
                 return Reach(choice, profile)
         return Reach("", profile)
-    return Reach("subnet", f"{RANGE}={chosen}", fast_dds)
+    return Reach("subnet", f"{RANGE}={chosen}")

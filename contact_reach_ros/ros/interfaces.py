@@ -43,28 +43,22 @@ TUNABLE = ("planner", "controller", "observer", "driver")
 STOPPABLE = ("controller", "observer", ADAPTER, "driver")
 """Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
 
-_PARAMETER_SERVICES = {
-    f"~/{service}"
-    for service in [
-        "describe_parameters",
-        "get_parameter_types",
-        "get_parameters",
-        "get_type_description",
-        "list_parameters",
-        "set_parameters",
-        "set_parameters_atomically",
-    ]
-}
-_LIFECYCLE_SERVICES = {
-    f"~/{service}"
-    for service in [
-        "change_state",
-        "get_available_states",
-        "get_available_transitions",
-        "get_state",
-        "get_transition_graph",
-    ]
-}
+_PARAMETER_SERVICES = [
+    "~/describe_parameters",
+    "~/get_parameter_types",
+    "~/get_parameters",
+    "~/get_type_description",
+    "~/list_parameters",
+    "~/set_parameters",
+    "~/set_parameters_atomically",
+]
+_LIFECYCLE_SERVICES = [
+    "~/change_state",
+    "~/get_available_states",
+    "~/get_available_transitions",
+    "~/get_state",
+    "~/get_transition_graph",
+]
 _STOP = {"~/stop", "~/reset"}
 _STOP_AND_RESET = [f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset")]
 _EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
@@ -78,9 +72,9 @@ def _node(
     publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
 ) -> Interface:
     return Interface(
-        frozenset(_EVERY_NODE_PUBLISHES | {topic.name for topic in publishes}),
+        frozenset({*_EVERY_NODE_PUBLISHES, *(topic.name for topic in publishes)}),
         frozenset(topic.name for topic in subscribes),
-        frozenset(_PARAMETER_SERVICES | set(serves)),
+        frozenset({*_PARAMETER_SERVICES, *serves}),
         frozenset(calls),
     )
 
@@ -90,22 +84,16 @@ def _managed(
 ) -> Interface:
     """A lifecycle node."""
     said = [*publishes, topics.DIAGNOSTICS, topics.SETTINGS]
-    node = _node(said, [*subscribes, topics.CLOCK], {*_LIFECYCLE_SERVICES, *serves}, calls)
+    node = _node(said, [*subscribes, topics.CLOCK], [*_LIFECYCLE_SERVICES, *serves], calls)
     return replace(node, publishes=node.publishes | {"~/transition_event"})
-
-
-def _paced(
-    publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
-) -> Interface:
-    """A lifecycle node that follows the joint states, in lockstep in its turn."""
-    horizon = topics.LOCKSTEP_HORIZON
-    return _managed([*publishes, horizon], [topics.JOINT_STATES, *subscribes, horizon], serves, calls)
 
 
 _SIMULATED = [topics.JOINT_STATES, topics.SIM_CONTACTS, topics.OBSTACLES, topics.ROBOT_DESCRIPTION, topics.CLOCK]
 _TORQUES = [topics.COMMANDS, topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS]
 _EXTERNAL = [topics.EXTERNAL_TORQUE, topics.EXTERNAL_WRENCH]
 _REPORTS = [topics.SAFETY_STATE, topics.DIAGNOSTICS]
+_PACE = [topics.JOINT_STATES, topics.LOCKSTEP_HORIZON]
+"""Heard by nodes that follow the joint states; in lockstep they promise on the second as well."""
 
 HEARD_BY_VIEWER = (
     topics.JOINT_STATES,
@@ -119,18 +107,23 @@ HEARD_BY_VIEWER = (
 
 MANAGED = {
     "driver": _managed([*_SIMULATED, topics.SAFETY_STATE], [topics.COMMANDS, topics.LOCKSTEP_HORIZON], _STOP),
-    "controller": _paced(
-        [*_TORQUES, topics.SAFETY_STATE, topics.CONTROLLER_INTAKE],
-        [*_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS],
+    "controller": _managed(
+        [*_TORQUES, topics.SAFETY_STATE, topics.CONTROLLER_INTAKE, topics.LOCKSTEP_HORIZON],
+        [*_PACE, *_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS],
         _STOP,
     ),
-    "observer": _paced([*_EXTERNAL, topics.SAFETY_STATE, topics.OBSERVER_INTAKE], [topics.COMMANDS], _STOP),
-    "planner": _paced(
-        [*_REFERENCES, *_PLANS, topics.GOAL_STATE], [topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE]
+    "observer": _managed(
+        [*_EXTERNAL, topics.SAFETY_STATE, topics.OBSERVER_INTAKE, topics.LOCKSTEP_HORIZON],
+        [*_PACE, topics.COMMANDS],
+        _STOP,
     ),
-    ADAPTER: _paced(
-        [topics.COMMANDS, topics.SAFETY_STATE],
-        [topics.ADAPTER_COMMANDS, topics.SETTINGS],
+    "planner": _managed(
+        [*_REFERENCES, *_PLANS, topics.GOAL_STATE, topics.LOCKSTEP_HORIZON],
+        [*_PACE, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE],
+    ),
+    ADAPTER: _managed(
+        [topics.COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
+        [*_PACE, topics.ADAPTER_COMMANDS, topics.SETTINGS],
         _STOP,
         ["effort_controller/get_parameters", "controller_manager/switch_controller"],
     ),

@@ -1,15 +1,14 @@
-"""Settings as ROS parameters: declared with their ranges, and checked with a message that names file and key."""
+"""Settings as ROS parameters: declared with what they accept, and checked with a message that names file and key."""
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -58,7 +57,14 @@ def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str
 
 
 def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
-    descriptor = _descriptor(entry, read_only)
+    unit = f" [{entry.unit}]" if entry.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{entry.description}{unit}",
+        additional_constraints=entry.accepts,
+        read_only=read_only,
+        # A whole number is accepted for a float; the settings class checks and converts it.
+        dynamic_typing=entry.kind is float,
+    )
     try:
         if entry.is_open_list:
             # ROS cannot tell the type of an empty list.
@@ -68,28 +74,6 @@ def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
         return node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
-
-
-def _descriptor(entry: Setting, read_only: bool) -> ParameterDescriptor:
-    unit = f" [{entry.unit}]" if entry.unit else ""
-    descriptor = ParameterDescriptor(
-        description=f"{entry.description}{unit}",
-        additional_constraints=entry.accepts,
-        read_only=read_only,
-        # A whole number is accepted for a float; the settings class checks and converts it.
-        dynamic_typing=entry.kind is float,
-    )
-    if isinstance(entry.default, tuple) or (entry.minimum is None and entry.maximum is None):
-        return descriptor
-    if entry.kind is float:
-        low, high = entry.minimum, entry.maximum
-        limits = FloatingPointRange(
-            from_value=float("-inf") if low is None else low, to_value=float("inf") if high is None else high
-        )
-        descriptor.floating_point_range = [limits]
-    elif entry.kind is int and entry.minimum is not None and entry.maximum is not None:
-        descriptor.integer_range = [IntegerRange(from_value=int(entry.minimum), to_value=int(entry.maximum))]
-    return descriptor
 
 
 def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> Arm:
@@ -119,15 +103,8 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
     """The arguments of a command line that are not ROS's; raises `SettingsError` if ROS does not understand its own."""
-    with refusing(arguments):
-        return list(remove_ros_args(list(arguments)))
-
-
-@contextlib.contextmanager
-def refusing(arguments: Sequence[str]) -> Iterator[None]:
-    """Raise `SettingsError` if ROS does not understand a command line."""
     try:
-        yield
+        return list(remove_ros_args(list(arguments)))
     except RuntimeError as error:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 

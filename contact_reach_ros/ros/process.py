@@ -20,11 +20,11 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.discovery import choose_discovery
 from contact_reach_ros.ros.managed_node import ManagedNode
-from contact_reach_ros.ros.parameters import check_arguments, refusing
+from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
 from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, take_priority, use_cpus
 
 
-def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], priority: int = 0) -> int:
+def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str]) -> int:
     """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
 
     Parameters
@@ -35,21 +35,15 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str], pri
         What the process is for.
     arguments
         Command line, program name first.
-    priority
-        SCHED_FIFO priority of a loop or monitor.
     """
-    try:
-        check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
-    except ContactReachError as error:
-        print(f"{node_class.NAME}: {error}", file=sys.stderr)
-        return 2
     sys.setswitchinterval(2e-4)
     node: ManagedNode | None = None
     try:
+        check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
         initialise(arguments)
         node_class.ARGUMENTS = arguments
         node = node_class()
-        return _serve(node, role, priority)
+        return _serve(node, role)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
@@ -72,8 +66,8 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
         How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment sets it.
     """
     choose_discovery(discovery)
-    with refusing(arguments):
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    without_ros_arguments(arguments)
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
 
 
 def in_namespace(namespace: str) -> list[str]:
@@ -113,7 +107,7 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
         rclpy.try_shutdown()
 
 
-def _serve(node: ManagedNode, role: Role, priority: int) -> int:
+def _serve(node: ManagedNode, role: Role) -> int:
     """Loop and executor in a thread each; the main thread sleeps until a signal, which wakes no other.
 
     An executor that had to look for signals would be awake more often than all it serves needs.
@@ -134,14 +128,17 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
     cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0))
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     end_at_signals()
-    if node.autostart and not _start(node):
-        return 1
+    transitions = (node.trigger_configure, node.trigger_activate) if node.autostart else ()
+    for transition in transitions:
+        if transition() != TransitionCallbackReturn.SUCCESS:
+            node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
+            return 1
     # Also the first use of the logger, which takes long.
     node.get_logger().info("active" if node.running else "waiting to be configured")
     node.boundary.protect(node)
     use_cpus(cpus)
     # Loops that never sleep would keep everything of lower priority from running, first of all their own services.
-    warning = "" if node.lockstep else take_priority(role, priority)
+    warning = "" if node.lockstep else take_priority(role)
     if warning:
         node.get_logger().warning(warning)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -172,12 +169,3 @@ def _serve(node: ManagedNode, role: Role, priority: int) -> int:
         node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
     return 0
-
-
-def _start(node: ManagedNode) -> bool:
-    """Configure and activate; logs what failed."""
-    for transition in (node.trigger_configure, node.trigger_activate):
-        if transition() != TransitionCallbackReturn.SUCCESS:
-            node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
-            return False
-    return True

@@ -17,38 +17,39 @@ _THREADS = Path("/proc/self/task")
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 """Flags of mlockall(2)."""
 
-DRIVER_PRIORITY, ADAPTER_PRIORITY, CONTROLLER_PRIORITY, OBSERVER_PRIORITY = 80, 75, 70, 60
-"""SCHED_FIFO priorities of the loops: a node must not preempt those whose messages it waits for, but a controller that
-never sleeps must not keep the adapter from noticing its silence.
-"""
-
 _SERVICES_PRIORITY = 50
-_MIDDLEWARE_PRIORITY = 30
-_BACKGROUND_PRIORITY = 20
 _COMPUTING_NICENESS = -5
 _FEW_CPUS = 3
 
 
 class Role(Enum):
-    """Purpose of a process, which decides who may interrupt it and where it runs."""
+    """Node of a process, which decides who may interrupt it and where it runs; the value is its SCHED_FIFO priority.
 
-    LOOP = "loop"
-    """Part of the control loop: all its threads have SCHED_FIFO priority."""
-    MONITOR = "monitor"
-    """Keeps pace with the loop, which does not wait for it: SCHED_FIFO priority as well."""
-    COMPUTING = "computing"
-    """Computes for long; its middleware's threads have a priority below all loops, to pass messages on meanwhile."""
-    BACKGROUND = "background"
-    """Nobody waits for it, but it must not miss messages: SCHED_FIFO priority below everything else."""
-    ONLOOKER = "onlooker"
+    A node must not preempt those whose messages it waits for, but a controller that never sleeps must not keep the
+    adapter from noticing its silence.
+    """
+
+    DRIVER = 80
+    ADAPTER = 75
+    CONTROLLER = 70
+    OBSERVER = 60
+    """Keeps pace with the control loop, which does not wait for it."""
+    PLANNER = 30
+    """Computes for long: of its threads the middleware's alone, to pass messages on meanwhile."""
+    RECORDER = 20
+    """Nobody waits for it, but it must not miss messages."""
+    VIEWER = 0
     """Nobody waits for it, and it may miss messages: it has no priority."""
+
+
+_CONTROL_LOOP = (Role.DRIVER, Role.ADAPTER, Role.CONTROLLER)
 
 
 def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]:
     """Choose the CPUs for the threads of a process.
 
     On two or three CPUs the control loop has the last one, so that its messages find their receivers without waking
-    another CPU, and all processes but onlookers have the others. Raises `SettingsError` if `wanted` is none of these.
+    another CPU, and all processes but the viewer have the others. Raises `SettingsError` if `wanted` is none of these.
 
     Parameters
     ----------
@@ -59,9 +60,9 @@ def choose_cpus(wanted: str, role: Role, permitted: Collection[int]) -> set[int]
     permitted
         CPUs that the kernel gives to the process by itself.
     """
-    if wanted == "auto" and role is not Role.ONLOOKER and 2 <= len(permitted) <= _FEW_CPUS:
+    if wanted == "auto" and role is not Role.VIEWER and 2 <= len(permitted) <= _FEW_CPUS:
         last = {max(permitted)}
-        return last if role is Role.LOOP else set(permitted) - last
+        return last if role in _CONTROL_LOOP else set(permitted) - last
     if wanted in ("auto", "all"):
         return set(permitted)
     numbers = [int(text) if text.strip().isdecimal() else -1 for text in wanted.split(",")]
@@ -75,30 +76,19 @@ def use_cpus(cpus: Collection[int]) -> None:
     _for_each(_threads(), lambda thread: os.sched_setaffinity(thread, cpus))
 
 
-def take_priority(role: Role, priority: int = 0) -> str:
+def take_priority(role: Role) -> str:
     """Give a process that is ready, and keeps real time, the priorities of its role.
 
-    Parameters
-    ----------
-    role
-        Of the process.
-    priority
-        SCHED_FIFO priority of a loop or monitor. All its threads get it, the middleware's included, which bring the
-        messages; garbage is not collected any more.
-
-    Returns
-    -------
-    str
-        Empty when granted, else a warning for the log that explains how to permit it.
+    All threads get it, the middleware's included, which bring the messages; in a process at 1 kHz garbage is not
+    collected any more. Returns a warning for the log that explains how to permit it; empty when granted.
     """
-    if role in (Role.LOOP, Role.MONITOR):
+    if role is Role.OBSERVER or role in _CONTROL_LOOP:
         gc.collect()
         gc.freeze()
         gc.disable()
         # Pages in use stay in memory. Where that is not permitted the loop still works, with a late tick now and then.
         ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
-        return _prioritise(_threads(), priority)
-    if role is Role.COMPUTING:
+    if role is Role.PLANNER:
         # Beside two busy programs the arm reached 63 goals in 330 s with this, 54 in 600 s without.
         with contextlib.suppress(OSError):
             _for_each(_threads(), lambda thread: os.setpriority(os.PRIO_PROCESS, thread, _COMPUTING_NICENESS))
@@ -106,8 +96,8 @@ def take_priority(role: Role, priority: int = 0) -> str:
                 # Where Linux divides its time by sessions, niceness counts only within one.
                 Path("/proc/self/autogroup").write_text(str(_COMPUTING_NICENESS))
         return prioritise_middleware()
-    # Programs that are not part of the stack cannot delay it then; it sleeps most of the time.
-    return _prioritise(_threads(), _BACKGROUND_PRIORITY) if role is Role.BACKGROUND else ""
+    # Programs that are not part of the stack cannot delay the recorder then; it sleeps most of the time.
+    return "" if role is Role.VIEWER else _prioritise(_threads(), role.value)
 
 
 def prioritise_middleware() -> str:
@@ -115,7 +105,7 @@ def prioritise_middleware() -> str:
 
     Returns what `take_priority` does.
     """
-    return _prioritise([thread for thread in _threads() if _name(thread).startswith("dds.")], _MIDDLEWARE_PRIORITY)
+    return _prioritise([thread for thread in _threads() if _name(thread).startswith("dds.")], Role.PLANNER.value)
 
 
 def give_way() -> None:

@@ -35,7 +35,7 @@ for name in os.listdir("/proc/self/fd"):
 print(json.dumps([sorted(addresses), discovery.reach(os.environ)]))
 """
 
-VARIABLES = (discovery.RANGE, *discovery.PROFILES, discovery.OLD_SWITCH)
+VARIABLES = (discovery.RANGE, *discovery.PROFILES)
 
 
 def talk(*choice, **variables):
@@ -52,13 +52,13 @@ def test_by_default_every_socket_is_bound_to_this_host():
     assert "127.0.0.1" in addresses
     others = [address for address in addresses if not address.startswith(("127.", "239.255."))]
     assert not others
-    assert reach.choice == "host" and not reach.shared_memory
+    assert reach.choice == "host"
 
 
 def test_subnet_opens_the_sockets_and_says_so():
     addresses, reach = talk("subnet")
     assert "0.0.0.0" in addresses
-    assert reach.choice == "subnet" and not reach.shared_memory and "OPEN" in reach.text
+    assert reach.choice == "subnet" and "OPEN" in reach.text
 
 
 @pytest.fixture
@@ -81,18 +81,16 @@ def test_nothing_is_set_over_the_choice_of_the_user(unset, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("variables", "choice", "shared_memory"),
+    ("variables", "choice"),
     [
-        ({discovery.RANGE: "LOCALHOST"}, "host", True),
-        ({discovery.RANGE: "SUBNET"}, "subnet", True),
-        ({}, "subnet", True),
-        ({discovery.OLD_SWITCH: "1", discovery.PROFILES[0]: "mine.xml"}, "host", True),
-        ({discovery.PROFILES[1]: "mine.xml"}, "", False),
+        ({discovery.RANGE: "LOCALHOST"}, "host"),
+        ({discovery.RANGE: "SUBNET"}, "subnet"),
+        ({}, "subnet"),
+        ({discovery.PROFILES[1]: "mine.xml"}, ""),
     ],
 )
-def test_reach_of_what_users_set(variables, choice, shared_memory):
-    reach = discovery.reach(variables)
-    assert (reach.choice, reach.shared_memory) == (choice, shared_memory)
+def test_reach_of_what_users_set(variables, choice):
+    assert discovery.reach(variables).choice == choice
 
 
 def test_an_unknown_choice_is_refused(unset):

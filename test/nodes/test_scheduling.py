@@ -8,9 +8,6 @@ from stack_helpers import environment, module, running, wait_for
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.ros.scheduling import (
-    CONTROLLER_PRIORITY,
-    DRIVER_PRIORITY,
-    OBSERVER_PRIORITY,
     Role,
     choose_cpus,
     give_way,
@@ -20,11 +17,11 @@ from contact_reach_ros.ros.scheduling import (
 
 def test_on_few_cpus_the_loop_has_one_for_itself():
     for permitted in ({0, 1}, {2, 5}, {0, 1, 2}):
-        loop = choose_cpus("auto", Role.LOOP, permitted)
+        loop = choose_cpus("auto", Role.CONTROLLER, permitted)
         assert len(loop) == 1
-        for role in (Role.COMPUTING, Role.MONITOR, Role.BACKGROUND):
+        for role in (Role.PLANNER, Role.OBSERVER, Role.RECORDER):
             assert choose_cpus("auto", role, permitted) == permitted - loop
-        assert choose_cpus("auto", Role.ONLOOKER, permitted) == permitted
+        assert choose_cpus("auto", Role.VIEWER, permitted) == permitted
 
 
 @pytest.mark.parametrize("role", Role)
@@ -35,10 +32,10 @@ def test_on_one_or_many_cpus_and_where_the_user_wants_it_the_system_chooses(role
 
 
 def test_numbers_are_kept_also_of_isolated_cpus_and_unknown_ones_refused():
-    assert choose_cpus("0, 1", Role.LOOP, {0}) == {0, 1}
+    assert choose_cpus("0, 1", Role.CONTROLLER, {0}) == {0, 1}
     for wanted in ("", "10000", "some", "0-1", "-1"):
         with pytest.raises(SettingsError, match="parameter cpus"):
-            choose_cpus(wanted, Role.LOOP, {0, 1})
+            choose_cpus(wanted, Role.CONTROLLER, {0, 1})
 
 
 def in_a_thread(work) -> tuple[int, int]:
@@ -55,7 +52,7 @@ def in_a_thread(work) -> tuple[int, int]:
     return found[0]
 
 
-@pytest.mark.parametrize(("priority", "left"), [(DRIVER_PRIORITY, 50), (OBSERVER_PRIORITY, 50), (20, 19)])
+@pytest.mark.parametrize(("priority", "left"), [(Role.DRIVER.value, 50), (Role.OBSERVER.value, 50), (20, 19)])
 def test_who_gives_way_comes_behind_every_loop(priority, left):
     def work():
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -67,7 +64,7 @@ def test_who_gives_way_comes_behind_every_loop(priority, left):
         pytest.skip("no real-time priority permitted")
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     assert in_a_thread(work) == (os.SCHED_FIFO, left)
-    assert left < min(DRIVER_PRIORITY, CONTROLLER_PRIORITY, OBSERVER_PRIORITY)
+    assert left < min(Role.DRIVER.value, Role.CONTROLLER.value, Role.OBSERVER.value)
 
 
 def test_threads_that_end_meanwhile_are_left_out(monkeypatch):
