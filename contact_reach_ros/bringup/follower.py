@@ -15,8 +15,8 @@ from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import JointOrder, nanoseconds
 from contact_reach_ros.ros.client import PLANNER, StackClient
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
-from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.timing import NANOSECONDS
 
 _DISCOVERY_S = 15.0

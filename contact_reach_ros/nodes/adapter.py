@@ -21,9 +21,9 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.diagnostics import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
 from contact_reach_ros.messages.values import read_settings
+from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.timing import Histogram, StampOrder
 
 NAME = "adapter"

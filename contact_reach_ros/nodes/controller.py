@@ -27,10 +27,10 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER
+from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Histogram, write_counts
 

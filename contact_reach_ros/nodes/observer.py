@@ -15,9 +15,9 @@ from contact_reach_ros.messages.serialized import JointStateReader, JointStateWr
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
+from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.ros.stoppable_node import StoppableNode
 from contact_reach_ros.settings import Settings
 
 NAME = "observer"

@@ -26,10 +26,9 @@ from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
-from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.interfaces import OPERATOR
 from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.ros.stopping import Outcome
 
 PLANNER, CONTROLLER = "planner", "controller"

@@ -22,7 +22,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point, to_quaternion
 from contact_reach_ros.messages.topics import GOAL_POSE, OBSTACLES
 from contact_reach_ros.messages.values import quaternion, vector
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import qos_profile
 
 
 class Frames:

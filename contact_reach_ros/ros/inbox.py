@@ -16,13 +16,13 @@ from typing import Any, NamedTuple, TypeVar
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.intake import CODES, IntakeLog
 from contact_reach_ros.messages.serialization import decode
 from contact_reach_ros.messages.topics import Qos, Topic
-from contact_reach_ros.ros.qos import qos_profile
 
 _T = TypeVar("_T")
 
@@ -34,6 +34,15 @@ LARGEST_SCENE = 1 << 22
 """Bytes of a message with obstacles or other markers, for nodes without a loop that others wait for."""
 _LARGEST = 1 << 16
 """Bytes of a message: to take apart one that is larger would take longer than a drive waits for its next command."""
+
+
+def qos_profile(qos: Qos) -> QoSProfile:
+    """Convert a topic's quality of service for rclpy."""
+    return QoSProfile(
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
+    )
 
 
 class LoopGroup(CallbackGroup):
@@ -194,12 +203,6 @@ class Inbox:
         self.handled_ns = time.monotonic_ns()
         if self.intake is not None:
             self.intake.add(what, 0, self.handled_ns)
-
-    def give(self, topic: Topic, data: bytes) -> None:
-        """Handle the bytes of a message as if they had just arrived."""
-        for listened in (*self._subscriptions, *self._unhurried):
-            if listened.topic.name == topic.name:
-                self._handle(listened, data, time.time_ns())
 
     def wake(self) -> None:
         """End a wait in the loop thread; may be called from any thread."""

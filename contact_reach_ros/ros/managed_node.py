@@ -1,4 +1,4 @@
-"""What all nodes of the stack have in common: lifecycle, parameters, a loop, and diagnostics."""
+"""What nodes of the stack have in common: lifecycle, parameters, a loop, diagnostics, and stops of the arm."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import json
 import threading
 import time
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -18,7 +19,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import ContactReachError, InputError, StopCode, StopReason, internal, requested
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.messages.topics import (
@@ -34,10 +35,9 @@ from contact_reach_ros.messages.topics import (
 from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
-from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.ros.parameters import declare
-from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, Settings, full_name
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -366,6 +366,66 @@ class ManagedNode(LifecycleNode):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+
+class StoppableNode(ManagedNode):
+    """A node of the control loop with the services ~/stop and ~/reset.
+
+    Both act in the loop's thread, which may be in the middle of a tick; a stop does not wait until it has.
+    """
+
+    STOPPED = "stopped"
+    """Answer to a stop."""
+    RELEASED = ""
+    """Answer to a reset."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.offer("~/stop", self._answer_stop)
+        self.offer("~/reset", self._answer_reset)
+
+    @property
+    @abstractmethod
+    def stop_reason(self) -> str:
+        """Why the arm is stopped; empty if it is not."""
+
+    @property
+    @abstractmethod
+    def is_engaged(self) -> bool:
+        """Whether the arm may follow from what this node does, so that there is something to stop."""
+
+    @abstractmethod
+    def stop_for(self, reason: str) -> None:
+        """Stop the arm; in the loop's thread."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Release a stop; in the loop's thread. Raises `InputError` if the arm may not be released yet."""
+
+    def on_fault(self, what: str, error: Exception) -> None:
+        """Stop the arm: after an internal error the node's state is unknown."""
+        self.stop_once(internal(what, error))
+
+    def on_rivals(self) -> None:
+        """Stop the arm, which would get the commands of both in turn."""
+        if self.is_engaged:
+            self.stop_once(StopReason(StopCode.RIVAL, self.rivals))
+
+    def stop_once(self, reason: str) -> None:
+        """Let the loop stop the arm, unless it is stopped already; may be called from any thread."""
+        if not self.stop_reason:
+            self.inbox.post(lambda: self.stop_for(reason))
+
+    def _answer_stop(self) -> str:
+        # The loop may be slow to answer, but it will stop.
+        self.inbox.post(lambda: self.stop_for(requested("stop service called")))
+        return self.STOPPED
+
+    def _answer_reset(self) -> str:
+        if self.rivals:
+            raise InputError(f"{self.rivals}: end the others first")
+        self.inbox.call(self.reset)
+        return self.RELEASED
 
 
 def _text(value: Any) -> str:

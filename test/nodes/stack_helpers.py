@@ -16,6 +16,9 @@ import rclpy
 import yaml
 from ros_domains import fresh_domain
 
+from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.ros.inbox import Inbox
+
 SMALL_PLANNER = {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}
 """Plans in a fraction of the time; the programs are those of `planning_helpers.SMALL`, which are compiled only once."""
 
@@ -50,6 +53,13 @@ def ros(*arguments: str, domain: str | None = None) -> Iterator[None]:
         yield
     finally:
         rclpy.shutdown()
+
+
+def hand_in(inbox: Inbox, topic: Topic, data: bytes) -> None:
+    """Have an inbox handle the bytes of a message as if they had just arrived."""
+    for listened in (*inbox._subscriptions, *inbox._unhurried):
+        if listened.topic.name == topic.name:
+            inbox._handle(listened, data, time.time_ns())
 
 
 class Published:

@@ -10,7 +10,7 @@ from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
-from stack_helpers import ros
+from stack_helpers import hand_in, ros
 from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm.model import RobotModel
@@ -40,10 +40,10 @@ class Bench:
         self.executor.add_node(self.node)
 
     def state(self, tick=1):
-        self.node.inbox.give(topics.JOINT_STATES, self._states.write(tick * TICK_NS, HOME, REST))
+        hand_in(self.node.inbox, topics.JOINT_STATES, self._states.write(tick * TICK_NS, HOME, REST))
 
     def command(self, torque=TORQUE):
-        self.node.inbox.give(topics.ADAPTER_COMMANDS, self._commands.write(torque))
+        hand_in(self.node.inbox, topics.ADAPTER_COMMANDS, self._commands.write(torque))
 
     def until(self, condition):
         deadline = time.monotonic() + 10.0
@@ -104,7 +104,7 @@ def test_a_controller_that_counts_on_another_gravity_is_refused(bench):
     for value, count in (("false", 1), ("true", 2)):
         entry = KeyValue(key="supervision.gravity_compensation", value=value)
         settings = DiagnosticStatus(name="controller", values=[entry])
-        bench.node.inbox.give(topics.SETTINGS, serialize_message(settings))
+        hand_in(bench.node.inbox, topics.SETTINGS, serialize_message(settings))
         bench.command()
         assert len(bench.sent) == count
     assert "gravity_compensation = False in the controller" in bench.node.boundary.last_refusals()[-1]

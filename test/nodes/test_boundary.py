@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.serialization import serialize_message
-from stack_helpers import UNWATCHED, Published, ros
+from stack_helpers import UNWATCHED, Published, hand_in, ros
 from trajectory_msgs.msg import JointTrajectory
 
 from contact_reach_ros.arms import iiwa14
@@ -37,8 +37,10 @@ def active(node_class):
             for _ in range(count):
                 tick = next(ticks)
                 # As encoders tell an arm at rest.
-                node.inbox.give(
-                    topics.JOINT_STATES, writer.write(tick * TICK_NS, HOME + 1e-5 * (tick % 2), REST, np.zeros(7))
+                hand_in(
+                    node.inbox,
+                    topics.JOINT_STATES,
+                    writer.write(tick * TICK_NS, HOME + 1e-5 * (tick % 2), REST, np.zeros(7)),
                 )
                 node.inbox.run_tasks()
 
@@ -68,7 +70,7 @@ def test_a_fault_in_reading_references_stops_the_arm_compliantly(controller, mon
     monkeypatch.setattr(node.boundary, "_report", reported.append)
     monkeypatch.setattr("contact_reach_ros.nodes.controller.posture_knots", lambda *_: 1 / 0)
     for _ in range(3):
-        node.inbox.give(topics.REFERENCE_POSTURE, serialize_message(JointTrajectory()))
+        hand_in(node.inbox, topics.REFERENCE_POSTURE, serialize_message(JointTrajectory()))
         give()
     assert node.refused == {INTERNAL: 3}
     # Its traceback once.
@@ -119,7 +121,7 @@ def test_a_transition_that_fails_says_why_and_the_node_is_not_active(controller,
 
 def test_a_message_that_would_take_long_to_read_is_refused_unread(controller):
     node, give = controller
-    node.inbox.give(topics.REFERENCE_POSTURE, serialize_message(JointTrajectory(joint_names=["a" * 100_000])))
+    hand_in(node.inbox, topics.REFERENCE_POSTURE, serialize_message(JointTrajectory(joint_names=["a" * 100_000])))
     assert node.refused == {"references": 1}
     (line,) = node.boundary.last_refusals()
     assert "bytes; expected at most 65536" in line

@@ -6,7 +6,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from stack_helpers import ros
+from stack_helpers import hand_in, ros
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms.iiwa14 import ARM
@@ -31,7 +31,7 @@ def client():
 
 
 def hear(client, topic, message):
-    client.inbox.give(topic, serialize_message(message))
+    hand_in(client.inbox, topic, serialize_message(message))
 
 
 def diagnostics(name, summary="", **values):
@@ -94,7 +94,7 @@ def test_services_that_are_not_there_are_named(client):
 
 
 def test_messages_that_are_none_end_nothing(client):
-    client.inbox.give(topics.SAFETY_STATE, b"\0\1")
+    hand_in(client.inbox, topics.SAFETY_STATE, b"\0\1")
     hear(client, topics.GOAL_STATE, DiagnosticStatus(name="planner"))
     assert client.goal_state is None
 

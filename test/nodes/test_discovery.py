@@ -18,7 +18,7 @@ from contextlib import suppress
 from contact_reach_ros.ros import discovery
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.process import initialise
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import qos_profile
 from rclpy.node import Node
 
 initialise(["test"], *sys.argv[1:])

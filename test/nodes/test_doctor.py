@@ -31,7 +31,7 @@ import sys, time
 from rclpy.node import Node
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.process import initialise
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.arms import iiwa14
 
 initialise(["helper"])

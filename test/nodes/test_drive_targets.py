@@ -10,7 +10,7 @@ from arm_simulation import HOME
 from message_packages import message_packages
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from stack_helpers import ros
+from stack_helpers import hand_in, ros
 from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
@@ -217,12 +217,12 @@ def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
 
     def forward(data):
         states.append(deserialize_message(data, JointState))
-        node.inbox.give(topics.JOINT_STATES, data)
+        hand_in(node.inbox, topics.JOINT_STATES, data)
 
     node._write_state = forward
 
     def show(tick, **fields):
-        node.inbox.give(source, serialize_message(message(tick, **fields)))
+        hand_in(node.inbox, source, serialize_message(message(tick, **fields)))
 
     show(1, session_state=3, measured_joint_position=HOME)
     bench.command(command)

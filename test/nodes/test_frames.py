@@ -8,7 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from rclpy.serialization import serialize_message
-from stack_helpers import ros
+from stack_helpers import hand_in, ros
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm.kinematics import rotation_about
@@ -72,19 +72,19 @@ def goal(frame: str, stamp_ns: int = SEEN_NS) -> PoseStamped:
 
 
 def test_a_goal_is_published_again_and_taken_then(tf2_ros, planner):
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(goal(CAMERA)))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal(CAMERA)))
     (again,) = planner.again
     assert planner._planner.goal is None and not planner.refused
     assert again.header.frame_id == ARM.base_frame and again.header.stamp == to_time(SEEN_NS)
     assert vector(again.pose.position) == pytest.approx([0.45, -0.14, 0.3], abs=1e-12)
     assert np.abs(quaternion(again.pose.orientation)) == pytest.approx([0.0, 0.0, 0.0, 1.0], abs=1e-12)
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(again))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(again))
     assert planner._planner.goal.position == pytest.approx([0.45, -0.14, 0.3])
 
 
 @pytest.mark.parametrize(("frame", "stamp_ns"), [("elsewhere", SEEN_NS), (CAMERA, 9 * TICK_NS)])
 def test_without_a_transform_a_goal_is_refused_with_its_reason(tf2_ros, planner, frame, stamp_ns):
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(goal(frame, stamp_ns)))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal(frame, stamp_ns)))
     (refusal,) = planner.boundary.last_refusals()
     assert f"goal: no transform from '{frame}' to '{ARM.base_frame}': \"{frame}\" does not exist." in refusal
     assert planner.refused == {"goals": 1} and not planner.again
@@ -95,8 +95,8 @@ def test_without_tf2_other_frames_are_refused(planner, monkeypatch):
     planner._frames = Frames(planner, ARM.base_frame)
     markers = obstacle_markers(WALL, rest_positions(WALL), SEEN_NS)
     markers.markers[0].header.frame_id = CAMERA
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(goal(CAMERA)))
-    planner.inbox.give(topics.OBSTACLES, serialize_message(markers))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal(CAMERA)))
+    hand_in(planner.inbox, topics.OBSTACLES, serialize_message(markers))
     assert planner.refused == {"goals": 1, "obstacles": 1}
     assert all("frame 'camera' is unknown; expected 'lbr_link_0'" in line for line in planner.boundary.last_refusals())
 
@@ -114,7 +114,7 @@ def test_obstacles_of_any_kind_are_where_they_were(tf2_ros, planner):
         if not marker.points:
             marker.pose.position = to_point(TURN.T @ (vector(marker.pose.position) - ORIGIN))
             marker.pose.orientation = to_quaternion(TURN.T)
-    planner.inbox.give(topics.OBSTACLES, serialize_message(expected))
+    hand_in(planner.inbox, topics.OBSTACLES, serialize_message(expected))
     assert not planner.refused
     moved = planner._obstacle_reader.read(serialize_message(planner.again[0]))
     assert np.abs(moved.center - truth.center).max() < 1e-9 and np.array_equal(moved.edges, truth.edges)

@@ -9,8 +9,8 @@ from contact_reach_ros.doctor import stack
 from contact_reach_ros.doctor.findings import Verdict
 from contact_reach_ros.doctor.stack import Endpoint, Graph
 from contact_reach_ros.messages import topics
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, MANAGED
-from contact_reach_ros.ros.qos import qos_profile
 
 STACK = [name for name in MANAGED if name != ADAPTER]
 """The nodes of a stack whose driver watches the commands itself."""

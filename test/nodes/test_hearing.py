@@ -12,7 +12,7 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.world.spheres import Spheres
 
 HALVES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)

@@ -48,8 +48,8 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.nodes.viewer import ViewerNode
 from contact_reach_ros.ros import inbox as inbox_module
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import HEARD_BY_VIEWER
-from contact_reach_ros.ros.qos import qos_profile
 
 ARM = iiwa14.ARM
 START_NS = 1_000_000_000_000

@@ -12,8 +12,7 @@ from std_msgs.msg import String
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.inbox import Inbox
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import Inbox, qos_profile
 
 HURRIED, UNHURRIED = Topic("hurried", String), Topic("unhurried", String)
 HELD, OTHER = Topic("held", String), Topic("other", String)

@@ -16,8 +16,8 @@ from std_msgs.msg import Header
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.nodes.recorder import AHEAD_NS
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
-from contact_reach_ros.ros.qos import qos_profile
 
 LOOPS = ("observer", "controller", "driver")
 LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "scene:=free")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
-from stack_helpers import Published, ros
+from stack_helpers import Published, hand_in, ros
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
@@ -39,7 +39,7 @@ class Watched:
             # As encoders tell an arm at rest; without any tremor they would be stuck.
             q = HOME + 1e-5 * (self._tick % 2)
             data = self._writer.write(self._tick * TICK_NS, q, velocity, self._gravity - external)
-            self.node.inbox.give(topics.JOINT_STATES, data)
+            hand_in(self.node.inbox, topics.JOINT_STATES, data)
 
     @property
     def last(self) -> tuple[bytes, str, dict[str, str]]:

@@ -6,7 +6,7 @@ from arm_simulation import HOME, REST, TICK_NS
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
-from stack_helpers import ros
+from stack_helpers import hand_in, ros
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm.model import RobotModel
@@ -38,13 +38,13 @@ class Planner:
 
     def goal(self) -> None:
         message = to_goal_pose([0.5, 0.1, 0.4], iiwa14.ARM.base_frame, Time())
-        self.node.inbox.give(topics.GOAL_POSE, serialize_message(message))
+        hand_in(self.node.inbox, topics.GOAL_POSE, serialize_message(message))
 
     def reported(self, **values: str) -> None:
         """The observer reports contact, with these values."""
         message = DiagnosticStatus(level=DiagnosticStatus.WARN, name="observer", message="contact")
         message.values = [KeyValue(key=key.replace("_", " "), value=value) for key, value in values.items()]
-        self.node.inbox.give(topics.SAFETY_STATE, serialize_message(message))
+        hand_in(self.node.inbox, topics.SAFETY_STATE, serialize_message(message))
         self.state()
 
     def touched(self, force: str = "0 12 0") -> None:

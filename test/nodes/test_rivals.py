@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from stack_helpers import UNWATCHED, ros
+from stack_helpers import UNWATCHED, hand_in, ros
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -27,8 +27,8 @@ from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.ros.graph import UNKNOWN_NODE, _has_strangers
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import ALONE
-from contact_reach_ros.ros.qos import qos_profile
 from contact_reach_ros.world.spheres import Spheres
 
 REFERENCES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
@@ -206,7 +206,7 @@ def test_the_planner_withdraws_its_goal_and_takes_none_beside_a_second_publisher
         planner.inbox.run_tasks()
         assert planner._planner.goal is None
         assert planner.diagnosis()[0].startswith("2 publishers on /joint_states (/intruder, /intruder), expected the")
-        planner.inbox.give(topics.GOAL_POSE, serialize_message(goal))
+        hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal))
         assert planner._planner.goal is None and planner.refused == {"goals": 1}
         assert planner.boundary.last_refusals()[-1].endswith("no goal is taken; end the others")
         other.destroy_publisher(publishers.pop())
@@ -237,11 +237,11 @@ def test_the_driver_takes_no_command_from_two_and_says_who_they_are():
         drive._opened = True
         _spin_until(executor, lambda: drive.stop_reason)
         assert drive.stop_reason.startswith("2 publishers on /effort_controller/commands (/intruder, /intruder)")
-        driver.inbox.give(topics.COMMANDS, serialize_message(Float64MultiArray(data=[1.0] * 7)))
+        hand_in(driver.inbox, topics.COMMANDS, serialize_message(Float64MultiArray(data=[1.0] * 7)))
         assert driver.refused == {"commands": 1} and drive.rejected == 0
         other.destroy_publisher(publishers.pop())
         _spin_until(executor, lambda: not driver.rivals)
-        driver.inbox.give(topics.COMMANDS, serialize_message(Float64MultiArray(data=[1.0] * 7)))
+        hand_in(driver.inbox, topics.COMMANDS, serialize_message(Float64MultiArray(data=[1.0] * 7)))
         assert driver.refused == {"commands": 1}
 
 

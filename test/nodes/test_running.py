@@ -11,7 +11,7 @@ from stack_helpers import environment, module, running, wait_for
 from contact_reach_ros.bringup import bringup
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.graph import running as running_parts
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import qos_profile
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from contact_reach_ros.messages.serialized import CommandWriter, JointStateWrite
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
-from contact_reach_ros.ros.qos import qos_profile
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.timing import NANOSECONDS
 
 _HEARD = (topics.JOINT_STATES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)

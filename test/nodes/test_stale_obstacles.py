@@ -5,7 +5,7 @@ from arm_simulation import ARM, HOME, REST, TICK_NS
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
-from stack_helpers import ros
+from stack_helpers import hand_in, ros
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.messages import topics
@@ -55,12 +55,12 @@ def test_a_driver_publishes_a_scene_with_nothing_but_a_floor_again_and_again(mon
 
 def test_before_the_first_message_goals_are_refused_and_counted(planner):
     assert planner.diagnosis()[0] == topics.WAITING_FOR_OBSTACLES
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(goal()))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal()))
     assert planner.refused == {"goals": 1} and planner._planner.goal is None
     (refusal,) = planner.boundary.last_refusals()
     assert "obstacles: none received yet; expected a message, empty where" in refusal
     planner._on_obstacles(serialize_message(MarkerArray()))
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(goal()))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal()))
     planner.show(1001)
     assert len(planner.asked) == 1
 
@@ -68,7 +68,7 @@ def test_before_the_first_message_goals_are_refused_and_counted(planner):
 def test_a_message_counts_from_the_stamps_of_its_markers(planner):
     for number, (stamp, refused) in enumerate([(499, 1), (500, 1), (0, 1)]):
         planner._on_obstacles(ball(stamp * TICK_NS))
-        planner.inbox.give(topics.GOAL_POSE, serialize_message(goal()))
+        hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal()))
         assert planner.refused == {"goals": refused}, number
     (refusal,) = planner.boundary.last_refusals()
     assert "0.501 s ago; expected max_obstacle_age, 0.5 s" in refusal
@@ -76,7 +76,7 @@ def test_a_message_counts_from_the_stamps_of_its_markers(planner):
 
 def test_an_empty_message_counts_from_its_arrival_and_goes_stale_too(planner):
     planner._on_obstacles(serialize_message(MarkerArray()))
-    planner.inbox.give(topics.GOAL_POSE, serialize_message(goal()))
+    hand_in(planner.inbox, topics.GOAL_POSE, serialize_message(goal()))
     planner.show(1500)
     assert len(planner.asked) == 1 and not planner.refused
     for tick in range(1501, 1600):
