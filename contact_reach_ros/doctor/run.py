@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -66,12 +67,12 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
         from contact_reach_ros.doctor import stack
         from contact_reach_ros.doctor.listening import look_around
         from contact_reach_ros.messages import topics
-        from contact_reach_ros.ros.discovery import choose_discovery
+        from contact_reach_ros.ros.discovery import environment
     except ImportError as error:
         fix = "source /opt/ros/jazzy/setup.bash, or install the wheels with make venv"
         report["software"]["rclpy"] = failed(f"cannot be imported ({error}): no node can run", fix)
         return report
-    choose_discovery(discovery)
+    os.environ.update(environment(discovery))
     report["software"]["discovery"] = attempt(stack.discovery_in_use)
     try:
         graph, record = look_around(discovery, _LISTEN_S, arm)

@@ -23,7 +23,6 @@ from contact_reach_ros.messages.serialized import JointStateReader, JointStateWr
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.timing import Histogram, StampOrder
 
 NAME = "adapter"
@@ -218,7 +217,7 @@ class AdapterNode(StoppableNode):
 
 def main() -> None:
     """Run the adapter."""
-    sys.exit(run(AdapterNode, Role.ADAPTER, sys.argv))
+    sys.exit(run(AdapterNode, sys.argv))
 
 
 if __name__ == "__main__":

@@ -30,7 +30,6 @@ from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Histogram, write_counts
 
@@ -239,7 +238,7 @@ class ControllerNode(StoppableNode):
 
 def main() -> None:
     """Run the controller."""
-    sys.exit(run(ControllerNode, Role.CONTROLLER, sys.argv))
+    sys.exit(run(ControllerNode, sys.argv))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,6 @@ from contact_reach_ros.messages.serialized import JointStateWriter, read_command
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.simulation.pace import Pace
 from contact_reach_ros.simulation.robot import SimulatedRobot
@@ -242,7 +241,7 @@ class DriverNode(ManagedNode):
 
 def main() -> None:
     """Run the driver."""
-    sys.exit(run(DriverNode, Role.DRIVER, sys.argv))
+    sys.exit(run(DriverNode, sys.argv))
 
 
 if __name__ == "__main__":

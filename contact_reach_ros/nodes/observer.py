@@ -17,7 +17,6 @@ from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import Settings
 
 NAME = "observer"
@@ -124,7 +123,7 @@ class ObserverNode(StoppableNode):
 
 def main() -> None:
     """Run the observer."""
-    sys.exit(run(ObserverNode, Role.OBSERVER, sys.argv))
+    sys.exit(run(ObserverNode, sys.argv))
 
 
 if __name__ == "__main__":

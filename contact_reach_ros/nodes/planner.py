@@ -39,7 +39,6 @@ from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import Sections, Settings
 from contact_reach_ros.timing import Histogram
 
@@ -241,7 +240,7 @@ class PlannerNode(ManagedNode):
 
 def main() -> None:
     """Run the planner."""
-    sys.exit(run(PlannerNode, Role.PLANNER, sys.argv))
+    sys.exit(run(PlannerNode, sys.argv))
 
 
 if __name__ == "__main__":

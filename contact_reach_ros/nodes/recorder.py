@@ -24,7 +24,6 @@ from contact_reach_ros.resources import git_revision, versions
 from contact_reach_ros.ros.lockstep import FOREVER_NS
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.timing import NANOSECONDS
 
 DRAIN_PERIOD = 0.02
@@ -139,7 +138,7 @@ def _provenance() -> dict[str, str]:
 
 def main() -> None:
     """Run the recorder."""
-    sys.exit(run(RecorderNode, Role.RECORDER, sys.argv))
+    sys.exit(run(RecorderNode, sys.argv))
 
 
 if __name__ == "__main__":

@@ -29,7 +29,6 @@ from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.ros.stopping import release, stop_arm
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.viewer.access import call, serve
@@ -188,12 +187,12 @@ def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = ""
     texts = {name: value if isinstance(value, int) else str(value) for name, value in chosen.items()}
     space = namespace_arguments(f"/{namespace.strip('/')}", file, VIEWER)
     arguments = [VIEWER, "--ros-args", "--params-file", str(file), *space, *as_arguments(texts)]
-    return run(ViewerNode, Role.VIEWER, arguments)
+    return run(ViewerNode, arguments)
 
 
 def main() -> None:
     """Run the viewer."""
-    sys.exit(run(ViewerNode, Role.VIEWER, sys.argv))
+    sys.exit(run(ViewerNode, sys.argv))
 
 
 if __name__ == "__main__":

@@ -57,13 +57,8 @@ def environment(choice: str = "host") -> dict[str, str]:
     return {PROFILES[0]: str(config_file(_PROFILE_OF[choice])), RANGE: "SYSTEM_DEFAULT"}
 
 
-def choose_discovery(choice: str = "host") -> None:
-    """Make the choice for this process and its children, before the middleware starts."""
-    os.environ.update(environment(choice))
-
-
 def reach(env: Mapping[str, str]) -> Reach:
-    """Range of a process with these environment variables, after `choose_discovery`."""
+    """Range of a process with these environment variables, after those of `environment` are set."""
     chosen = env.get(RANGE, "SUBNET").upper()
     if chosen in ("LOCALHOST", "OFF"):
         return Reach("host", f"{RANGE}={chosen}")

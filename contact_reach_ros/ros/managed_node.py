@@ -308,23 +308,20 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE if is_refusal else TransitionCallbackReturn.ERROR
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        fixed = ", ".join(parameter.name for parameter in parameters if parameter.name not in self.CHANGEABLE)
         try:
-            self._change(parameters)
+            if fixed:
+                raise InputError(f"{fixed}: parameters are set at the start; restart the node with other values")
+            entries = {entry.name: entry for entry in self.settings[""].declared()}
+            values = {one.name: entries[one.name].check(one.value, f"{one.name} of {self.NAME}") for one in parameters}
+            self.settings = {**self.settings, "": dataclasses.replace(self.settings[""], **values)}
+            self.on_change()
         except ContactReachError as error:
             self.refuse("parameters", error)
             return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def _change(self, parameters: Sequence[Parameter]) -> None:
-        fixed = ", ".join(parameter.name for parameter in parameters if parameter.name not in self.CHANGEABLE)
-        if fixed:
-            raise InputError(f"{fixed}: parameters are set at the start; restart the node with other values")
-        entries = {entry.name: entry for entry in self.settings[""].declared()}
-        values = {one.name: entries[one.name].check(one.value, f"{one.name} of {self.NAME}") for one in parameters}
-        self.settings = {**self.settings, "": dataclasses.replace(self.settings[""], **values)}
-        self.on_change()
         if self.running:
             self._publish_settings()
+        return SetParametersResult(successful=True)
 
     def _log_refusals(self) -> None:
         for line in self.boundary.last_refusals():

@@ -18,21 +18,19 @@ from rclpy.signals import SignalHandlerOptions
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_at_signals
-from contact_reach_ros.ros.discovery import choose_discovery
+from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
 from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, take_priority, use_cpus
 
 
-def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str]) -> int:
+def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
     """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
 
     Parameters
     ----------
     node_class
-        What to run; the arguments are checked against its settings.
-    role
-        What the process is for.
+        What to run, with the role of its name; the arguments are checked against its settings.
     arguments
         Command line, program name first.
     """
@@ -43,7 +41,7 @@ def run(node_class: type[ManagedNode], role: Role, arguments: Sequence[str]) -> 
         initialise(arguments)
         node_class.ARGUMENTS = arguments
         node = node_class()
-        return _serve(node, role)
+        return _serve(node, Role[node_class.NAME.upper()])
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
@@ -65,7 +63,7 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
     discovery
         How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment sets it.
     """
-    choose_discovery(discovery)
+    os.environ.update(environment(discovery))
     without_ros_arguments(arguments)
     rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
 

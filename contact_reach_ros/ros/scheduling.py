@@ -23,10 +23,10 @@ _FEW_CPUS = 3
 
 
 class Role(Enum):
-    """Node of a process, which decides who may interrupt it and where it runs; the value is its SCHED_FIFO priority.
+    """Node of a process, by its name: it decides who may interrupt the process, and where it runs.
 
-    A node must not preempt those whose messages it waits for, but a controller that never sleeps must not keep the
-    adapter from noticing its silence.
+    The value is the SCHED_FIFO priority. A node must not preempt those whose messages it waits for, but a controller
+    that never sleeps must not keep the adapter from noticing its silence.
     """
 
     DRIVER = 80

@@ -20,7 +20,6 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation
 from contact_reach_ros.timing import NANOSECONDS
@@ -198,4 +197,4 @@ if __name__ == "__main__":
     assert topics.COMMANDS.name == "effort_controller/commands"
     kind = sys.argv.pop(1)
     arguments = [part for argument in ARGUMENTS[kind] for part in ("-p", argument)]
-    sys.exit(run(DRIVERS[kind], Role.DRIVER, [*sys.argv, "--ros-args", *arguments]))
+    sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", *arguments]))

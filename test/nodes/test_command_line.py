@@ -13,7 +13,6 @@ from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.presets import SECTIONS
 from contact_reach_ros.ros.parameters import check_arguments
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import NODES, declared_parameters
 
 
@@ -43,7 +42,7 @@ def test_help_lists_all_parameters(node, nothing_starts, monkeypatch, capsys):
 
 @pytest.mark.parametrize("arguments", ["--speed 3", "--scene=wall", "seed:=3 --ros-args -p lockstep:=true"])
 def test_arguments_that_are_not_for_ros_are_refused(arguments, capsys):
-    assert run(RecorderNode, Role.RECORDER, ["recorder", *arguments.split()]) == 2
+    assert run(RecorderNode, ["recorder", *arguments.split()]) == 2
     assert bringup.run_bringup(["bringup", *arguments.split()]) == 2
     refusal = f"{arguments.split(' --ros-args')[0]}: unknown arguments; expected --ros-args -p NAME:=VALUE"
     printed = capsys.readouterr().err
