@@ -16,7 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 
 class Qos(NamedTuple):
-    """Quality of service that a publisher offers, or a subscriber requests; `ros.qos` makes rclpy's profile of it."""
+    """Quality of service that a publisher offers, or a subscriber requests; `ros.inbox` makes rclpy's profile of it."""
 
     depth: int
     """Messages that are kept."""
