@@ -13,7 +13,6 @@ from contact_reach_ros.messages.values import FARTHEST, vector
 
 FLANGE = "flange"
 ELBOW = "elbow"
-ARM = "arm"
 CONTACT = "contact"
 """Namespaces of the markers."""
 

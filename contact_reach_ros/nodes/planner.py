@@ -74,7 +74,7 @@ class PlannerNode(ManagedNode):
         self._planner = Planner(
             self.arm, None, reaction, settings, self._latency, self.refuse, self._controllers[_GAINS].task
         )
-        self._output = PlannerOutput(self, self._budget.permitted_force)
+        self._output = PlannerOutput(self)
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, AssumedMaterial.of(settings))
         self._frames = Frames(self, self.arm.base_frame)
         self._goals = self._goal_ns = 0

@@ -38,7 +38,7 @@ from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import set_time, to_goal_pose
-from contact_reach_ros.messages.plan_messages import PlanMarkers, to_references
+from contact_reach_ros.messages.plan_messages import to_markers, to_references
 from contact_reach_ros.nodes import planner as planner_module
 from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -147,7 +147,7 @@ def contacts():
 
 
 def plan_markers():
-    shown = PlanMarkers(ARM, 5.0).show(still(START_NS))
+    shown = to_markers(still(START_NS), ARM)
     # A path, and of the other kinds one each.
     kinds = {marker.ns: marker for marker in shown.markers}
     return MarkerArray(markers=list(kinds.values()))
