@@ -26,9 +26,9 @@ from contact_reach_ros.messages.cdr import (
     NO_LAYOUT,
     PLAIN_CDR,
     STAMP_END,
+    aligned,
     joint_state_counts,
     joint_state_names,
-    joint_state_starts,
 )
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -198,9 +198,10 @@ class JointStates(Collector):
         shared = [name for name in self._joints if name in names]
         sources, into = [names.index(name) for name in shared], [self._joints.index(name) for name in shared]
         values = np.full((len(rows), len(self.names)), np.nan)
-        places = list(zip(joint_state_starts(first), joint_state_counts(first), strict=False))
+        counts = joint_state_counts(first)
         for index, field in enumerate(self._fields):
-            start, at = places[field]
+            at = counts[field]
+            start = aligned(at + COUNT.size)
             if COUNT.unpack_from(first, at)[0] == len(names):
                 numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
                 values[:, [index * len(self._joints) + column for column in into]] = numbers[:, sources]

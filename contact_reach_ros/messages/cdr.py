@@ -108,8 +108,3 @@ def joint_state_counts(data: bytes | bytearray) -> list[int]:
         counts.append(aligned(cursor.at, COUNT.size))
         cursor.skip(8, 8)
     return [*counts, cursor.at]
-
-
-def joint_state_starts(data: bytes | bytearray) -> list[int]:
-    """Where in a serialised JointState the values of its three fields begin, if there are any."""
-    return [aligned(at + COUNT.size) for at in joint_state_counts(data)[:-1]]

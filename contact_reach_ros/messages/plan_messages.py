@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import array
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Transform, Vector3
 from nav_msgs.msg import Path
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 from trajectory_msgs.msg import (
@@ -22,39 +23,28 @@ from visualization_msgs.msg import Marker, MarkerArray
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.messages.conversions import (
-    to_duration,
-    to_marker,
-    to_point,
-    to_time,
-    to_transform,
-)
-from contact_reach_ros.messages.diagnostics import to_status
+from contact_reach_ros.messages.conversions import to_marker, to_point, to_quaternion, to_status, to_time
 from contact_reach_ros.messages.plan_reader import CONTACT, ELBOW, FLANGE
 from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.collision import capsule_segments
 
 
-class ReferenceMessages(NamedTuple):
-    """The halves of a plan, paired by their stamp, which is the plan's effect."""
-
-    poses: MultiDOFJointTrajectory
-    postures: JointTrajectory
-
-
-def to_references(plan: Plan, arm: Arm) -> ReferenceMessages:
-    """The knots of a plan for the controller."""
+def to_references(plan: Plan, arm: Arm) -> tuple[MultiDOFJointTrajectory, JointTrajectory]:
+    """The knots of a plan for the controller: poses and postures, paired by their stamp, which is the plan's effect."""
     header = _header(plan.effect_ns, arm)
     poses = MultiDOFJointTrajectory(header=header, joint_names=[arm.tip_frame])
     postures = JointTrajectory(header=header, joint_names=list(arm.joint_names))
     for index, (position, rotation, posture) in enumerate(
         zip(plan.positions, plan.rotations, plan.postures, strict=True), start=1
     ):
-        end = to_duration(index * plan.knot_duration_ns)
-        transform = to_transform(position, rotation)
+        seconds, nanosec = divmod(index * plan.knot_duration_ns, NANOSECONDS)
+        end = Duration(sec=seconds, nanosec=nanosec)
+        x, y, z = position.tolist()
+        transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=to_quaternion(rotation))
         poses.points.append(MultiDOFJointTrajectoryPoint(transforms=[transform], time_from_start=end))
         postures.points.append(JointTrajectoryPoint(positions=posture.tolist(), time_from_start=end))
-    return ReferenceMessages(poses, postures)
+    return poses, postures
 
 
 def to_path(plan: Plan, arm: Arm) -> Path:

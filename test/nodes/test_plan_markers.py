@@ -70,4 +70,4 @@ def test_each_message_replaces_what_was_shown_before():
     assert [marker.action for marker in first] == [Marker.DELETEALL, *[Marker.ADD] * (len(first) - 1)]
     (marker,) = to_markers(None, ARM).markers
     assert marker.action == Marker.DELETEALL
-    assert read_plan(to_markers(None, ARM)) is None and read_plan(to_markers(bent_plan()), ARM) is not None
+    assert read_plan(to_markers(None, ARM)) is None and read_plan(to_markers(bent_plan(), ARM)) is not None
