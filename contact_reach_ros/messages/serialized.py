@@ -28,8 +28,7 @@ from contact_reach_ros.messages.cdr import (
     STAMP_END,
     Cursor,
     aligned,
-    joint_state_counts,
-    joint_state_names,
+    joint_state_layout,
     no_message,
 )
 from contact_reach_ros.messages.values import checked_stamp, places_of
@@ -114,10 +113,10 @@ class JointStateReader:
 
     def _learn(self, data: bytes) -> int:
         """Look for the joints among the names of this message; returns where its fields begin."""
-        names = joint_state_names(data)
+        names, counts = joint_state_layout(data)
         self._places = places_of(self._joints, names, self._topic)
         self._count = len(names)
-        self._names_end = joint_state_counts(data)[0]
+        self._names_end = counts[0]
         self._names = data[STAMP_END : self._names_end]
         return self._names_end
 
@@ -146,7 +145,7 @@ class JointStateWriter:
         message = JointStateMessage(name=list(names), **{field: [0.0] * len(names) for field in fields})
         message.header.frame_id = frame_id
         data = encode(message)
-        counts = joint_state_counts(data)
+        _, counts = joint_state_layout(data)
         self._buffer = bytearray(data[: counts[-1]])
         starts = {field: aligned(at + COUNT.size) for field, at in zip(JOINT_STATE_FIELDS, counts, strict=False)}
         self._values = [np.frombuffer(self._buffer, _DOUBLE, len(names), starts[field]) for field in fields]
