@@ -26,9 +26,8 @@ from contact_reach_ros.messages.cdr import (
     NO_LAYOUT,
     PLAIN_CDR,
     STAMP_END,
-    joint_state_counts,
-    joint_state_names,
-    joint_state_starts,
+    aligned,
+    joint_state_layout,
 )
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -183,24 +182,20 @@ class JointStates(Collector):
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""
         first = rows[0].tobytes()
-        counts = joint_state_counts(first)
+        names, counts = joint_state_layout(first)
         if counts[-1] > len(first):
             return None
         fixed = [slice(STAMP_END, counts[0]), *(slice(at, at + 4) for at in counts[:-1])]
         if not all((rows[:, part] == rows[0, part]).all() for part in fixed):
             return None
-        return self._values_of(rows, first)
-
-    def _values_of(self, rows: Bytes, first: bytes) -> Values:
-        names = joint_state_names(first)
         if self._open:
             self._joints += [name for name in dict.fromkeys(names) if name not in self._joints]
         shared = [name for name in self._joints if name in names]
         sources, into = [names.index(name) for name in shared], [self._joints.index(name) for name in shared]
         values = np.full((len(rows), len(self.names)), np.nan)
-        places = list(zip(joint_state_starts(first), joint_state_counts(first), strict=False))
         for index, field in enumerate(self._fields):
-            start, at = places[field]
+            at = counts[field]
+            start = aligned(at + COUNT.size)
             if COUNT.unpack_from(first, at)[0] == len(names):
                 numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
                 values[:, [index * len(self._joints) + column for column in into]] = numbers[:, sources]

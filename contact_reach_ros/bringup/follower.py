@@ -13,7 +13,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.values import JointOrder, nanoseconds
+from contact_reach_ros.messages.values import nanoseconds, pick
 from contact_reach_ros.ros.client import PLANNER, StackClient
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
@@ -63,7 +63,6 @@ class Follower(StackClient):
         self.arm = model.arm
         self._model = model
         self.target = target
-        self._order = JointOrder(model.arm.joint_names)
         self.stamp_ns = 0
         self.position = np.full(3, np.nan)
         self.distance = float("nan")
@@ -124,7 +123,7 @@ class Follower(StackClient):
         topic = topics.LOCKSTEP_HORIZON
         publisher = self.node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
         lockstep = Lockstep(self.node.get_name(), self._tick_ns, publisher.publish)
-        self.inbox.add(topic, lockstep.hear, topics.EVERY)
+        self.inbox.add(topic, lockstep.hear, topics.STREAM)
         return lockstep
 
     def _stands_still(self) -> bool:
@@ -150,7 +149,8 @@ class Follower(StackClient):
         return self._steps > steps
 
     def _on_state(self, message: JointState) -> None:
-        self.position, _ = self._model.tip_pose(self._order.pick(message, "position", topics.JOINT_STATES.name))
+        joints = self._model.arm.joint_names
+        self.position, _ = self._model.tip_pose(pick(message, joints, "position", topics.JOINT_STATES.name))
         self.distance = float(np.linalg.norm(self.position - self.target))
         self.stamp_ns = nanoseconds(message.header.stamp)
         # The driver knows no acting torque while its brakes are closed.

@@ -17,9 +17,9 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.control.adapter_settings import LbrSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.serialization import encode
+from contact_reach_ros.messages.serialized import encode
 from contact_reach_ros.messages.topics import NEWEST, Qos, Topic
-from contact_reach_ros.messages.values import JointOrder
+from contact_reach_ros.messages.values import pick
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -93,7 +93,6 @@ class LbrTarget:
         """Time of the last state on the robot's clock, and how far this machine's is ahead of it."""
         self._external = self._observed = np.zeros(arm.n)
         """Mean external torques: KUKA's, and the observer's."""
-        self._order = JointOrder(arm.joint_names)
         self._switch = None
         if not settings.component:
             return
@@ -203,7 +202,7 @@ class LbrTarget:
         }
 
     def _on_external(self, message: JointStateMessage) -> None:
-        torque = self._order.pick(message, "effort", topics.EXTERNAL_TORQUE.name)
+        torque = pick(message, self.order, "effort", topics.EXTERNAL_TORQUE.name)
         self._observed = self._mean(self._observed, torque, self._period)
 
     def _mean(self, mean: Array, value: Array, elapsed: float) -> Array:

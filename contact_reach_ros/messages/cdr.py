@@ -87,29 +87,12 @@ def no_message(data: bytes, kind: str, topic: str, error: Exception) -> InputErr
     return InputError(f"{topic}: {len(data)} bytes that are no {kind}; expected a serialised {kind} ({error})")
 
 
-def _after_header(data: bytes | bytearray) -> Cursor:
-    cursor = Cursor(data, STAMP_END)
-    cursor.skip(1)
-    return cursor
-
-
-def joint_state_names(data: bytes | bytearray) -> tuple[str, ...]:
-    """The field name of a serialised JointState."""
-    cursor = _after_header(data)
-    return tuple(cursor.text() for _ in range(cursor.count()))
-
-
-def joint_state_counts(data: bytes | bytearray) -> list[int]:
-    """Where in a serialised JointState the numbers of values of its three fields stand, and its end."""
-    cursor, counts = _after_header(data), []
-    for _ in range(cursor.count()):
-        cursor.skip(1)
+def joint_state_layout(data: bytes | bytearray) -> tuple[tuple[str, ...], list[int]]:
+    """The names in a serialised JointState; where the numbers of values of its three fields stand, and its end."""
+    cursor, counts = Cursor(data, STAMP_END), []
+    cursor.skip(1)  # frame_id
+    names = tuple(cursor.text() for _ in range(cursor.count()))
     for _ in JOINT_STATE_FIELDS:
         counts.append(aligned(cursor.at, COUNT.size))
         cursor.skip(8, 8)
-    return [*counts, cursor.at]
-
-
-def joint_state_starts(data: bytes | bytearray) -> list[int]:
-    """Where in a serialised JointState the values of its three fields begin, if there are any."""
-    return [aligned(at + COUNT.size) for at in joint_state_counts(data)[:-1]]
+    return names, [*counts, cursor.at]

@@ -1,34 +1,32 @@
-"""Messages and their parts from times and arrays."""
+"""Messages and their parts from times, arrays and texts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, PoseStamped, Quaternion, Transform, Vector3
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
+from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.errors import code_of
+from contact_reach_ros.messages.safety_state import ERROR, MONITORING, OK, STOP_CODE, WARN, findings
+from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.timing import NANOSECONDS
+
+_LEVELS = {SafetyLevel.FREE: OK, SafetyLevel.CONTACT: WARN, SafetyLevel.BLIND: ERROR, SafetyLevel.COLLISION: ERROR}
 
 
 def to_time(nanoseconds: int) -> Time:
     """Stamp of a time in ns."""
     return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
-
-
-def to_duration(nanoseconds: int) -> Duration:
-    """Duration message of a time in ns."""
-    return Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
-
-
-def set_time(stamp: Time, time_ns: int) -> None:
-    """Write a time in ns into an existing stamp."""
-    stamp.sec = time_ns // NANOSECONDS
-    stamp.nanosec = time_ns % NANOSECONDS
 
 
 def to_point(position: Sequence[float]) -> Point:
@@ -53,12 +51,6 @@ def to_quaternion(rotation: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-def to_transform(position: Array, rotation: Array) -> Transform:
-    """Transform message."""
-    x, y, z = position.tolist()
-    return Transform(translation=Vector3(x=x, y=y, z=z), rotation=to_quaternion(rotation))
-
-
 def to_marker(namespace: str, identifier: int, kind: int, scale: Sequence[float], color: Sequence[float]) -> Marker:
     """Marker without a place: `scale` along x, y and z, m, and `color` as red, green, blue and opacity up to 1."""
     x, y, z = scale
@@ -72,3 +64,30 @@ def to_marker(namespace: str, identifier: int, kind: int, scale: Sequence[float]
     )
     marker.pose.orientation.w = 1.0
     return marker
+
+
+def to_status(
+    name: str, message: str, values: Mapping[str, Any], level: int = OK, hardware_id: str = ""
+) -> DiagnosticStatus:
+    """A DiagnosticStatus, its values as text."""
+    return DiagnosticStatus(
+        level=bytes([level]),
+        name=name,
+        message=message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+
+
+def to_safety_state(report: SafetyReport, name: str, arm: Arm) -> DiagnosticStatus:
+    """The message of a report, published by the node `name`."""
+    # Numbers are among the values only, so that the message changes when the state does.
+    message = report.reason or (MONITORING if report.level is SafetyLevel.FREE else report.level.value)
+    return to_status(name, message, findings(report), _LEVELS[report.level], arm.name)
+
+
+def to_stop_state(name: str, arm: Arm, reason: str, otherwise: str, values: Mapping[str, str]) -> DiagnosticStatus:
+    """The safety state of the node `name`: why it stopped the arm, or if `reason` is empty its state `otherwise`."""
+    return to_status(
+        name, reason or otherwise, {**values, STOP_CODE: code_of(reason)}, ERROR if reason else OK, arm.name
+    )

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.diagnostics import to_status
+from contact_reach_ros.messages.conversions import to_status
 from contact_reach_ros.messages.safety_state import OK, WARN
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 

@@ -14,7 +14,7 @@ import struct
 from collections.abc import Callable
 from enum import IntEnum
 
-from contact_reach_ros.messages.cdr import ARRAY_COUNT, ARRAY_START, COUNT, PLAIN_CDR
+from contact_reach_ros.messages.cdr import ARRAY_START, COUNT, NO_LAYOUT, PLAIN_CDR
 
 COLUMNS = ("what", "sent_ns", "clock_ns", "outputs")
 """What was taken in; when it was sent, ns since the epoch, 0 for a call; the watchdogs' clock then, ns; and how many
@@ -22,9 +22,6 @@ commands or external torques the node had published before."""
 
 BATCH = 128
 """Rows of a full batch: a tenth of a second of a 1 kHz loop."""
-
-_SPARE = 16
-"""Rows that a batch may have beyond that, until there is a good moment to publish it."""
 
 
 class Taken(IntEnum):
@@ -54,16 +51,9 @@ TOPICS = {
 
 CODES = {name: code for code, name in TOPICS.items()}
 
-_ROW = struct.Struct("<4q")
-_FIRST = struct.Struct("<q")
-_ROWS_START = ARRAY_START + _FIRST.size
-_BATCH_END = _ROWS_START + BATCH * _ROW.size
-
 
 class IntakeLog:
-    """Gathers rows in a serialised message that is patched in place.
-
-    To publish a batch takes longer than a row: it waits for `publish_full`, or until there is no room left.
+    """Gathers rows; to publish a batch takes longer than a row, and waits for `publish_full`.
 
     Attributes
     ----------
@@ -75,30 +65,24 @@ class IntakeLog:
         """`publish` gets each batch, a serialised Int64MultiArray."""
         self.outputs = 0
         self._publish = publish
-        self._buffer = bytearray(_ROWS_START + (BATCH + _SPARE) * _ROW.size)
-        self._buffer[: len(PLAIN_CDR)] = PLAIN_CDR
-        self._at = _ROWS_START
+        self._numbers: list[int] = []
         self._first = 0
 
     def add(self, what: int, sent_ns: int, clock_ns: int) -> None:
         """Note one intake, before it is handled."""
-        _ROW.pack_into(self._buffer, self._at, what, sent_ns, clock_ns, self.outputs)
-        self._at += _ROW.size
-        if self._at == len(self._buffer):
-            self.flush()
+        self._numbers += (what, sent_ns, clock_ns, self.outputs)
 
     def publish_full(self) -> None:
         """Publish a full batch, if there is one; for a moment when nothing waits to be handled."""
-        if self._at >= _BATCH_END:
+        if len(self._numbers) >= BATCH * len(COLUMNS):
             self.flush()
 
     def flush(self) -> None:
         """Publish what has gathered."""
-        rows = (self._at - _ROWS_START) // _ROW.size
-        if not rows:
+        if not self._numbers:
             return
-        COUNT.pack_into(self._buffer, ARRAY_COUNT, 1 + len(COLUMNS) * rows)
-        _FIRST.pack_into(self._buffer, ARRAY_START, self._first)
-        self._publish(bytes(self._buffer[: self._at]))
-        self._first += rows
-        self._at = _ROWS_START
+        numbers = (self._first, *self._numbers)
+        head = (PLAIN_CDR + NO_LAYOUT + COUNT.pack(len(numbers))).ljust(ARRAY_START, b"\0")
+        self._publish(head + struct.pack(f"<{len(numbers)}q", *numbers))
+        self._first += len(self._numbers) // len(COLUMNS)
+        self._numbers.clear()

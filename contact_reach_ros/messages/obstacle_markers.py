@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import Quaternion
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.messages.cdr import HEADER
-from contact_reach_ros.messages.conversions import set_time, to_marker, to_point
+from contact_reach_ros.messages.conversions import to_marker, to_point, to_time
 from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBSTACLES, PLANE, REST
-from contact_reach_ros.messages.serialization import encode
+from contact_reach_ros.messages.serialized import encode
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Plane, RigidBody, slab
@@ -29,12 +30,10 @@ def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArr
     """The obstacles of a scene at `positions` (K, 3), m, in the order of `rest_positions`, and its rigid bodies."""
     markers: list[Marker] = []
     for obstacle, places in by_obstacle(scene, positions):
-        is_ball = len(obstacle.rest) == 1 and not obstacle.fixed.any()
-        markers += _ball_markers(obstacle, places) if is_ball else _body_markers(obstacle, places)
+        markers += _markers_of(obstacle, places)
     markers += [_rigid_marker(body, number) for number, body in enumerate(scene.environment)]
     for marker in markers:
-        marker.header.frame_id = scene.arm.base_frame
-        set_time(marker.header.stamp, stamp_ns)
+        marker.header = Header(stamp=to_time(stamp_ns), frame_id=scene.arm.base_frame)
     return MarkerArray(markers=markers)
 
 
@@ -65,28 +64,23 @@ class ObstacleMarkerWriter:
         return bytes(self._buffer)
 
 
-def _ball_markers(ball: Obstacle, places: Array) -> list[Marker]:
+def _markers_of(obstacle: Obstacle, places: Array) -> list[Marker]:
+    free, ends, diameter = ~obstacle.fixed, obstacle.edges.ravel(), 2.0 * obstacle.radius
+    is_ball = len(free) == 1 and free.all()
+    kind = Marker.SPHERE if is_ball else Marker.SPHERE_LIST
+    table = [
+        (OBSTACLES, kind, diameter, (*_GREEN, 1.0), places[free]),
+        (REST, kind, diameter, (*_GREEN, 0.1), obstacle.rest[free]),
+    ]
+    if not is_ball:
+        table.append((FIXED, kind, diameter, (*_GREY, 1.0), places[obstacle.fixed]))
+        table.append((EDGES, Marker.LINE_LIST, _EDGE_WIDTH, (*_GREEN, 0.6), places[ends]))
     markers = []
-    for namespace, centers, opacity in ((OBSTACLES, places, 1.0), (REST, ball.rest, 0.15)):
-        marker = to_marker(namespace, ball.id, Marker.SPHERE, 3 * [2.0 * ball.radius], (*_GREEN, opacity))
-        marker.pose.position = to_point(centers[0].tolist())
-        markers.append(marker)
-    return markers
-
-
-def _body_markers(body: Obstacle, nodes: Array) -> list[Marker]:
-    diameter = 2.0 * body.radius
-    free, ends = ~body.fixed, body.edges.ravel()
-    table = (
-        (OBSTACLES, Marker.SPHERE_LIST, diameter, (*_GREEN, 1.0), nodes[free]),
-        (FIXED, Marker.SPHERE_LIST, diameter, (*_GREY, 1.0), nodes[body.fixed]),
-        (EDGES, Marker.LINE_LIST, _EDGE_WIDTH, (*_GREEN, 0.6), nodes[ends]),
-        (REST, Marker.SPHERE_LIST, diameter, (*_GREEN, 0.1), body.rest[free]),
-    )
-    markers = []
-    for namespace, kind, scale, color, points in table:
-        marker = to_marker(namespace, body.id, kind, 3 * [scale], color)
+    for namespace, shape, scale, color, points in table:
+        marker = to_marker(namespace, obstacle.id, shape, 3 * [scale], color)
         marker.points = [to_point(point) for point in points.tolist()]
+        if is_ball:
+            (marker.pose.position,), marker.points = marker.points, []
         markers.append(marker)
     return markers
 

@@ -123,7 +123,11 @@ class ObstacleMarkerReader:
             If the bytes are no MarkerArray, a marker is of another type than its namespace needs, has no size or a
             value that is not finite, a sphere is not round, or an edge ends where no node is; the marker is named.
         """
-        markers = _markers_in(data)
+        try:
+            cursor = Cursor(data)
+            markers = [_next_marker(cursor) for _ in range(cursor.count())]
+        except (struct.error, ValueError) as error:
+            raise no_message(data, "MarkerArray", "obstacles", error) from error
         bodies: dict[int, dict[str, _Marker]] = {}
         environment: list[RigidBody] = []
         seen: set[tuple[str, int]] = set()
@@ -241,21 +245,11 @@ def _rigid_body(marker: _Marker) -> RigidBody:
     return Plane(block.name, np.array(marker.position) + 0.5 * marker.scale[2] * up, up)
 
 
-def _markers_in(data: bytes) -> list[_Marker]:
-    """The markers of a serialised MarkerArray; raises `InputError` if the bytes are none."""
-    try:
-        cursor = Cursor(data)
-        markers = [_next_marker(cursor) for _ in range(cursor.count())]
-    except (struct.error, ValueError) as error:
-        raise no_message(data, "MarkerArray", "obstacles", error) from error
-    return markers
-
-
 def _next_marker(cursor: Cursor) -> _Marker:
     """The marker at the cursor, which then stands behind it."""
     seconds, nanosec = cursor.numbers(STAMP)
     frame, namespace = cursor.text(), cursor.text()
-    identifier, kind, action = cursor.numbers(_IDS)
+    number, kind, action = cursor.numbers(_IDS)
     place = cursor.numbers(_POSE_AND_SCALE, 8)
     cursor.at += _COLOR_TO_LOCKED
     start, end = cursor.skip(24, 8)
@@ -270,16 +264,5 @@ def _next_marker(cursor: Cursor) -> _Marker:
     for _ in range(3):  # mesh_resource, mesh_file.filename, mesh_file.data
         cursor.skip(1)
     cursor.numbers(_FLAG, 1)  # mesh_use_embedded_materials
-    return _Marker(
-        seconds * NANOSECONDS + nanosec,
-        frame,
-        namespace,
-        identifier,
-        kind,
-        action,
-        place[:3],
-        place[3:7],
-        place[7:],
-        points,
-        text,
-    )
+    stamp_ns = seconds * NANOSECONDS + nanosec
+    return _Marker(stamp_ns, frame, namespace, number, kind, action, place[:3], place[3:7], place[7:], points, text)

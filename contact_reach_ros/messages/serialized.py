@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -19,28 +20,45 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import (
-    ARRAY_COUNT,
     ARRAY_START,
     COUNT,
     HEADER,
     JOINT_STATE_FIELDS,
-    NO_LAYOUT,
-    PLAIN_CDR,
     STAMP,
     STAMP_END,
     Cursor,
     aligned,
-    joint_state_counts,
-    joint_state_names,
-    joint_state_starts,
+    joint_state_layout,
     no_message,
 )
-from contact_reach_ros.messages.serialization import encode
-from contact_reach_ros.messages.values import JointOrder, checked_stamp
+from contact_reach_ros.messages.values import checked_stamp, places_of
 from contact_reach_ros.timing import NANOSECONDS
 
 _DOUBLE = np.dtype("<f8")
 _SIZE_AND_STRIDE = struct.Struct("<2I")
+
+
+def encode(message: Any) -> bytes:
+    """Serialise a message; up to eight bytes of padding may follow it."""
+    # rclpy is imported only where a whole message has to be converted.
+    from rclpy.serialization import serialize_message
+
+    data: bytes = serialize_message(message)
+    return data
+
+
+def decode(data: bytes, message_type: type, topic: str) -> Any:
+    """Deserialise a message.
+
+    Raises `InputError` if the bytes are no message of that type; the topic is named.
+    """
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+    from rclpy.serialization import deserialize_message
+
+    try:
+        return deserialize_message(data, message_type)
+    except rclpy_implementation.RMWError as error:
+        raise no_message(data, message_type.__name__, topic, error) from error
 
 
 class JointStateReader:
@@ -57,13 +75,13 @@ class JointStateReader:
     """
 
     def __init__(self, joints: Sequence[str], topic: str, with_effort: bool = False) -> None:
-        self._order = JointOrder(joints)
+        self._joints = joints
         self._topic = topic
         self._with_effort = with_effort
         # Frame and names of the last message, which seldom change, and what follows from them.
         self._names, self._names_end = b"", STAMP_END
         self._count = 0
-        self._indices: list[int] | None = None
+        self._places = np.zeros(0, np.intp)
 
     def read(self, data: bytes) -> JointState:
         """One state; its torque is None if the message has no efforts, or `with_effort` is not set.
@@ -95,10 +113,10 @@ class JointStateReader:
 
     def _learn(self, data: bytes) -> int:
         """Look for the joints among the names of this message; returns where its fields begin."""
-        names = joint_state_names(data)
-        self._indices = self._order.indices(list(names), self._topic)
+        names, counts = joint_state_layout(data)
+        self._places = places_of(self._joints, names, self._topic)
         self._count = len(names)
-        self._names_end = joint_state_counts(data)[0]
+        self._names_end = counts[0]
         self._names = data[STAMP_END : self._names_end]
         return self._names_end
 
@@ -107,7 +125,7 @@ class JointStateReader:
             raise InputError(
                 f"{self._topic}: {field} has {len(values)} values; expected one for each of {self._count} names"
             )
-        return values.copy() if self._indices is None else values[self._indices]
+        return values[self._places]
 
 
 class JointStateWriter:
@@ -127,8 +145,9 @@ class JointStateWriter:
         message = JointStateMessage(name=list(names), **{field: [0.0] * len(names) for field in fields})
         message.header.frame_id = frame_id
         data = encode(message)
-        self._buffer = bytearray(data[: joint_state_counts(data)[-1]])
-        starts = dict(zip(JOINT_STATE_FIELDS, joint_state_starts(self._buffer), strict=True))
+        _, counts = joint_state_layout(data)
+        self._buffer = bytearray(data[: counts[-1]])
+        starts = {field: aligned(at + COUNT.size) for field, at in zip(JOINT_STATE_FIELDS, counts, strict=False)}
         self._values = [np.frombuffer(self._buffer, _DOUBLE, len(names), starts[field]) for field in fields]
 
     def write(self, stamp_ns: int, *values: Array | Sequence[float]) -> bytes:
@@ -179,17 +198,12 @@ def read_command(data: bytes) -> Array:
     Raises `InputError` if the bytes are no Float64MultiArray.
     """
     try:
-        at = ARRAY_COUNT if data[:ARRAY_COUNT] == PLAIN_CDR + NO_LAYOUT else _after_layout(data)
-        (count,) = COUNT.unpack_from(data, at)
-        return np.frombuffer(data, _DOUBLE, count, aligned(at + COUNT.size) if count else 0).copy()
+        cursor = Cursor(data)
+        for _ in range(cursor.count()):
+            cursor.skip(1)  # label
+            cursor.numbers(_SIZE_AND_STRIDE)
+        cursor.numbers(COUNT)  # data_offset
+        start, end = cursor.skip(8, 8)
+        return np.frombuffer(data, _DOUBLE, (end - start) // 8, start if end > start else 0).copy()
     except (struct.error, ValueError) as error:
         raise no_message(data, Float64MultiArray.__name__, topics.COMMANDS.name, error) from error
-
-
-def _after_layout(data: bytes) -> int:
-    cursor = Cursor(data)
-    for _ in range(cursor.count()):
-        cursor.skip(1)  # label
-        cursor.numbers(_SIZE_AND_STRIDE)
-    cursor.numbers(COUNT)  # data_offset
-    return cursor.at

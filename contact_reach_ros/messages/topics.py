@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -38,19 +37,13 @@ LATCHED = Qos(1, latched=True)
 """Late subscribers receive the last message."""
 
 LATCHED_EVENTS = Qos(100, latched=True)
-"""Late subscribers receive the last events, since the newest one alone does not give the whole state."""
+"""Late subscribers receive the last events, or notes: the newest alone does not give the whole state."""
 
 ALL_EVENTS = Qos(1000, latched=True)
 """What subscribers of events request: deep enough for all publishers together, or a talkative one hides the others."""
 
-LATCHED_BATCHES = Qos(64, latched=True)
-"""Batches of intake notes: a recorder that has just discovered the topic receives those before."""
-
 NEWEST = Qos(1, reliable=False)
 """What real-time subscribers request: only the last message counts."""
-
-EVERY = STREAM
-"""What lockstep subscribers request."""
 
 
 class Topic(NamedTuple):
@@ -93,8 +86,8 @@ SIM_CONTACTS = Topic("sim/contacts", JointState, called="contacts")
 ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
 CLOCK = Topic("clock", Clock)
 SETTINGS = Topic("settings", DiagnosticStatus, LATCHED_EVENTS)
-CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_BATCHES)
-OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_BATCHES)
+CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_EVENTS)
+OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_EVENTS)
 PLAN_STATISTICS = Topic("plan/statistics", DiagnosticArray)
 PLAN_REQUEST = Topic("plan/request", Float64MultiArray)
 LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, called="promises")
@@ -103,9 +96,9 @@ ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic)
 """What a recorder writes."""
 
 
-def find(name: str, among: Iterable[Topic] = ALL) -> Topic | None:
+def find(name: str) -> Topic | None:
     """The topic of a full name, in whatever namespace; None if it is none of these."""
-    return next((topic for topic in among if name.endswith(f"/{topic.name}")), None)
+    return next((topic for topic in ALL if name.endswith(f"/{topic.name}")), None)
 
 
 WAITING_FOR_STATE = "waiting for the first joint state"

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
@@ -66,42 +67,29 @@ def numbers(status: Any) -> Iterator[tuple[str, float]]:
             continue
 
 
-class JointOrder:
-    """Picks the arm's joints out of messages whose order may be any, and may change."""
+def places_of(joints: Sequence[str], names: Sequence[str], topic: str) -> NDArray[np.intp]:
+    """Where the wanted joints stand among the names in a message, whose order may be any.
 
-    def __init__(self, names: Sequence[str]) -> None:
-        """`names`: the wanted joints in the wanted order."""
-        self._names = list(names)
-        self._seen: list[str] | None = None
-        self._indices: list[int] | None = None
+    Raises `InputError` if joints are missing; topic, field and the missing names are given.
+    """
+    missing = [joint for joint in joints if joint not in names]
+    if missing:
+        raise InputError(f"{topic}: field name lacks {', '.join(missing)}; expected all of {', '.join(joints)}")
+    return np.array([names.index(joint) for joint in joints], np.intp)
 
-    def indices(self, names: list[str], topic: str) -> list[int] | None:
-        """Where the wanted joints stand among `names`; None if they stand there in order.
 
-        Raises `InputError` if joints are missing; topic, field and the missing names are given.
-        """
-        if names != self._seen:
-            missing = [name for name in self._names if name not in names]
-            if missing:
-                raise InputError(
-                    f"{topic}: field name lacks {', '.join(missing)}; expected all of {', '.join(self._names)}"
-                )
-            self._indices = None if names == self._names else [names.index(name) for name in self._names]
-            self._seen = list(names)
-        return self._indices
+def pick(message: Any, joints: Sequence[str], field: str, topic: str) -> Array:
+    """One field of a JointState, (n,), in the order of the wanted joints.
 
-    def pick(self, message: Any, field: str, topic: str) -> Array:
-        """One field of a JointState, (n,), in the wanted order.
-
-        Raises `InputError` if joints are missing or the field has not one value for each name.
-        """
-        indices = self.indices(message.name, topic)
-        values = np.array(getattr(message, field), dtype=float)
-        if len(values) != len(message.name):
-            raise InputError(
-                f"{topic}: {field} has {len(values)} values; expected one for each of {len(message.name)} names"
-            )
-        return values if indices is None else values[indices]
+    Raises `InputError` if joints are missing or the field has not one value for each name.
+    """
+    places = places_of(joints, message.name, topic)
+    values = np.array(getattr(message, field), dtype=float)
+    if len(values) != len(message.name):
+        raise InputError(
+            f"{topic}: {field} has {len(values)} values; expected one for each of {len(message.name)} names"
+        )
+    return values[places]
 
 
 def read_settings(status: Any) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from contact_reach_ros.drives.franka import FrankaTarget
 from contact_reach_ros.drives.lbr import LbrTarget
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.diagnostics import to_stop_state
+from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.ros.managed_node import StoppableNode

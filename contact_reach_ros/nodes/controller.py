@@ -17,9 +17,9 @@ from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionS
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.diagnostics import to_stop_state
+from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.intake import Taken
-from contact_reach_ros.messages.references import pose_knots, posture_knots
+from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import observer_values, read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateReader
 from contact_reach_ros.messages.values import read_settings

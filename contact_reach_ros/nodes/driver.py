@@ -20,8 +20,7 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import set_time
-from contact_reach_ros.messages.diagnostics import to_stop_state
+from contact_reach_ros.messages.conversions import to_stop_state, to_time
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
 from contact_reach_ros.ros.lockstep import LockstepDriver
@@ -74,7 +73,7 @@ class DriverNode(ManagedNode):
         self.offer("~/stop", self._answer_stop)
         self.inbox.add(self.COMMANDS, self._on_command, self.stream_qos, serialized=True)
         if self.lockstep:
-            self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.EVERY)
+            self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.STREAM)
         chosen: DriverSettings = self.settings[""]
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
         own = self.settings
@@ -180,9 +179,7 @@ class DriverNode(ManagedNode):
             # Last, so that whoever handles it has everything else.
             self._publish_states(states)
         if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
-            message = Clock()
-            set_time(message.clock, now_ns)
-            self._clock_publisher.publish(message)
+            self._clock_publisher.publish(Clock(clock=to_time(now_ns)))
 
     def _yield_to_controller(self) -> None:
         """If there is time, let the controller, which may share the CPU, answer before anything else is published."""

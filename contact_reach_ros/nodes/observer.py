@@ -8,7 +8,7 @@ from typing import Any
 
 from contact_reach_ros.errors import is_missing_states
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.diagnostics import to_safety_state
+from contact_reach_ros.messages.conversions import to_safety_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.safety_state import MONITORING, findings
 from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, WrenchWriter, read_command

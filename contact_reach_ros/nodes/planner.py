@@ -19,12 +19,10 @@ from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.goals import to_goal
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
-from contact_reach_ros.messages.serialization import decode
-from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.serialized import JointStateReader, decode
+from contact_reach_ros.messages.values import nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.planner_output import PlannerOutput
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
@@ -41,6 +39,7 @@ from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Sections, Settings
 from contact_reach_ros.timing import Histogram
+from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
 OBSERVER, CONTROLLER = "observer", "controller"
@@ -73,7 +72,7 @@ class PlannerNode(ManagedNode):
         self._planner = Planner(
             self.arm, None, reaction, settings, self._latency, self.refuse, self._controllers[_GAINS].task
         )
-        self._output = PlannerOutput(self, self._budget.permitted_force)
+        self._output = PlannerOutput(self)
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, AssumedMaterial.of(settings))
         self._frames = Frames(self, self.arm.base_frame)
         self._goals = self._goal_ns = 0
@@ -185,7 +184,11 @@ class PlannerNode(ManagedNode):
         try:
             if self._frames.is_foreign(message.header):
                 return self._frames.publish_goal(message)
-            goal = to_goal(message, self.settings[""])
+            pose, settings = message.pose, self.settings[""]
+            kept = settings.goal_orientation
+            orientation = quaternion(pose.orientation) if kept == POSE else kept
+            frame = message.header.frame_id
+            goal = Goal(vector(pose.position), orientation, frame=frame, tolerance=settings.goal_tolerance)
             self._planner.command(goal)
         except InputError as error:
             self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)

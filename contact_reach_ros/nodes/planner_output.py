@@ -7,7 +7,7 @@ from typing import Any
 
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import to_goal_state
-from contact_reach_ros.messages.plan_messages import PlanMarkers, to_path, to_references, to_request, to_statistics
+from contact_reach_ros.messages.plan_messages import to_markers, to_path, to_references, to_request, to_statistics
 from contact_reach_ros.messages.plan_request import request_parts
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.plan import Plan, Request
@@ -19,17 +19,10 @@ _MARKERS_EVERY_NS = _GOAL_STATE_EVERY_NS = 100_000_000
 
 
 class PlannerOutput:
-    """Turns plans and goal states into messages.
+    """Turns plans and goal states into messages."""
 
-    Parameters
-    ----------
-    node
-        That publishes.
-    permitted_force
-        Contact force, N, by which markers are coloured.
-    """
-
-    def __init__(self, node: ManagedNode, permitted_force: float) -> None:
+    def __init__(self, node: ManagedNode) -> None:
+        """`node`: that publishes."""
         self._name, self._arm = node.NAME, node.arm
         self._poses = node.make_publisher(topics.REFERENCE_POSE)
         self._postures = node.make_publisher(topics.REFERENCE_POSTURE)
@@ -38,7 +31,6 @@ class PlannerOutput:
         self._marker_publisher = node.make_publisher(topics.PLAN_MARKERS)
         self._statistics = node.make_publisher(topics.PLAN_STATISTICS)
         self._requests = node.make_publisher(topics.PLAN_REQUEST)
-        self._markers = PlanMarkers(node.arm, permitted_force)
         self._markers_due_ns = 0
         self._reported: tuple[int, GoalPhase] | None = None
         self._goal_state_due_ns = 0
@@ -53,12 +45,12 @@ class PlannerOutput:
     def show(self, plan: Plan) -> None:
         """Publish the markers of a plan, a few times a second."""
         if plan.effect_ns >= self._markers_due_ns:
-            self._marker_publisher.publish(self._markers.show(plan))
+            self._marker_publisher.publish(to_markers(plan, self._arm))
             self._markers_due_ns = plan.effect_ns + _MARKERS_EVERY_NS
 
     def clear(self) -> None:
         """Remove the markers."""
-        self._marker_publisher.publish(self._markers.clear())
+        self._marker_publisher.publish(to_markers(None, self._arm))
 
     def record(
         self, plan: Plan, request: Request, start: Memory | None, found: Memory, values: Mapping[str, Any]

@@ -21,7 +21,7 @@ from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.values import JointOrder
+from contact_reach_ros.messages.values import pick
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.ros.client import Services
@@ -60,7 +60,6 @@ class ViewerNode(ManagedNode):
         self._turns = 0
         self.live = LiveState(self.arm, time.monotonic())
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
-        self._torque_order = JointOrder(self.arm.joint_names)
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
         inbox = self.inbox
         # The page shows thirty moments a second: of fast topics, only the newest message is ever decoded.
@@ -118,7 +117,7 @@ class ViewerNode(ManagedNode):
         self.live.on_joint_state(stamp_ns, q, time.monotonic())
 
     def _on_torque(self, message: JointState) -> None:
-        self.live.external_torque = self._torque_order.pick(message, "effort", topics.EXTERNAL_TORQUE.name)
+        self.live.external_torque = pick(message, self.arm.joint_names, "effort", topics.EXTERNAL_TORQUE.name)
 
     def _on_obstacles(self, data: bytes) -> None:
         self.live.obstacles = self._obstacles.read(data)

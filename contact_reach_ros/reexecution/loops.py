@@ -19,7 +19,7 @@ from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
-from contact_reach_ros.messages.references import pose_knots, posture_knots
+from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings

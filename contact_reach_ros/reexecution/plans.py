@@ -19,8 +19,8 @@ import numpy as np
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
-from contact_reach_ros.messages.references import pose_knots, posture_knots
 from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner

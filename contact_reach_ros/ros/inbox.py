@@ -21,7 +21,7 @@ from rclpy.subscription import Subscription
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.intake import CODES, IntakeLog
-from contact_reach_ros.messages.serialization import decode
+from contact_reach_ros.messages.serialized import decode
 from contact_reach_ros.messages.topics import Qos, Topic
 
 _T = TypeVar("_T")

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from std_msgs.msg import Header
 
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.messages.conversions import set_time
+from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -70,9 +70,7 @@ class Lockstep:
     def promise(self, until_ns: int) -> None:
         """Promise that all messages that take effect up to a time are out."""
         if self._publish is not None:
-            header = Header(frame_id=self._name)
-            set_time(header.stamp, until_ns)
-            self._publish(header)
+            self._publish(Header(stamp=to_time(until_ns), frame_id=self._name))
 
     def hear(self, message: Header) -> None:
         """Take the promise of another node."""

@@ -24,11 +24,11 @@ from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.messages.topics import (
     DIAGNOSTICS,
-    EVERY,
     KEPT_STREAM,
     LOCKSTEP_HORIZON,
     NEWEST,
     SETTINGS,
+    STREAM,
     Qos,
     Topic,
 )
@@ -160,7 +160,7 @@ class ManagedNode(LifecycleNode):
     @property
     def stream_qos(self) -> Qos:
         """What to request for joint states and commands: the newest, or in lockstep every one."""
-        return EVERY if self.lockstep else NEWEST
+        return STREAM if self.lockstep else NEWEST
 
     def make_lockstep(self, after: Sequence[str] = ()) -> Lockstep:
         """The node's side of lockstep, which also waits for nodes named in `after`; in real time it does nothing."""
@@ -197,9 +197,9 @@ class ManagedNode(LifecycleNode):
             finally:
                 lockstep.done(stamp_ns)
 
-        self.inbox.add(LOCKSTEP_HORIZON, lockstep.hear, EVERY)
+        self.inbox.add(LOCKSTEP_HORIZON, lockstep.hear, STREAM)
         ready = lambda data: self._stop.is_set() or lockstep.may_handle(stamp_in(data))  # noqa: E731
-        self.inbox.add(topic, take, EVERY, serialized=True, ready=ready)
+        self.inbox.add(topic, take, STREAM, serialized=True, ready=ready)
 
     def log_intake(self, topic: Topic) -> IntakeLog:
         """Record from now on, for bags, what the inbox handles."""

@@ -13,7 +13,7 @@ from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.diagnostics import to_status, to_stop_state
+from contact_reach_ros.messages.conversions import to_status, to_stop_state
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module

@@ -6,14 +6,14 @@ import types
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped, Vector3
 from rclpy.serialization import serialize_message
 from stack_helpers import hand_in, ros
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm.kinematics import rotation_about
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_marker, to_point, to_quaternion, to_time, to_transform
+from contact_reach_ros.messages.conversions import to_marker, to_point, to_quaternion, to_time
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
 from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.messages.values import quaternion, vector
@@ -39,7 +39,11 @@ class Buffer:
     def lookup_transform(self, target, source, time):
         if (target, source) != (ARM.base_frame, CAMERA) or time.nanoseconds not in (0, SEEN_NS):
             raise TransformError(f'"{source}" does not exist. ')
-        return TransformStamped(transform=to_transform(ORIGIN, TURN))
+        return TransformStamped(
+            transform=Transform(
+                translation=Vector3(**dict(zip("xyz", ORIGIN.tolist(), strict=True))), rotation=to_quaternion(TURN)
+            )
+        )
 
 
 @pytest.fixture

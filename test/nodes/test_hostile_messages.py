@@ -37,8 +37,8 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import set_time, to_goal_pose
-from contact_reach_ros.messages.plan_messages import PlanMarkers, to_references
+from contact_reach_ros.messages.conversions import to_goal_pose, to_time
+from contact_reach_ros.messages.plan_messages import to_markers, to_references
 from contact_reach_ros.nodes import planner as planner_module
 from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -101,7 +101,7 @@ def joint_state(stamp_ns):
         effort=MODEL.gravity_at(HOME).tolist(),
     )
     message.header.frame_id = ARM.base_frame
-    set_time(message.header.stamp, stamp_ns)
+    message.header.stamp = to_time(stamp_ns)
     return message
 
 
@@ -147,7 +147,7 @@ def contacts():
 
 
 def plan_markers():
-    shown = PlanMarkers(ARM, 5.0).show(still(START_NS))
+    shown = to_markers(still(START_NS), ARM)
     # A path, and of the other kinds one each.
     kinds = {marker.ns: marker for marker in shown.markers}
     return MarkerArray(markers=list(kinds.values()))
@@ -171,8 +171,8 @@ def plan_statistics():
 VALID = {
     topics.JOINT_STATES: lambda: joint_state(START_NS),
     topics.COMMANDS: lambda: Float64MultiArray(data=[1.0] * 7),
-    topics.REFERENCE_POSE: lambda: to_references(still(START_NS + 10_000_000), ARM).poses,
-    topics.REFERENCE_POSTURE: lambda: to_references(still(START_NS + 10_000_000), ARM).postures,
+    topics.REFERENCE_POSE: lambda: to_references(still(START_NS + 10_000_000), ARM)[0],
+    topics.REFERENCE_POSTURE: lambda: to_references(still(START_NS + 10_000_000), ARM)[1],
     topics.SAFETY_STATE: safety_state,
     topics.LOCKSTEP_HORIZON: lambda: Header(frame_id="observer"),
     topics.GOAL_POSE: goal,

@@ -1,20 +1,17 @@
-"""A plan's picture: paths, the arm at its end, and the contact forces where they are expected."""
+"""A plan's picture: paths, and the contact forces where they are expected."""
 
 import numpy as np
-import pytest
 from arm_simulation import ARM, HOME
 from plans import make_plan
 from visualization_msgs.msg import Marker
 
-from contact_reach_ros.arm.kinematics import link_frames, rotation_from_quaternion
+from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.messages.plan_messages import PlanMarkers
+from contact_reach_ros.messages.plan_messages import to_markers
 from contact_reach_ros.messages.plan_reader import read_plan
-from contact_reach_ros.messages.values import quaternion, vector
+from contact_reach_ros.messages.values import vector
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.world.collision import capsule_segments
-
-PERMITTED = 10.0
 
 
 def bent_plan(forces: dict[tuple[int, int], float] | None = None) -> Plan:
@@ -47,7 +44,7 @@ def points(marker: Marker) -> np.ndarray:
 
 def test_paths_run_along_flange_and_elbow():
     plan = bent_plan()
-    markers = by_name(PlanMarkers(ARM, PERMITTED).show(plan))
+    markers = by_name(to_markers(plan, ARM))
     np.testing.assert_allclose(points(markers["flange", 0]), plan.predicted_positions, rtol=0, atol=1e-12)
     elbows = [link_frames(ARM, q)[1][3] for q in plan.predicted_q]
     np.testing.assert_allclose(points(markers["elbow", 0]), elbows, rtol=0, atol=1e-12)
@@ -57,37 +54,20 @@ def test_paths_run_along_flange_and_elbow():
         assert (marker.header.stamp.sec, marker.header.stamp.nanosec) == (5, 7)
 
 
-def test_the_arm_stands_where_the_plan_ends():
-    plan = bent_plan()
-    markers = by_name(PlanMarkers(ARM, PERMITTED).show(plan))
-    starts, ends = capsule_segments(ARM, plan.predicted_q[-1])
-    for index, capsule in enumerate(ARM.capsules):
-        marker = markers["arm", index]
-        x, y, z, w = quaternion(marker.pose.orientation)
-        half = 0.5 * marker.scale.z * rotation_from_quaternion((w, x, y, z))[:, 2]
-        middle = vector(marker.pose.position)
-        np.testing.assert_allclose(middle - half, starts[index], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(middle + half, ends[index], rtol=0, atol=1e-9)
-        assert marker.scale.x == marker.scale.y == pytest.approx(2 * capsule.radius)
-
-
 def test_a_force_is_told_where_the_link_is_when_it_is_largest():
     plan = bent_plan({(0, 2): 1.0, (1, 2): 7.26, (2, 2): 3.0})
-    markers = by_name(PlanMarkers(ARM, PERMITTED).show(plan))
+    markers = by_name(to_markers(plan, ARM))
     texts = {name: marker for name, marker in markers.items() if name[0] == "contact"}
     (((_, link), text),) = texts.items()
     assert link == ARM.capsules[2].link
     assert text.text == "7.3 N" and text.type == Marker.TEXT_VIEW_FACING
     starts, ends = capsule_segments(ARM, plan.predicted_q[2])
     np.testing.assert_allclose(vector(text.pose.position), (starts[2] + ends[2]) / 2, rtol=0, atol=1e-12)
-    # The link is redder than those without contact.
-    assert markers["arm", 2].color.r > markers["arm", 0].color.r
 
 
 def test_each_message_replaces_what_was_shown_before():
-    picture = PlanMarkers(ARM, PERMITTED)
-    first = picture.show(bent_plan({(0, 1): 2.0})).markers
+    first = to_markers(bent_plan({(0, 1): 2.0}), ARM).markers
     assert [marker.action for marker in first] == [Marker.DELETEALL, *[Marker.ADD] * (len(first) - 1)]
-    (marker,) = picture.clear().markers
+    (marker,) = to_markers(None, ARM).markers
     assert marker.action == Marker.DELETEALL
-    assert read_plan(picture.clear()) is None and read_plan(picture.show(bent_plan())) is not None
+    assert read_plan(to_markers(None, ARM)) is None and read_plan(to_markers(bent_plan(), ARM)) is not None

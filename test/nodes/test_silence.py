@@ -15,7 +15,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import set_time
+from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.messages.safety_state import DISTRUST
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
 from contact_reach_ros.messages.values import nanoseconds
@@ -71,7 +71,7 @@ class Others:
         self._publishers[topics.SAFETY_STATE.name].publish(DiagnosticStatus(level=level, name="observer", message=stop))
         for name in ("observer", "planner"):
             header = Header(frame_id=name)
-            set_time(header.stamp, (done + 1) * TICK_NS)
+            header.stamp = to_time((done + 1) * TICK_NS)
             self._publishers[topics.LOCKSTEP_HORIZON.name].publish(header)
 
 

@@ -146,9 +146,5 @@ def test_a_full_batch_waits_for_a_good_moment_but_nothing_is_lost() -> None:
     for number in range(BATCH, 3 * BATCH):
         log.add(Taken.JOINT_STATES, number, number)
     log.flush()
-    firsts, sent = [], []
-    for first, *values in rows(batches):
-        firsts.append(first)
-        sent += values[1 :: len(COLUMNS)]
-    assert firsts[0] == 0 and len(firsts) == 3
-    assert sent == list(range(3 * BATCH))
+    ((first, *values),) = rows(batches)
+    assert first == 0 and values[1 :: len(COLUMNS)] == list(range(3 * BATCH))
