@@ -105,7 +105,7 @@ class TorqueObjective(Objective):
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model without the laws under the actions, knot by knot."""
         start = self.start(problem, actions.shape[-1])
-        pose = pipeline.tip_pose(self.system, start)
+        pose = pipeline.tip_pose(self.system, start.q)
 
         def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
             state, link_force = self.advance(state, action)

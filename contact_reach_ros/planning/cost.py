@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,13 +26,15 @@ from contact_reach_ros.planning.transfer.lanes import make_keep, single
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, State, System
 
+Step = Callable[[Any, Reference], Any]
+Carry = tuple[Any, Pose, Reference | None]
+
 
 @dataclass(frozen=True, eq=False)
 class Objective:
     """Cost (5) over H knots of a system in closed loop.
 
-    Another transfer function T is a subclass that overrides `roll_out`, and `integration_steps` if it takes more steps;
-    the terms depend on nothing else of it.
+    Another transfer function T is a subclass that overrides `transfer`; the terms depend on nothing else of it.
     """
 
     system: System
@@ -39,43 +44,18 @@ class Objective:
     posture: jax.Array | None = field(default=None, kw_only=True)
     """(n, 1) q_d of law (6), or None to pull the joints by the actions' Δq."""
 
-    @property
-    def integration_steps(self) -> int:
-        """Steps that the transfer model takes over the horizon."""
-        return self.horizon * self.substeps
-
     def cost(self, problem: Problem, actions: jax.Array) -> jax.Array:
         """Cost (B,) of the actions (H, 6 + n, B)."""
         return sum(self.terms(problem, actions, self.roll_out(problem, actions)).values(), start=jnp.zeros(()))
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model under the actions (H, 6 + n, B), knot by knot."""
-        lanes = actions.shape[-1]
-        start = self.start(problem, lanes)
-        pose = pipeline.tip_pose(self.system, start)
-        before = self.before(problem, start.q, pose)
-
-        def knot(carry: tuple[State, Pose, Reference | None], action: jax.Array) -> tuple[tuple, tuple]:
-            state, pose, before = carry
-            reference = self.latch(state.q, state.qd, pose, action)
-
-            def substep(state: State, share: jax.Array | None) -> tuple[State, tuple[jax.Array, jax.Array]]:
-                state = pipeline.step(self.system, state, on_the_way(before, reference, share))
-                return state, (state.link_force, self.measure(state.link_force))
-
-            state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
-            pose, capsules = self.end_of_knot(problem, state.q)
-            before = self.reached(before, reference)
-            return (state, pose, before), (
-                state.q,
-                pose,
-                reference,
-                link_force.max(axis=0),
-                contact.max(axis=0),
-                capsules,
-            )
-
-        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, (start, pose, before), actions)
+        start, step = self.transfer(problem, actions.shape[-1])
+        pose = pipeline.tip_pose(self.system, start.q)
+        carry = start, pose, self.before(problem, start.q, pose)
+        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(
+            functools.partial(self.knot, problem, step), carry, actions
+        )
         return Rollout(
             q=jnp.concatenate([start.q[None], q]),
             pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
@@ -84,6 +64,30 @@ class Objective:
             contact=contact,
             capsules=capsules,
         )
+
+    def transfer(self, problem: Problem, lanes: int) -> tuple[Any, Step]:
+        """The state that a problem starts from, in each lane, and what advances it by a step under a reference.
+
+        A state has at least `q`, `qd` and `link_force` of `pipeline.State`.
+        """
+        return self.start(problem, lanes), functools.partial(pipeline.step, self.system)
+
+    def knot(self, problem: Problem, step: Step, carry: Carry, action: jax.Array) -> tuple[Carry, tuple]:
+        """The end of a knot under an action (6 + n, B), and what a `Rollout` has of the knot.
+
+        `carry` has the state, the pose and the reference in force.
+        """
+        state, pose, before = carry
+        reference = self.latch(state.q, state.qd, pose, action)
+
+        def substep(state: Any, share: jax.Array | None) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+            state = step(state, on_the_way(before, reference, share))
+            return state, (state.link_force, self.measure(state.link_force))
+
+        state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
+        pose, capsules = self.end_of_knot(problem, state.q)
+        carry = state, pose, self.reached(before, reference)
+        return carry, (state.q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
 
     def start(self, problem: Problem, lanes: int) -> State:
         """The state that a problem starts from, in each lane."""
@@ -143,7 +147,7 @@ class Objective:
         """
         if self.ramp:
             q = q + 0.5 * self.ramp * v
-            pose = pipeline.tip_pose(self.system, pipeline.init(self.system, q, v))
+            pose = pipeline.tip_pose(self.system, q)
         reference = pipeline.latch(self.system, q, pose, action)
         if self.posture is None:
             return reference
@@ -186,7 +190,7 @@ def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSetting
     if settings.pipeline == "closed_loop":
         return Objective(*arguments, posture=posture)
     # Brax's own pipeline is for comparison, and slow to import.
-    from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective
+    from contact_reach_ros.planning.brax_env import BraxObjective
 
     return BraxObjective(*arguments, arm, posture=posture)
 

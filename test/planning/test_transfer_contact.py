@@ -71,7 +71,7 @@ def settled(obstacles: Obstacles) -> pipeline.State:
     @jax.jit
     def settle(q: jax.Array) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(system, state.q, pipeline.tip_pose(system, state), jnp.zeros((system.action_size, 1)))
+        held = pipeline.latch(system, state.q, pipeline.tip_pose(system, state.q), jnp.zeros((system.action_size, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
     return settle(jnp.asarray(HOME)[:, None])

@@ -72,9 +72,9 @@ class Pose(NamedTuple):
     """(3, 3, B), indexed [row, column]."""
 
 
-def tip_pose(sys: System, state: State) -> Pose:
-    """Flange pose in this state."""
-    frames = link_frames(sys.arm, state.q, make_keep(state.q))
+def tip_pose(sys: System, q: jax.Array) -> Pose:
+    """Flange pose at joint angles `q` (n, B)."""
+    frames = link_frames(sys.arm, q, make_keep(q))
     return Pose(frames.flange, frames.flange_rotation)
 
 
