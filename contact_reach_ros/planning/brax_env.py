@@ -50,12 +50,11 @@ from contact_reach_ros.planning.obstacles import ObstacleReader, nearest_bodies
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, Problem, Rollout, term_weights, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.closed_loop import Reference, joint_acceleration
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, capsule_segments, flange_drift, link_frames
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep, single
 from contact_reach_ros.planning.transfer.model import ArmModel, arm_model, load_system
-from contact_reach_ros.planning.transfer.pipeline import Pose
+from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, joint_acceleration
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
@@ -129,7 +128,25 @@ class _World(NamedTuple):
             amplitudes = obstacles.amplitudes
             stiffness, damping = amplitudes.T @ (obstacles.rates[:, None] * amplitudes), amplitudes.T @ amplitudes
             mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
-            system = _with_spheres(system, obstacles, mass, objective.system.contact_stiffness)
+            link = system.link
+            # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid has
+            # four edges that share the normal force.
+            pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
+            scale = (1.0 - _IMPEDANCE) * pyramid / mass
+            solref = jnp.stack([-objective.system.contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
+            spheres = jnp.flatnonzero(np.asarray(system.geom_type) == _SPHERE, size=count)
+            system = system.tree_replace(
+                {
+                    "link.transform.pos": jnp.asarray(link.transform.pos).at[:count].set(obstacles.rest[:, :, 0].T),
+                    "link.inertia.mass": jnp.asarray(link.inertia.mass).at[:count].set(mass),
+                    "link.invweight": jnp.zeros_like(link.invweight).at[:count].set(1.0 / mass),
+                    "geom_size": jnp.asarray(system.geom_size).at[spheres, 0].set(obstacles.radius[:, 0]),
+                    # Of two geometries, MuJoCo takes the smaller reference, the larger friction and the mean impedance.
+                    "geom_solref": jnp.asarray(system.geom_solref).at[spheres].set(solref),
+                    "geom_friction": jnp.asarray(system.geom_friction).at[:, 0].set(_FRICTION),
+                    "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
+                }
+            )
         return cls(system, arm_model(objective.table), objective.system.gains, obstacles, stiffness, mass)
 
     def init(self, q: jax.Array, v: jax.Array) -> _Motion:
@@ -163,18 +180,8 @@ class _World(NamedTuple):
         timestep, lanes = self.system.opt.timestep, len(state.q)
         # C of each candidate by Brax's own inverse dynamics.
         bias = jax.vmap(brax_dynamics.inverse, in_axes=(None, 0))(self.system, state)[:, -self.arm.n :]
-        torque = self.law_torque(*self.joints(state), reference).T + bias
-        displacement, velocity = self.spheres(state)
-        restoring = -jnp.einsum("ij,bjk->bik", self.stiffness, displacement)
-        force = restoring - self.mass[:, None] / timestep * velocity
-        act = jnp.concatenate([force.reshape(lanes, -1), torque], axis=1)
-        state = jax.vmap(brax_pipeline.step, in_axes=(None, 0, 0))(self.system, state, act)
-        velocity = self.spheres(state)[1]
-        return state, self.mass[:, None] / timestep * velocity - restoring
-
-    def law_torque(self, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
-        """τ of law (3) without its C + g, (n, B), N m, at joint angles and speeds (n, B)."""
-        arm, keep = self.arm, make_keep(q)
+        arm, (q, v) = self.arm, self.joints(state)
+        keep = make_keep(q)
         frames = link_frames(arm, q, keep)
         dynamics = arm_dynamics(arm, frames, keep)
         drift = flange_drift(frames, v, keep)
@@ -185,7 +192,14 @@ class _World(NamedTuple):
             sum(mass_matrix[min(row, column), max(row, column)] * acceleration[column] for column in range(arm.n))
             for row in range(arm.n)
         ]
-        return jnp.stack(rows)
+        torque = jnp.stack(rows).T + bias
+        displacement, velocity = self.spheres(state)
+        restoring = -jnp.einsum("ij,bjk->bik", self.stiffness, displacement)
+        force = restoring - self.mass[:, None] / timestep * velocity
+        act = jnp.concatenate([force.reshape(lanes, -1), torque], axis=1)
+        state = jax.vmap(brax_pipeline.step, in_axes=(None, 0, 0))(self.system, state, act)
+        velocity = self.spheres(state)[1]
+        return state, self.mass[:, None] / timestep * velocity - restoring
 
     def link_force(self, state: BraxState, force: jax.Array) -> jax.Array:
         """Force (L, B) on each of the arm's `contact_links` from the forces (B, K, 3) on the spheres, N."""
@@ -195,7 +209,7 @@ class _World(NamedTuple):
         q, _ = self.joints(state)
         displacement, _ = self.spheres(state)
         start, segment = (
-            points[:, :, None] for points in capsule_segments(self.arm, link_frames(self.arm, q, make_keep(q)))
+            points[:, :, None] for points in place_capsules(self.arm, link_frames(self.arm, q, make_keep(q)))
         )
         to_sphere = (self.obstacles.rest + displacement.T)[:, None] - start
         share = jnp.clip(dot(to_sphere, segment) / dot(segment, segment), 0.0, 1.0)
@@ -239,30 +253,6 @@ def _sphere_body(index: int, rest: Iterable[float] = (0.0, 0.0, 0.0), radius: fl
     return body
 
 
-def _with_spheres(system: brax.System, obstacles: Obstacles, mass: jax.Array, contact_stiffness: float) -> brax.System:
-    """Put the spheres of a problem into a system: positions, sizes, masses and the stiffness of contact with them."""
-    count = len(mass)
-    link = system.link
-    # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid has four
-    # edges that share the normal force.
-    pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
-    scale = (1.0 - _IMPEDANCE) * pyramid / mass
-    solref = jnp.stack([-contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
-    spheres = jnp.flatnonzero(np.asarray(system.geom_type) == _SPHERE, size=count)
-    return system.tree_replace(
-        {
-            "link.transform.pos": jnp.asarray(link.transform.pos).at[:count].set(obstacles.rest[:, :, 0].T),
-            "link.inertia.mass": jnp.asarray(link.inertia.mass).at[:count].set(mass),
-            "link.invweight": jnp.zeros_like(link.invweight).at[:count].set(1.0 / mass),
-            "geom_size": jnp.asarray(system.geom_size).at[spheres, 0].set(obstacles.radius[:, 0]),
-            # Of two geometries, MuJoCo takes the smaller reference, the larger friction and the mean impedance.
-            "geom_solref": jnp.asarray(system.geom_solref).at[spheres].set(solref),
-            "geom_friction": jnp.asarray(system.geom_friction).at[:, 0].set(_FRICTION),
-            "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
-        }
-    )
-
-
 @struct.dataclass
 class State(base.State):
     """Brax's state, and what the laws remember, with one lane."""
@@ -297,9 +287,9 @@ class ClosedLoop:
         self.objective = objective
         self._problem = problem
         self._sys = sys
-        ranges = list(zip(sys.link_types, sys.dof_ranges(), strict=True))
-        hinges, sliders = ([dof for kind, dofs in ranges if kind == own for dof in dofs] for own in "13")
-        self.hinges, self._sliders = np.array(hinges, int), np.array(sliders, int)
+        # The spheres come first.
+        sliders = sys.qd_size() - objective.system.arm.n
+        self.hinges, self._sliders = slice(sliders, None), slice(sliders)
 
     def init(
         self,
@@ -328,7 +318,7 @@ class ClosedLoop:
         hold = Reference(pose.position, pose.rotation, joints)
         x, xd = kinematics.forward(sys, q, qd)
         none = jnp.zeros((len(system.arm.contact_links), 1), q.dtype)
-        return State(q, qd, x, xd, None, before, hold, none, self.objective.measure(none))
+        return State(q, qd, x, xd, None, before, hold, none, none.max(axis=0))
 
     def step(self, sys: brax.System, state: State, act: jax.Array, debug: bool = False) -> State:
         """One knot under the action {Δx, Δq} (6 + n,), m and rad; spheres then have their mean velocity."""
@@ -410,7 +400,7 @@ class ContactReach(PipelineEnv):
     def reset(self, rng: jax.Array) -> EpisodeState:
         """The start of the scene, at rest."""
         hinges = self._loop.hinges
-        noise = jax.random.uniform(rng, (len(hinges),), minval=-self._spread, maxval=self._spread)
+        noise = jax.random.uniform(rng, self._problem.q.shape[:1], minval=-self._spread, maxval=self._spread)
         pipeline_state = self.pipeline_init(self._start.at[hinges].add(noise), jnp.zeros(self.sys.qd_size()))
         start, zero = pipeline_state.reference.position, jnp.zeros(())
         metrics = dict.fromkeys((*self._problem.weights, "distance", "contact_force"), zero)

@@ -18,13 +18,10 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.clearance import Capsules, place_capsules
-from contact_reach_ros.planning.transfer.closed_loop import N_TASK
-from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.dynamics import link_frames
+from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import make_keep, single
 from contact_reach_ros.planning.transfer.model import arm_model
-from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, State, System
+from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
 
 Step = Callable[[Any, Reference], Any]
 Carry = tuple[Any, Pose, Reference | None]
@@ -70,7 +67,12 @@ class Objective:
 
         A state has at least `q`, `qd` and `link_force` of `pipeline.State`.
         """
-        return self.start(problem, lanes), functools.partial(pipeline.step, self.system)
+        obstacles = problem.obstacles
+        if obstacles is not None:
+            # Only the centres, which move, need one array per lane.
+            obstacles = obstacles._replace(center=_spread(obstacles.center, lanes))
+        start = pipeline.init(self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), obstacles)
+        return start, functools.partial(pipeline.step, self.system)
 
     def knot(self, problem: Problem, step: Step, carry: Carry, action: jax.Array) -> tuple[Carry, tuple]:
         """The end of a knot under an action (6 + n, B), and what a `Rollout` has of the knot.
@@ -82,18 +84,15 @@ class Objective:
 
         def substep(state: Any, share: jax.Array | None) -> tuple[Any, tuple[jax.Array, jax.Array]]:
             state = step(state, on_the_way(before, reference, share))
-            return state, (state.link_force, self.measure(state.link_force))
+            return state, (state.link_force, state.link_force.max(axis=0))
 
         state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
         pose, capsules = self.end_of_knot(problem, state.q)
-        carry = state, pose, self.reached(before, reference)
-        return carry, (state.q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
-
-    def start(self, problem: Problem, lanes: int) -> State:
-        """The state that a problem starts from, in each lane."""
-        return pipeline.init(
-            self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), _obstacles(problem.obstacles, lanes)
-        )
+        reached = None
+        if before is not None:
+            way = min(1.0, self.substeps * float(self.system.timestep) / self.ramp)
+            reached = reference if way == 1.0 else on_the_way(before, reference, way)
+        return (state, pose, reached), (state.q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
 
     @property
     def ramp(self) -> float:
@@ -118,13 +117,6 @@ class Objective:
         ends = np.arange(self.substeps + 1) * float(self.system.timestep) / self.ramp
         integrals = np.where(ends < 1.0, 0.5 * ends**2, ends - 0.5)
         return jnp.asarray(np.diff(integrals) / ends[1], jnp.float32)
-
-    def reached(self, before: Reference | None, reference: Reference) -> Reference | None:
-        """The reference in force at the end of a knot; None if it steps."""
-        if before is None:
-            return None
-        share = min(1.0, self.substeps * float(self.system.timestep) / self.ramp)
-        return reference if share == 1.0 else on_the_way(before, reference, share)
 
     def end_of_knot(self, problem: Problem, q: jax.Array) -> tuple[Pose, Capsules | None]:
         """Flange pose, and the capsules where a term needs them, at joint angles `q` (n, B)."""
@@ -153,10 +145,6 @@ class Objective:
             return reference
         return reference._replace(posture=_spread(self.posture, action.shape[-1]))
 
-    def measure(self, link_force: jax.Array) -> jax.Array:
-        """contact(·) (B,) of the forces (L, B) on the links."""
-        return link_force.max(axis=0)
-
 
 def on_the_way(before: Reference | None, reference: Reference, share: Number | None) -> Reference:
     """The reference at a share of the way from the one before; rotations are as close as needed for small turns."""
@@ -167,11 +155,6 @@ def on_the_way(before: Reference | None, reference: Reference, share: Number | N
 
 def _spread(array: jax.Array, lanes: int) -> jax.Array:
     return jnp.broadcast_to(array, (*array.shape[:-1], lanes))
-
-
-def _obstacles(obstacles: Obstacles | None, lanes: int) -> Obstacles | None:
-    """The same obstacles in every lane; only the centres, which move, need one array per lane."""
-    return None if obstacles is None else obstacles._replace(center=_spread(obstacles.center, lanes))
 
 
 SIGMA = 0.3

@@ -14,7 +14,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
 from contact_reach_ros.planning.prediction import hold_at
 from contact_reach_ros.planning.terms import Problem
-from contact_reach_ros.planning.transfer.closed_loop import Reference
+from contact_reach_ros.planning.transfer.pipeline import Reference
 from contact_reach_ros.scenes.generate import load_scene
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
