@@ -129,8 +129,8 @@ class _World(NamedTuple):
             stiffness, damping = amplitudes.T @ (obstacles.rates[:, None] * amplitudes), amplitudes.T @ amplitudes
             mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
             link = system.link
-            # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid has
-            # four edges that share the normal force.
+            # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid
+            # has four edges that share the normal force.
             pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
             scale = (1.0 - _IMPEDANCE) * pyramid / mass
             solref = jnp.stack([-objective.system.contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
