@@ -13,8 +13,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import nearest_bodies
-from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion, place_capsules
-from contact_reach_ros.planning.transfer.dynamics import capsule_segments, link_frames
+from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
+from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import dot, make_keep, single
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.collision import nearest
@@ -129,7 +129,7 @@ def distances(table: Arm, postures: jax.Array, centers: jax.Array, radii: jax.Ar
     arm = arm_model(table)
     keep = make_keep(postures)
     frames = link_frames(arm, postures, keep)
-    start, segment = (keep(points) for points in capsule_segments(arm, frames))
+    start, segment = (keep(points) for points in place_capsules(arm, frames))
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
     to_sphere = centers[:, None] - start[:, :, None]
     share = jnp.clip(dot(to_sphere, segment[:, :, None]) * inverse_square, 0.0, 1.0)

@@ -36,11 +36,10 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.solver import Solution
 from contact_reach_ros.planning.terms import Problem, Rollout
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.closed_loop import Reference, driven_acceleration
 from contact_reach_ros.planning.transfer.contact import contact_step
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep
-from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, State, System
+from contact_reach_ros.planning.transfer.dynamics import Dynamics, arm_dynamics, link_frames
+from contact_reach_ros.planning.transfer.lanes import make_keep, ratio
+from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, Reference, State, System, factorise_mass
 from contact_reach_ros.timing import PERIOD
 
 SIGMA = 0.05
@@ -93,9 +92,22 @@ def torque_step(system: System, state: State, act: HeldTorque) -> State:
         torque = torque - act.damping * state.qd
         added = timestep * act.damping[:, None] * np.eye(state.q.shape[0])[:, :, None]
         dynamics = dynamics._replace(mass_matrix=dynamics.mass_matrix + added)
-    acceleration = driven_acceleration(dynamics, torque)
+    acceleration = _driven_acceleration(dynamics, torque)
     qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
     return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
+
+
+def _driven_acceleration(dynamics: Dynamics, torque: jax.Array) -> jax.Array:
+    """Joint acceleration M⁻¹ τ (n, B) under joint torques beyond C + g (n, B), without any control law."""
+    factor, solved, pivots = factorise_mass(dynamics.mass_matrix, torque[None])
+    n = len(torque)
+    acceleration: list[jax.Array] = [torque[0]] * n
+    for joint in reversed(range(n)):
+        total = solved[joint][0]
+        for later in range(joint + 1, n):
+            total = total - factor[joint][later - joint] * acceleration[later]
+        acceleration[joint] = ratio(total, pivots[joint])
+    return jnp.stack(acceleration)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +116,13 @@ class TorqueObjective(Objective):
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model without the laws under the actions, knot by knot."""
-        start = self.start(problem, actions.shape[-1])
-        pose = pipeline.tip_pose(self.system, start)
+        start, _ = self.transfer(problem, actions.shape[-1])
+        pose = pipeline.tip_pose(self.system, start.q)
 
         def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
             state, link_force = self.advance(state, action)
             pose, capsules = self.end_of_knot(problem, state.q)
-            contact = jax.vmap(self.measure)(link_force)
+            contact = link_force.max(axis=1)
             return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0), capsules)
 
         _, (q, poses, link_force, contact, capsules) = jax.lax.scan(knot, start, actions)

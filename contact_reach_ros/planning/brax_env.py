@@ -1,66 +1,277 @@
-"""The closed loop in Brax's own terms: as a pipeline, and as the environment `contact_reach`.
+"""Brax as an interface and as a transfer function: the environment `contact_reach`, and the pipeline `generalized`.
 
-The environment has a scene, law (3) inside, and cost (5) as negative reward.
+The environment has a scene, law (3) inside, and cost (5) as negative reward. Its pipeline is the closed loop of the
+planner. Importing this module makes it known to `brax.envs.get_environment`.
 
-Importing this module makes the environment known to `brax.envs.get_environment`.
+`BraxObjective` rolls the same problem out by Brax's own pipeline, for comparison. The arm and the obstacle spheres are
+bodies of a Brax system. The laws (1)-(3) are computed from its state and act on it as joint torques, `_TORQUES` times
+per step of this package's own pipeline. Gravity, which the laws cancel on the arm and the springs carry on the spheres,
+is left out. The laws are computed for all candidates at once by this package's own fast code: the comparison is about
+the physics.
+
+A sphere moves on three sliders. Springs, dampers and edges act on these as actuator forces. As in this package's own
+pipeline, spheres have no mass of their own; the body that Brax moves has the mass m = dt (damping + dt stiffness), with
+which Brax's explicit step becomes the implicit one of the sphere without mass.
+
+Contact is soft, after MuJoCo's model, with the planner's stiffness. Its solver takes time with the square of the
+constraints, for each step and candidate: only the deepest contacts count, and joints have no stops, as in this
+package's own pipeline. Brax returns no contact forces. Here a sphere's contact force is the one that its spring, damper
+and edges need for its motion; it is attributed to the nearest link.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Iterable
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement
 
 import brax
 import jax
 import jax.numpy as jnp
 import numpy as np
 from brax import base, envs, kinematics
+from brax.base import Actuator
 from brax.envs.base import PipelineEnv
 from brax.envs.base import State as EpisodeState
+from brax.generalized import dynamics as brax_dynamics
+from brax.generalized import pipeline as brax_pipeline
+from brax.generalized.base import State as BraxState
 from flax import struct
 
-from contact_reach_ros.arm.mjcf import build_mjcf
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf, numbers
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.planning.cost import Objective, knot_bounds, make_objective, on_the_way, planned
+from contact_reach_ros.planning.cost import Objective, Step, knot_bounds, make_objective, planned
 from contact_reach_ros.planning.obstacles import ObstacleReader, nearest_bodies
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, Problem, Rollout, term_weights, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.brax_generalized import sphere_body
-from contact_reach_ros.planning.transfer.closed_loop import Reference
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.transfer.model import load_system
-from contact_reach_ros.planning.transfer.pipeline import Pose
+from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames, place_capsules
+from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep, single
+from contact_reach_ros.planning.transfer.model import ArmModel, arm_model, load_system
+from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, joint_acceleration
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 
 NAME = "contact_reach"
 
+_SPHERE = 2
+"""MuJoCo's number of this type of geometry."""
+
+_TORQUES = 2
+"""Steps of Brax, with a torque each, per step of this package's own pipeline, 25 ms at the defaults."""
+
+_CONTACTS = 2
+"""Of each sphere, on the average: those that are deepest among all. Without a bound each capsule adds one."""
+
+_IMPEDANCE = 0.9
+_FRICTION = 0.2
+_CONTACT_DAMPING = 10.0
+"""N s/m."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BraxObjective(Objective):
+    """Cost (5) over Brax's own pipeline."""
+
+    table: Arm
+    """The arm whose MJCF Brax loads, with spheres."""
+
+    def transfer(self, problem: Problem, lanes: int) -> tuple[_Motion, Step]:
+        """The start in each lane, and Brax's steps under the laws."""
+        world = _World.of(self, problem.obstacles)
+        return world.init(
+            *(jnp.broadcast_to(part, (world.arm.n, lanes)) for part in (problem.q, problem.v))
+        ), world.step
+
+
+class _Motion(NamedTuple):
+    """State of Brax, and what `Objective` reads of a state."""
+
+    q: jax.Array
+    """(n, B), rad."""
+    qd: jax.Array
+    """(n, B), rad/s."""
+    link_force: jax.Array
+    """(L, B) mean force in the last step on each of the arm's `contact_links`, N."""
+    physics: BraxState
+
+
+class _World(NamedTuple):
+    """Arm and spheres in Brax, all candidates side by side: Brax's arrays have them on the first axis."""
+
+    system: brax.System
+    arm: ArmModel
+    """The arm that the laws use."""
+    gains: ImpedanceSettings
+    obstacles: Obstacles | None
+    stiffness: jax.Array
+    """(K, K) of the springs and edges, N/m."""
+    mass: jax.Array
+    """(K,) of the bodies that stand for the spheres, kg."""
+
+    @classmethod
+    def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
+        count = 0 if obstacles is None else obstacles.radius.shape[0]
+        system = _load(count, objective.table)
+        timestep = objective.system.timestep / _TORQUES
+        system = system.tree_replace({"opt.timestep": timestep})
+        stiffness, mass = jnp.zeros((0, 0)), jnp.zeros(0)
+        if obstacles is not None:
+            # Of the network: L = W⁻ᵀ diag(rates) W⁻¹ and D = W⁻ᵀ W⁻¹.
+            amplitudes = obstacles.amplitudes
+            stiffness, damping = amplitudes.T @ (obstacles.rates[:, None] * amplitudes), amplitudes.T @ amplitudes
+            mass = timestep * (jnp.abs(damping).sum(axis=1) + timestep * jnp.abs(stiffness).sum(axis=1))
+            link = system.link
+            # MuJoCo's soft contact scales its stiffness by the inverse masses and by (1 - d), and a friction pyramid
+            # has four edges that share the normal force.
+            pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
+            scale = (1.0 - _IMPEDANCE) * pyramid / mass
+            solref = jnp.stack([-objective.system.contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
+            spheres = jnp.flatnonzero(np.asarray(system.geom_type) == _SPHERE, size=count)
+            system = system.tree_replace(
+                {
+                    "link.transform.pos": jnp.asarray(link.transform.pos).at[:count].set(obstacles.rest[:, :, 0].T),
+                    "link.inertia.mass": jnp.asarray(link.inertia.mass).at[:count].set(mass),
+                    "link.invweight": jnp.zeros_like(link.invweight).at[:count].set(1.0 / mass),
+                    "geom_size": jnp.asarray(system.geom_size).at[spheres, 0].set(obstacles.radius[:, 0]),
+                    # Of two geometries, MuJoCo takes the smaller reference, the larger friction and the mean impedance.
+                    "geom_solref": jnp.asarray(system.geom_solref).at[spheres].set(solref),
+                    "geom_friction": jnp.asarray(system.geom_friction).at[:, 0].set(_FRICTION),
+                    "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
+                }
+            )
+        return cls(system, arm_model(objective.table), objective.system.gains, obstacles, stiffness, mass)
+
+    def init(self, q: jax.Array, v: jax.Array) -> _Motion:
+        """The start at joint angles and speeds (n, B)."""
+        lanes = q.shape[1]
+        displacement = jnp.zeros((lanes, 0), q.dtype)
+        if self.obstacles is not None:
+            moved = self.obstacles.center - self.obstacles.rest
+            displacement = jnp.broadcast_to(moved, (*moved.shape[:2], lanes)).T.reshape(lanes, -1)
+        positions = jnp.concatenate([displacement, q.T], axis=1)
+        velocities = jnp.concatenate([jnp.zeros_like(displacement), v.T], axis=1)
+        physics = jax.vmap(brax_pipeline.init, in_axes=(None, 0, 0))(self.system, positions, velocities)
+        return _Motion(q, v, jnp.zeros((len(self.arm.contact_links), lanes), q.dtype), physics)
+
+    def step(self, motion: _Motion, reference: Reference) -> _Motion:
+        """Advance by one step of this package's own pipeline under a reference."""
+        physics, forces = jax.lax.scan(lambda state, _: self.advance(state, reference), motion.physics, length=_TORQUES)
+        return _Motion(*self.joints(physics), self.link_force(physics, forces.mean(axis=0)), physics)
+
+    def joints(self, state: BraxState) -> tuple[jax.Array, jax.Array]:
+        """Joint angles, rad, and speeds, rad/s, (n, B) each."""
+        return state.q[:, -self.arm.n :].T, state.qd[:, -self.arm.n :].T
+
+    def spheres(self, state: BraxState) -> tuple[jax.Array, jax.Array]:
+        """Displacements from rest, m, and velocities, m/s, (B, K, 3) each."""
+        shape = (state.q.shape[0], len(self.mass), 3)
+        return state.q[:, : -self.arm.n].reshape(shape), state.qd[:, : -self.arm.n].reshape(shape)
+
+    def advance(self, state: BraxState, reference: Reference) -> tuple[BraxState, jax.Array]:
+        """Advance by one step of Brax; also returns the contact force (B, K, 3) on each sphere, N."""
+        timestep, lanes = self.system.opt.timestep, len(state.q)
+        # C of each candidate by Brax's own inverse dynamics.
+        bias = jax.vmap(brax_dynamics.inverse, in_axes=(None, 0))(self.system, state)[:, -self.arm.n :]
+        arm, (q, v) = self.arm, self.joints(state)
+        keep = make_keep(q)
+        frames = link_frames(arm, q, keep)
+        dynamics = arm_dynamics(arm, frames, keep)
+        drift = flange_drift(frames, v, keep)
+        # Without contact the law makes the arm move as M q̈ = τ − C − g.
+        acceleration = joint_acceleration(self.gains, frames, dynamics, drift, q, v, reference, None, 0.0)
+        mass_matrix = dynamics.mass_matrix
+        rows = [
+            sum(mass_matrix[min(row, column), max(row, column)] * acceleration[column] for column in range(arm.n))
+            for row in range(arm.n)
+        ]
+        torque = jnp.stack(rows).T + bias
+        displacement, velocity = self.spheres(state)
+        restoring = -jnp.einsum("ij,bjk->bik", self.stiffness, displacement)
+        force = restoring - self.mass[:, None] / timestep * velocity
+        act = jnp.concatenate([force.reshape(lanes, -1), torque], axis=1)
+        state = jax.vmap(brax_pipeline.step, in_axes=(None, 0, 0))(self.system, state, act)
+        velocity = self.spheres(state)[1]
+        return state, self.mass[:, None] / timestep * velocity - restoring
+
+    def link_force(self, state: BraxState, force: jax.Array) -> jax.Array:
+        """Force (L, B) on each of the arm's `contact_links` from the forces (B, K, 3) on the spheres, N."""
+        links = len(self.arm.contact_links)
+        if self.obstacles is None:
+            return jnp.zeros((links, len(force)), force.dtype)
+        q, _ = self.joints(state)
+        displacement, _ = self.spheres(state)
+        start, segment = (
+            points[:, :, None] for points in place_capsules(self.arm, link_frames(self.arm, q, make_keep(q)))
+        )
+        to_sphere = (self.obstacles.rest + displacement.T)[:, None] - start
+        share = jnp.clip(dot(to_sphere, segment) / dot(segment, segment), 0.0, 1.0)
+        gap = share[None] * segment - to_sphere
+        # (C, K, B) of the spheres' surfaces from the capsules'.
+        distance = jnp.sqrt(dot(gap, gap) + 1e-12) - self.arm.capsule_radius[:, None, None] - self.obstacles.radius
+        nearest = jax.nn.one_hot(distance.argmin(axis=0), len(distance), axis=0, dtype=force.dtype)
+        size = jnp.sqrt((force**2).sum(axis=2) + 1e-12).T
+        return collect((nearest * size).sum(axis=1)[None], self.arm.capsule_place, links)[0]
+
+
+@functools.cache
+def _load(count: int, arm: Arm) -> brax.System:
+    """A system with `count` spheres."""
+    bodies = [_sphere_body(index) for index in range(count)]
+    contacts = {"max_contact_points": [_CONTACTS * count]} if count else {}
+    system = load_system(build_mjcf(arm, obstacles=bodies, fields=contacts))
+    with jax.ensure_compile_time_eval():
+        every = np.arange(system.qd_size())
+        unlimited = np.tile([-np.inf, np.inf], (len(every), 1))
+        ones, zeros = np.ones(len(every)), np.zeros(len(every))
+        actuator = Actuator(every, every, unlimited, unlimited, ones, ones, zeros, zeros)
+        system = system.replace(actuator=jax.tree.map(jnp.asarray, actuator), gravity=jnp.zeros(3))
+        return system.replace(dof=system.dof.replace(limit=None))
+
+
+def _sphere_body(index: int, rest: Iterable[float] = (0.0, 0.0, 0.0), radius: float = 0.1) -> Element:
+    """A sphere on sliders along x, y and z, at `rest` (3,) and with this radius, m."""
+    body = Element("body", name=f"sphere_{index}", pos=numbers(rest))
+    for axis in ("1 0 0", "0 1 0", "0 0 1"):
+        SubElement(body, "joint", type="slide", axis=axis)
+    SubElement(
+        body,
+        "geom",
+        type="sphere",
+        size=repr(radius),
+        mass="0.1",
+        contype=str(OBSTACLE_CONTACT_TYPE),
+        conaffinity=str(ROBOT_CONTACT_TYPE),
+    )
+    return body
+
 
 @struct.dataclass
 class State(base.State):
-    """Brax's state, and what the laws remember."""
+    """Brax's state, and what the laws remember, with one lane."""
 
-    before: Reference
-    """Reference from which the present one is approached, without lanes."""
+    before: Reference | None
+    """Reference in force; None if it steps."""
     reference: Reference
-    """Reference in force, without lanes."""
-    phase: jax.Array
-    """() steps taken in the present knot."""
+    """That of the last knot."""
     link_force: jax.Array
-    """(L,) largest force in the present knot on each of the arm's links with capsules, N."""
+    """(L, 1) largest force in the last knot on each of the arm's links with capsules, N."""
     contact_force: jax.Array
-    """() contact(·) of (4d): largest value in the present knot, N."""
+    """(1,) contact(·) of (4d): largest value in the last knot, N."""
 
 
 class ClosedLoop:
     """The closed loop as a pipeline for `PipelineEnv`: `init(sys, q, qd)` and `step(sys, state, act)`.
 
-    The action is that of a knot, {Δx, Δq}, which takes effect when the knot begins; law (3) is inside. All arithmetic
-    is that of the planner's rollouts; only the types are Brax's.
+    A step is a knot, and its action {Δx, Δq} is the knot's; law (3) is inside. All arithmetic is that of the planner's
+    rollouts; only the types are Brax's.
 
     Parameters
     ----------
@@ -68,17 +279,17 @@ class ClosedLoop:
         Has the arm, the gains, the contact stiffness, the time step and the steps of a knot.
     sys
         The system that `init` and `step` get: the arm's links, and obstacle spheres on three sliders each.
-    obstacles
-        The spheres at rest, with one lane and their springs and dampers; None without any.
+    problem
+        With the spheres at rest, their springs and dampers; the start counts for nothing.
     """
 
-    def __init__(self, objective: Objective, sys: brax.System, obstacles: Obstacles | None) -> None:
+    def __init__(self, objective: Objective, sys: brax.System, problem: Problem) -> None:
         self.objective = objective
-        self.obstacles = obstacles
+        self._problem = problem
         self._sys = sys
-        ranges = list(zip(sys.link_types, sys.dof_ranges(), strict=True))
-        hinges, sliders = ([dof for kind, dofs in ranges if kind == own for dof in dofs] for own in "13")
-        self.hinges, self._sliders = np.array(hinges, int), np.array(sliders, int)
+        # The spheres come first.
+        sliders = sys.qd_size() - objective.system.arm.n
+        self.hinges, self._sliders = slice(sliders, None), slice(sliders)
 
     def init(
         self,
@@ -101,58 +312,31 @@ class ClosedLoop:
                 "the system is not the one that this pipeline was made for; expected that one, whose fields are "
                 "constants of the compiled program: domains cannot be randomised"
             )
-        system = self.objective.system
-        pose = pipeline.tip_pose(system, self._lanes(q, qd))
-        hold = Reference(pose.position[:, 0], pose.rotation[..., 0], q[self.hinges])
+        system, joints = self.objective.system, q[self.hinges, None]
+        pose = pipeline.tip_pose(system, joints)
+        before = self.objective.before(self._problem, joints, pose)
+        hold = Reference(pose.position, pose.rotation, joints)
         x, xd = kinematics.forward(sys, q, qd)
-        none = jnp.zeros(len(system.arm.contact_links), q.dtype)
-        return State(q, qd, x, xd, None, hold, hold, jnp.zeros((), jnp.int32), none, none.sum())
+        none = jnp.zeros((len(system.arm.contact_links), 1), q.dtype)
+        return State(q, qd, x, xd, None, before, hold, none, none.max(axis=0))
 
     def step(self, sys: brax.System, state: State, act: jax.Array, debug: bool = False) -> State:
-        """One step under the action {Δx, Δq} (6 + n,), m and rad, which a knot reads in its first step."""
-        objective, begins = self.objective, state.phase == 0
-        lanes = self._lanes(state.q, state.qd)
-        pose = pipeline.tip_pose(objective.system, lanes)
-        latched = objective.latch(lanes.q, lanes.qd, pose, act[:, None])
-        reference, before = jax.tree.map(lambda array: array[..., None], (state.reference, state.before))
-        reference = jax.tree.map(lambda new, old: jnp.where(begins, new, old), latched, reference)
-        shares = objective.shares()
-        share = None if shares is None else shares[state.phase]
-        lanes = pipeline.step(objective.system, lanes, on_the_way(before, reference, share))
-        phase = (state.phase + 1) % objective.substeps
-        reached = objective.reached(before if objective.ramp else None, reference) or reference
-        before = jax.tree.map(lambda new, old: jnp.where(phase == 0, new, old), reached, before)
-        q, qd = self._moved(state, lanes)
-        x, xd = kinematics.forward(sys, q, qd)
-        link_force, contact = lanes.link_force[:, 0], objective.measure(lanes.link_force)[0]
-        return State(
-            q,
-            qd,
-            x,
-            xd,
-            None,
-            *jax.tree.map(lambda array: array[..., 0], (before, reference)),
-            phase,
-            jnp.where(begins, link_force, jnp.maximum(link_force, state.link_force)),
-            jnp.where(begins, contact, jnp.maximum(contact, state.contact_force)),
-        )
-
-    def _lanes(self, q: jax.Array, qd: jax.Array) -> pipeline.State:
-        """The state of the planner's rollouts, with one lane, from positions and velocities of all links."""
-        obstacles = self.obstacles
+        """One knot under the action {Δx, Δq} (6 + n,), m and rad; spheres then have their mean velocity."""
+        objective, problem, q, qd = self.objective, self._problem, state.q, state.qd
+        obstacles = problem.obstacles
         if obstacles is not None:
             displacement = q[self._sliders].reshape(-1, 3).T
             obstacles = obstacles._replace(center=obstacles.rest + displacement[:, :, None])
-        return pipeline.init(self.objective.system, q[self.hinges, None], qd[self.hinges, None], obstacles)
-
-    def _moved(self, state: State, lanes: pipeline.State) -> tuple[jax.Array, jax.Array]:
-        """Brax's positions and velocities after a step; spheres have the mean velocity of the step."""
-        q, qd = state.q.at[self.hinges].set(lanes.q[:, 0]), state.qd.at[self.hinges].set(lanes.qd[:, 0])
+        problem = problem._replace(q=q[self.hinges, None], v=qd[self.hinges, None], obstacles=obstacles)
+        lanes, step = objective.transfer(problem, 1)
+        carry = lanes, pipeline.tip_pose(objective.system, lanes.q), state.before
+        (lanes, _, before), (_, _, *outcome, _) = objective.knot(problem, step, carry, act[:, None])
+        q, qd = q.at[self.hinges].set(lanes.q[:, 0]), qd.at[self.hinges].set(lanes.qd[:, 0])
         if lanes.obstacles is not None:
             moved = (lanes.obstacles.center - lanes.obstacles.rest)[..., 0].T.ravel()
-            speed = (moved - state.q[self._sliders]) / self.objective.system.timestep
+            speed = (moved - q[self._sliders]) / (objective.substeps * objective.system.timestep)
             q, qd = q.at[self._sliders].set(moved), qd.at[self._sliders].set(speed)
-        return q, qd
+        return State(q, qd, *kinematics.forward(sys, q, qd), None, before, *outcome)
 
 
 class ContactReach(PipelineEnv):
@@ -160,6 +344,7 @@ class ContactReach(PipelineEnv):
 
     Observed are joint angles, speeds, tip position, the way to the target, and the contact force on each link. The
     reward is the knot's share of −cost (5), so that the return of an episode is −cost of the whole motion as one plan.
+    The target's orientation is free.
 
     Parameters
     ----------
@@ -167,12 +352,8 @@ class ContactReach(PipelineEnv):
         A scene, or the name of one, drawn with seed 0.
     settings, gains
         Of the planner and the controller.
-    permitted_force
-        ε of (4d), N; by default the contact budget's.
     start_spread
         Joints start within this of the scene's start, rad.
-    rotation
-        Orientation of the target (3, 3); None leaves it free.
 
     """
 
@@ -181,9 +362,7 @@ class ContactReach(PipelineEnv):
         scene: Scene | str = "ball",
         settings: PlanningSettings | None = None,
         gains: ImpedanceSettings | None = None,
-        permitted_force: float | None = None,
         start_spread: float = 0.0,
-        rotation: np.ndarray | None = None,
     ) -> None:
         scene = load_scene(scene) if isinstance(scene, str) else scene
         settings, gains, arm = settings or PlanningSettings(), gains or ImpedanceSettings(), scene.arm
@@ -192,31 +371,26 @@ class ContactReach(PipelineEnv):
         bodies = []
         if obstacles is not None:
             spheres_at = zip(obstacles.rest[..., 0].T.tolist(), obstacles.radius[:, 0].tolist(), strict=True)
-            bodies = [sphere_body(index, rest, radius) for index, (rest, radius) in enumerate(spheres_at)]
+            bodies = [_sphere_body(index, rest, radius) for index, (rest, radius) in enumerate(spheres_at)]
         sys = load_system(build_mjcf(arm, obstacles=bodies))
-        sys = sys.tree_replace({"opt.timestep": settings.knot_duration / settings.substeps})
-        super().__init__(sys, "generalized", settings.substeps)
+        super().__init__(sys.tree_replace({"opt.timestep": settings.knot_duration}), "generalized")
         settings = dataclasses.replace(settings, pipeline="closed_loop", null_space="planned", horizon=1)
-        self._loop = ClosedLoop(make_objective(arm, settings, gains), sys, obstacles)
+        self._problem = Problem(
+            q=single(scene.start[:, None]),
+            v=single(np.zeros((arm.n, 1))),
+            obstacles=obstacles,
+            goal_position=single(scene.target[:, None]),
+            goal_rotation=single(np.eye(3)[:, :, None]),
+            weights={name: single(weight) for name, weight in term_weights(settings, {"orientation": 0.0}).items()},
+            permitted_force=single(ContactBudget().permitted_force),
+            bodies=nearest_bodies(arm, scene.start, scene.environment),
+        )
+        self._loop = ClosedLoop(make_objective(arm, settings, gains), self.sys, self._problem)
         self._backend, self._pipeline = NAME, self._loop
         self._planned = np.flatnonzero(planned(arm, settings, gains))
         self._bounds = jnp.asarray(knot_bounds(arm, settings)[self._planned], jnp.float32)
         self._start = jnp.zeros(sys.q_size()).at[self._loop.hinges].set(scene.start)
-        self._spread, self._knot_duration = start_spread, settings.knot_duration
-        weights = term_weights(settings)
-        if rotation is None:
-            weights["orientation"] = 0.0
-        force = ContactBudget().permitted_force if permitted_force is None else permitted_force
-        self._problem = Problem(
-            q=single(scene.start[:, None]),
-            v=single(np.zeros((arm.n, 1))),
-            obstacles=None,
-            goal_position=single(scene.target[:, None]),
-            goal_rotation=single((np.eye(3) if rotation is None else rotation)[:, :, None]),
-            weights={name: single(weight) for name, weight in weights.items()},
-            permitted_force=single(force),
-            bodies=nearest_bodies(arm, scene.start, scene.environment),
-        )
+        self._spread = start_spread
 
     @property
     def action_size(self) -> int:
@@ -226,17 +400,12 @@ class ContactReach(PipelineEnv):
     def reset(self, rng: jax.Array) -> EpisodeState:
         """The start of the scene, at rest."""
         hinges = self._loop.hinges
-        noise = jax.random.uniform(rng, (len(hinges),), minval=-self._spread, maxval=self._spread)
+        noise = jax.random.uniform(rng, self._problem.q.shape[:1], minval=-self._spread, maxval=self._spread)
         pipeline_state = self.pipeline_init(self._start.at[hinges].add(noise), jnp.zeros(self.sys.qd_size()))
-        zero = jnp.zeros(())
-        info = {
-            "start": pipeline_state.reference.position,
-            "lead": jnp.zeros(3),
-            "knots": jnp.zeros((), jnp.int32),
-        }
+        start, zero = pipeline_state.reference.position, jnp.zeros(())
         metrics = dict.fromkeys((*self._problem.weights, "distance", "contact_force"), zero)
-        observation = self._observe(pipeline_state, pipeline_state.reference.position)
-        return EpisodeState(pipeline_state, observation, zero, zero, metrics, info)
+        info = {"start": start, "lead": jnp.zeros((3, 1))}
+        return EpisodeState(pipeline_state, self._observe(pipeline_state, start), zero, zero, metrics, info)
 
     def step(self, state: EpisodeState, action: jax.Array) -> EpisodeState:
         """One knot; `action` is clipped to [-1, 1]."""
@@ -247,42 +416,27 @@ class ContactReach(PipelineEnv):
         q = jnp.stack([before.q, after.q])[:, self._loop.hinges, None]
         tip, capsules = objective.end_of_knot(self._problem, q[1])
         # Progress counts from where the episode started.
-        start = Pose(state.info["start"][:, None], tip.rotation)
-        rollout = Rollout(
-            q=q,
-            pose=jax.tree.map(lambda first, last: jnp.stack([first, last]), start, tip),
-            reference=jax.tree.map(lambda array: array[None, ..., None], after.reference),
-            link_force=after.link_force[None, :, None],
-            contact=after.contact_force[None, None],
-            capsules=jax.tree.map(lambda array: array[None], capsules),
-        )
-        lead = state.info["lead"]
-        if not objective.ramp:
-            # Nothing was in force before the first knot.
-            lead = jnp.where(state.info["knots"] == 0, action[:3], lead)
-        arm, duration = objective.system.arm, self._knot_duration
-        context = Context(
-            arm, duration, self._problem, action[None, :, None], rollout, lead[:, None], objective.system.gains.task
-        )
+        pose = Pose(jnp.stack([state.info["start"], tip.position]), jnp.stack([tip.rotation] * 2))
+        outcome = after.reference, after.link_force, after.contact_force, capsules
+        rollout = Rollout(q, pose, *jax.tree.map(lambda array: array[None], outcome))
+        system, lead = objective.system, state.info["lead"]
+        context = Context(system.arm, self.dt, self._problem, action[None, :, None], rollout, lead, system.gains.task)
         terms = {name: values[0] for name, values in weighted_terms(context).items()}
-        position = tip.position[:, 0]
-        distance = jnp.linalg.norm(position - self._problem.goal_position[:, 0])
-        info = {**state.info, "lead": action[:3], "knots": state.info["knots"] + 1}
+        distance = jnp.linalg.norm(tip.position - self._problem.goal_position)
         # Brax's wrappers add metrics and information of their own.
-        metrics = {**state.metrics, **terms, "distance": distance, "contact_force": after.contact_force}
         return state.replace(
             pipeline_state=after,
-            obs=self._observe(after, position),
+            obs=self._observe(after, tip.position),
             reward=-sum(terms.values(), start=jnp.zeros(())),
             done=jnp.where(jnp.isfinite(after.q).all(), 0.0, 1.0),
-            metrics=metrics,
-            info=info,
+            metrics={**state.metrics, **terms, "distance": distance, "contact_force": after.contact_force[0]},
+            info={**state.info, "lead": action[:3, None]},
         )
 
     def _observe(self, state: State, position: jax.Array) -> jax.Array:
-        hinges = self._loop.hinges
-        to_target = self._problem.goal_position[:, 0] - position
-        return jnp.concatenate([state.q[hinges], state.qd[hinges], position, to_target, state.link_force])
+        hinges, to_target = self._loop.hinges, self._problem.goal_position - position
+        lanes = (position, to_target, state.link_force)
+        return jnp.concatenate([state.q[hinges], state.qd[hinges], *(array[:, 0] for array in lanes)])
 
 
 envs.register_environment(NAME, ContactReach)

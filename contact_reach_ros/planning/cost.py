@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,21 +18,20 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.clearance import Capsules, place_capsules
-from contact_reach_ros.planning.transfer.closed_loop import N_TASK
-from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.dynamics import link_frames
+from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import make_keep, single
 from contact_reach_ros.planning.transfer.model import arm_model
-from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, State, System
+from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
+
+Step = Callable[[Any, Reference], Any]
+Carry = tuple[Any, Pose, Reference | None]
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
     """Cost (5) over H knots of a system in closed loop.
 
-    Another transfer function T is a subclass that overrides `roll_out`, and `integration_steps` if it takes more steps;
-    the terms depend on nothing else of it.
+    Another transfer function T is a subclass that overrides `transfer`; the terms depend on nothing else of it.
     """
 
     system: System
@@ -39,43 +41,18 @@ class Objective:
     posture: jax.Array | None = field(default=None, kw_only=True)
     """(n, 1) q_d of law (6), or None to pull the joints by the actions' Δq."""
 
-    @property
-    def integration_steps(self) -> int:
-        """Steps that the transfer model takes over the horizon."""
-        return self.horizon * self.substeps
-
     def cost(self, problem: Problem, actions: jax.Array) -> jax.Array:
         """Cost (B,) of the actions (H, 6 + n, B)."""
         return sum(self.terms(problem, actions, self.roll_out(problem, actions)).values(), start=jnp.zeros(()))
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model under the actions (H, 6 + n, B), knot by knot."""
-        lanes = actions.shape[-1]
-        start = self.start(problem, lanes)
-        pose = pipeline.tip_pose(self.system, start)
-        before = self.before(problem, start.q, pose)
-
-        def knot(carry: tuple[State, Pose, Reference | None], action: jax.Array) -> tuple[tuple, tuple]:
-            state, pose, before = carry
-            reference = self.latch(state.q, state.qd, pose, action)
-
-            def substep(state: State, share: jax.Array | None) -> tuple[State, tuple[jax.Array, jax.Array]]:
-                state = pipeline.step(self.system, state, on_the_way(before, reference, share))
-                return state, (state.link_force, self.measure(state.link_force))
-
-            state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
-            pose, capsules = self.end_of_knot(problem, state.q)
-            before = self.reached(before, reference)
-            return (state, pose, before), (
-                state.q,
-                pose,
-                reference,
-                link_force.max(axis=0),
-                contact.max(axis=0),
-                capsules,
-            )
-
-        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(knot, (start, pose, before), actions)
+        start, step = self.transfer(problem, actions.shape[-1])
+        pose = pipeline.tip_pose(self.system, start.q)
+        carry = start, pose, self.before(problem, start.q, pose)
+        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(
+            functools.partial(self.knot, problem, step), carry, actions
+        )
         return Rollout(
             q=jnp.concatenate([start.q[None], q]),
             pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
@@ -85,11 +62,37 @@ class Objective:
             capsules=capsules,
         )
 
-    def start(self, problem: Problem, lanes: int) -> State:
-        """The state that a problem starts from, in each lane."""
-        return pipeline.init(
-            self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), _obstacles(problem.obstacles, lanes)
-        )
+    def transfer(self, problem: Problem, lanes: int) -> tuple[Any, Step]:
+        """The state that a problem starts from, in each lane, and what advances it by a step under a reference.
+
+        A state has at least `q`, `qd` and `link_force` of `pipeline.State`.
+        """
+        obstacles = problem.obstacles
+        if obstacles is not None:
+            # Only the centres, which move, need one array per lane.
+            obstacles = obstacles._replace(center=_spread(obstacles.center, lanes))
+        start = pipeline.init(self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), obstacles)
+        return start, functools.partial(pipeline.step, self.system)
+
+    def knot(self, problem: Problem, step: Step, carry: Carry, action: jax.Array) -> tuple[Carry, tuple]:
+        """The end of a knot under an action (6 + n, B), and what a `Rollout` has of the knot.
+
+        `carry` has the state, the pose and the reference in force.
+        """
+        state, pose, before = carry
+        reference = self.latch(state.q, state.qd, pose, action)
+
+        def substep(state: Any, share: jax.Array | None) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+            state = step(state, on_the_way(before, reference, share))
+            return state, (state.link_force, state.link_force.max(axis=0))
+
+        state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
+        pose, capsules = self.end_of_knot(problem, state.q)
+        reached = None
+        if before is not None:
+            way = min(1.0, self.substeps * float(self.system.timestep) / self.ramp)
+            reached = reference if way == 1.0 else on_the_way(before, reference, way)
+        return (state, pose, reached), (state.q, pose, reference, link_force.max(axis=0), contact.max(axis=0), capsules)
 
     @property
     def ramp(self) -> float:
@@ -115,13 +118,6 @@ class Objective:
         integrals = np.where(ends < 1.0, 0.5 * ends**2, ends - 0.5)
         return jnp.asarray(np.diff(integrals) / ends[1], jnp.float32)
 
-    def reached(self, before: Reference | None, reference: Reference) -> Reference | None:
-        """The reference in force at the end of a knot; None if it steps."""
-        if before is None:
-            return None
-        share = min(1.0, self.substeps * float(self.system.timestep) / self.ramp)
-        return reference if share == 1.0 else on_the_way(before, reference, share)
-
     def end_of_knot(self, problem: Problem, q: jax.Array) -> tuple[Pose, Capsules | None]:
         """Flange pose, and the capsules where a term needs them, at joint angles `q` (n, B)."""
         arm, keep = self.system.arm, make_keep(q)
@@ -143,15 +139,11 @@ class Objective:
         """
         if self.ramp:
             q = q + 0.5 * self.ramp * v
-            pose = pipeline.tip_pose(self.system, pipeline.init(self.system, q, v))
+            pose = pipeline.tip_pose(self.system, q)
         reference = pipeline.latch(self.system, q, pose, action)
         if self.posture is None:
             return reference
         return reference._replace(posture=_spread(self.posture, action.shape[-1]))
-
-    def measure(self, link_force: jax.Array) -> jax.Array:
-        """contact(·) (B,) of the forces (L, B) on the links."""
-        return link_force.max(axis=0)
 
 
 def on_the_way(before: Reference | None, reference: Reference, share: Number | None) -> Reference:
@@ -163,11 +155,6 @@ def on_the_way(before: Reference | None, reference: Reference, share: Number | N
 
 def _spread(array: jax.Array, lanes: int) -> jax.Array:
     return jnp.broadcast_to(array, (*array.shape[:-1], lanes))
-
-
-def _obstacles(obstacles: Obstacles | None, lanes: int) -> Obstacles | None:
-    """The same obstacles in every lane; only the centres, which move, need one array per lane."""
-    return None if obstacles is None else obstacles._replace(center=_spread(obstacles.center, lanes))
 
 
 SIGMA = 0.3
@@ -186,7 +173,7 @@ def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSetting
     if settings.pipeline == "closed_loop":
         return Objective(*arguments, posture=posture)
     # Brax's own pipeline is for comparison, and slow to import.
-    from contact_reach_ros.planning.transfer.brax_generalized import BraxObjective
+    from contact_reach_ros.planning.brax_env import BraxObjective
 
     return BraxObjective(*arguments, arm, posture=posture)
 

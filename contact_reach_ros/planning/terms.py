@@ -23,12 +23,12 @@ import jax.numpy as jnp
 from contact_reach_ros.control.settings import AXIS, POSE
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.transfer.clearance import Bodies, Capsules, intrusion
-from contact_reach_ros.planning.transfer.closed_loop import N_TASK
+from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
 from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.dynamics import Capsules
 from contact_reach_ros.planning.transfer.lanes import dot, make_keep, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
-from contact_reach_ros.planning.transfer.pipeline import Pose, Reference
+from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference
 
 Number = float | jax.Array
 

@@ -14,7 +14,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
 from contact_reach_ros.planning.prediction import hold_at
 from contact_reach_ros.planning.terms import Problem
-from contact_reach_ros.planning.transfer.closed_loop import Reference
+from contact_reach_ros.planning.transfer.pipeline import Reference
 from contact_reach_ros.scenes.generate import load_scene
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -36,7 +36,7 @@ def problem_of(env: ContactReach) -> Problem:
     """The planner's problem with the start of an episode."""
     hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
     before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
-    return env._problem._replace(obstacles=env._loop.obstacles, before=before)
+    return env._problem._replace(before=before)
 
 
 def test_episode_is_the_rollout_of_the_planner(env):
@@ -56,7 +56,7 @@ def test_episode_is_the_rollout_of_the_planner(env):
     for knot, state in enumerate(states):
         pipeline_state = state.pipeline_state
         np.testing.assert_allclose(pipeline_state.q[3:], rollout.q[knot + 1, :, 0], rtol=0, atol=2e-6)
-        np.testing.assert_allclose(pipeline_state.link_force, rollout.link_force[knot, :, 0], rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(pipeline_state.link_force, rollout.link_force[knot], rtol=1e-4, atol=1e-3)
         # Brax's own kinematics.
         flange = hold_at(ARM, np.asarray(pipeline_state.q[3:], float))
         last = pipeline_state.x.pos[-1] + flange.rotation @ np.array(ARM.tip_offset)

@@ -12,8 +12,8 @@ from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_rad
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning import obstacles
 from contact_reach_ros.planning.obstacles import BLOCKS, PLANES, check_motion, nearest_bodies
-from contact_reach_ros.planning.transfer.clearance import intrusion, place_capsules
-from contact_reach_ros.planning.transfer.dynamics import link_frames
+from contact_reach_ros.planning.transfer.clearance import intrusion
+from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.stack import Stack

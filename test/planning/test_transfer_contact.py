@@ -71,7 +71,7 @@ def settled(obstacles: Obstacles) -> pipeline.State:
     @jax.jit
     def settle(q: jax.Array) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(system, state.q, pipeline.tip_pose(system, state), jnp.zeros((system.action_size, 1)))
+        held = pipeline.latch(system, state.q, pipeline.tip_pose(system, state.q), jnp.zeros((system.action_size, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
     return settle(jnp.asarray(HOME)[:, None])
@@ -114,13 +114,13 @@ def stiffness_of(spheres: Spheres) -> np.ndarray:
 def test_network_of_springs_and_dampers_is_followed_exactly():
     """Against many small steps of D u̇ = f − L u."""
     spheres, time, steps = chain(5), 0.025, 20000
-    network = jax.tree.map(np.asarray, response(obstacles_of(spheres), time))
+    relaxation, compliance = jax.tree.map(np.asarray, response(obstacles_of(spheres), time))
     random = np.random.default_rng(0)
     start, force = random.uniform(-0.01, 0.01, 5), random.uniform(-5.0, 5.0, 5)
     displacement = start.copy()
     for _ in range(steps):
         displacement += time / steps * (force - stiffness_of(spheres) @ displacement) / spheres.damping
-    np.testing.assert_allclose(network.relaxation @ start + network.compliance @ force, displacement, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(relaxation @ start + compliance @ force, displacement, rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize("capacity", [5, 2])

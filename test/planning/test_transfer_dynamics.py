@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.planning.transfer.closed_loop import Reference, pose_error
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import cosine_and_sine, make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
+from contact_reach_ros.planning.transfer.pipeline import Reference, pose_error
 
 COUNT = 40
 POSITION, TURN = np.array([0.4, 0.1, 0.3]), np.array([0.1, -0.2, 0.15])

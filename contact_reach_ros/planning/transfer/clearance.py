@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.transfer.dynamics import Frames, capsule_segments
+from contact_reach_ros.planning.transfer.dynamics import Capsules
 from contact_reach_ros.planning.transfer.lanes import Keep, dot, single, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 from contact_reach_ros.world.rigid import Block, Plane
@@ -35,15 +35,6 @@ class Bodies(NamedTuple):
     """(3, Q, 1) half of their size along these axes, m."""
 
 
-class Capsules(NamedTuple):
-    """Segments of the arm's capsules in the base frame."""
-
-    start: jax.Array
-    """(..., 3, C, B), m."""
-    axis: jax.Array
-    """(..., 3, C, B) from there to their ends, m."""
-
-
 _AWAY = 100.0
 """How far away the bodies are that fill up the capacity, m: out of reach, near enough for single precision."""
 
@@ -60,11 +51,6 @@ def bodies_of(planes: tuple[Plane, ...], blocks: tuple[Block, ...], capacity: tu
         axes=single(np.array(axes).reshape(-1, 3, 3).transpose(1, 2, 0)[..., None]),
         half=single(np.array([block.half for block in blocks]).reshape(-1, 3).T[:, :, None]),
     )
-
-
-def place_capsules(arm: ArmModel, frames: Frames) -> Capsules:
-    """The arm's capsules with the links at the given frames."""
-    return Capsules(*capsule_segments(arm, frames))
 
 
 def intrusion(
@@ -87,22 +73,16 @@ def intrusion(
     distances = _between_capsules(arm, start, axis)
     if bodies is not None:
         radius = arm.capsule_radius[:, None]
-        distances += [distance - radius for distance in _from_planes(bodies, start, axis)]
+        for plane in range(bodies.offset.shape[0]):
+            normal = bodies.normal[:, plane]
+            nearest = dot(normal, start) - bodies.offset[plane] + jnp.minimum(dot(normal, axis), 0.0)
+            distances.append(nearest - radius)
         distances += [distance - radius for distance in _from_blocks(bodies, start, axis, keep)]
     total = jnp.zeros((*start.shape[1:-2], start.shape[-1]), start.dtype)
     for distance in distances:
         short = keep(jnp.maximum(margin - distance, 0.0))
         total = total + sum_over(short * short, distance.ndim - 2)
     return total
-
-
-def _from_planes(bodies: Bodies, start: jax.Array, axis: jax.Array) -> list[jax.Array]:
-    """Distances (..., C, B) of segments (3, ..., C, B) from each plane, m."""
-    distances = []
-    for plane in range(bodies.offset.shape[0]):
-        normal = bodies.normal[:, plane]
-        distances.append(dot(normal, start) - bodies.offset[plane] + jnp.minimum(dot(normal, axis), 0.0))
-    return distances
 
 
 def _from_blocks(bodies: Bodies, start: jax.Array, axis: jax.Array, keep: Keep) -> list[jax.Array]:

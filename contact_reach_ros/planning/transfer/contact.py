@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from contact_reach_ros.planning.transfer.dynamics import Frames, capsule_segments
+from contact_reach_ros.planning.transfer.dynamics import Frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import Keep, collect, cross, dot, suffix_sum, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 
@@ -46,15 +46,6 @@ class Obstacles(NamedTuple):
     """(K,) rates at which they decay, 1/s."""
 
 
-class Response(NamedTuple):
-    """Motion of a network in one step: u⁺ = relaxation u + compliance f for a constant force f."""
-
-    relaxation: jax.Array
-    """(K, K)."""
-    compliance: jax.Array
-    """(K, K), m/N."""
-
-
 class Contact(NamedTuple):
     """Forces between arm and spheres."""
 
@@ -66,14 +57,14 @@ class Contact(NamedTuple):
     """(3, K, B) sphere centres at the end of the step, m."""
 
 
-def response(obstacles: Obstacles, timestep: float | jax.Array) -> Response:
-    """Response that is exact over any time, so that stiff networks with little damping need no shorter steps."""
+def response(obstacles: Obstacles, timestep: float | jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Relaxation (K, K) and compliance (K, K), m/N: u⁺ = relaxation u + compliance f for a constant force f.
+
+    It is exact over any time, so that stiff networks with little damping need no shorter steps.
+    """
     decay = jnp.exp(-timestep * obstacles.rates)
     grown = -jnp.expm1(-timestep * obstacles.rates) / obstacles.rates
-    return Response(
-        relaxation=(obstacles.shapes * decay) @ obstacles.amplitudes,
-        compliance=(obstacles.shapes * grown) @ obstacles.shapes.T,
-    )
+    return (obstacles.shapes * decay) @ obstacles.amplitudes, (obstacles.shapes * grown) @ obstacles.shapes.T
 
 
 def contact_step(
@@ -91,11 +82,12 @@ def contact_step(
     is joined to, whose shares are estimated from their depths. That is exact where one sphere is touched, and never too
     much in total.
     """
-    start, segment = (keep(points) for points in capsule_segments(arm, frames))
+    start, segment = (keep(points) for points in place_capsules(arm, frames))
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
-    touched, whole = response(obstacles, _CONTACT_INSTANT * timestep), response(obstacles, timestep)
+    touched_relaxation, touched_compliance = response(obstacles, _CONTACT_INSTANT * timestep)
+    relaxation, compliance = response(obstacles, timestep)
     displacement = obstacles.center - obstacles.rest
-    relaxed = keep(obstacles.rest + _joined(touched.relaxation, displacement))
+    relaxed = keep(obstacles.rest + _joined(touched_relaxation, displacement))
     # From here on (3, capsule, sphere, B).
     to_sphere = relaxed[:, None] - start[:, :, None]
     share = keep(jnp.clip(dot(to_sphere, segment[:, :, None]) * inverse_square, 0.0, 1.0))
@@ -106,21 +98,20 @@ def contact_step(
     depth = keep(jnp.maximum(reach - square * inverse_distance, 0.0))
     # How far a sphere yields per force on it, from estimated shares of the force that are corrected once.
     entered = sum_over(depth, 0)[None]
-    yielding = _joined(touched.compliance, entered) / (entered + _TOUCH)
+    yielding = _joined(touched_compliance, entered) / (entered + _TOUCH)
     shares = keep(entered / (1.0 + contact_stiffness * yielding))
-    yielding = (_joined(touched.compliance, shares) / (shares + _TOUCH))[0]
+    yielding = (_joined(touched_compliance, shares) / (shares + _TOUCH))[0]
     force = keep(depth * (contact_stiffness / (1.0 + contact_stiffness * yielding)))
     on_capsule = keep(gap * keep(force * inverse_distance)[None])
     total = keep(sum_over(on_capsule, 2))
     # Σ (start + share * segment) x force, with the sum taken before any cross product.
     weighted = keep(sum_over(on_capsule * share[None], 2))
     moment = cross(start, total) + cross(segment, weighted)
+    beyond = keep(suffix_sum(keep(collect(jnp.concatenate([total, moment]), arm.capsule_link, arm.n))))
     return Contact(
-        joint_torque=_joint_torque(arm, frames, total, moment, keep),
+        joint_torque=dot(frames.z, beyond[3:] - cross(frames.origin, beyond[:3])),
         link_force=collect(sum_over(force, 1)[None], arm.capsule_place, len(arm.contact_links))[0],
-        center=obstacles.rest
-        + _joined(whole.relaxation, displacement)
-        - _joined(whole.compliance, sum_over(on_capsule, 1)),
+        center=obstacles.rest + _joined(relaxation, displacement) - _joined(compliance, sum_over(on_capsule, 1)),
     )
 
 
@@ -130,10 +121,3 @@ def _joined(matrix: jax.Array, values: jax.Array) -> jax.Array:
     for column in range(1, matrix.shape[1]):
         total = total + matrix[:, column, None] * values[:, column][:, None]
     return total
-
-
-def _joint_torque(arm: ArmModel, frames: Frames, force: jax.Array, moment: jax.Array, keep: Keep) -> jax.Array:
-    """Torques (n, B) of forces (3, C, B) on the capsules and their moments about the base, (3, C, B)."""
-    wrench = jnp.concatenate([force, moment])
-    beyond = keep(suffix_sum(keep(collect(wrench, arm.capsule_link, arm.n))))
-    return dot(frames.z, beyond[3:] - cross(frames.origin, beyond[:3]))

@@ -22,6 +22,7 @@ from contact_reach_ros.planning.transfer.lanes import (
     pick,
     prefix_sum,
     suffix_sum,
+    sum_over,
 )
 from contact_reach_ros.planning.transfer.model import ArmModel
 
@@ -67,11 +68,20 @@ def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
     return Frames(x, y, z, origins, flange, flange_axes)
 
 
-def capsule_segments(arm: ArmModel, frames: Frames) -> tuple[jax.Array, jax.Array]:
-    """Start points (3, C, B) of the capsules and vectors (3, C, B) from there to their ends, m."""
+class Capsules(NamedTuple):
+    """Segments of the arm's capsules in the base frame."""
+
+    start: jax.Array
+    """(..., 3, C, B), m."""
+    axis: jax.Array
+    """(..., 3, C, B) from there to their ends, m."""
+
+
+def place_capsules(arm: ArmModel, frames: Frames) -> Capsules:
+    """The arm's capsules with the links at the given frames."""
     axes = [pick(axis, arm.capsule_link) for axis in (frames.x, frames.y, frames.z)]
     start = pick(frames.origin, arm.capsule_link) + combine(axes, per_link(arm.capsule_start))
-    return start, combine(axes, per_link(arm.capsule_axis))
+    return Capsules(start, combine(axes, per_link(arm.capsule_axis)))
 
 
 def flange_drift(frames: Frames, v: jax.Array, keep: Keep) -> jax.Array:
@@ -83,10 +93,7 @@ def flange_drift(frames: Frames, v: jax.Array, keep: Keep) -> jax.Array:
     lever = ends - frames.origin
     centripetal = cross(angular_velocity, keep(cross(angular_velocity, lever)))
     linear = keep(cross(angular_acceleration, lever) + centripetal)
-    total = linear[:, 0]
-    for link in range(1, linear.shape[1]):
-        total = total + linear[:, link]
-    return jnp.concatenate([total, angular_acceleration[:, -1]])
+    return jnp.concatenate([sum_over(linear, 1), angular_acceleration[:, -1]])
 
 
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
@@ -106,7 +113,19 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
     """Jacobian and mass matrix at the given frames, by the composite-rigid-body algorithm."""
     axis = keep(frames.z)
     jacobian = keep(jnp.concatenate([cross(axis, frames.flange[:, None] - frames.origin), axis]))
-    first, diagonal, products = _composite_inertias(arm, frames, keep)
+    # First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, n, B).
+    axes = (frames.x, frames.y, frames.z)
+    center = keep(frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None])
+    first = keep(center * arm.mass[:, None])
+    diagonal = dot(first, center)[None] - first * center
+    products = [-first[b] * center[c] for _, b, c in _CYCLES]
+    # Σ_ab I_ab axis_a axis_bᵀ, the inertia about the centre of mass in base axes.
+    for index, own in enumerate(axes):
+        column = combine(axes, per_link(arm.inertia[:, index]))
+        diagonal = diagonal + column * own
+        products = [product + column[b] * own[c] for product, (_, b, c) in zip(products, _CYCLES, strict=True)]
+    parts = (first, diagonal, jnp.stack([keep(product) for product in products]))
+    first, diagonal, off_diagonal = (keep(suffix_sum(keep(part))) for part in parts)
     composite_mass = np.cumsum(arm.mass[::-1])[::-1][:, None]
     # Component by component: XLA computes stacked rows several times slower than separate ones.
     # Momentum of everything beyond a joint when that joint alone turns at unit speed.
@@ -118,8 +137,8 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
             first[b] * velocity[c]
             - first[c] * velocity[b]
             + diagonal[a] * axis[a]
-            + products[c] * axis[b]
-            + products[b] * axis[c]
+            + off_diagonal[c] * axis[b]
+            + off_diagonal[b] * axis[c]
         )
         for a, b, c in _CYCLES
     ]
@@ -129,20 +148,3 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
     for row in range(1, 6):
         mass_matrix = mass_matrix + jacobian[row][:, None] * momentum[row][None]
     return Dynamics(jacobian, mass_matrix + np.diag(arm.armature)[:, :, None])
-
-
-def _composite_inertias(arm: ArmModel, frames: Frames, keep: Keep) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, n, B)."""
-    axes = (frames.x, frames.y, frames.z)
-    center = keep(frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None])
-    first = keep(center * arm.mass[:, None])
-    diagonal = dot(first, center)[None] - first * center
-    products = [-first[b] * center[c] for _, b, c in _CYCLES]
-    # Σ_ab I_ab axis_a axis_bᵀ, the inertia about the centre of mass in base axes.
-    for index, axis in enumerate(axes):
-        column = combine(axes, per_link(arm.inertia[:, index]))
-        diagonal = diagonal + column * axis
-        products = [product + column[b] * axis[c] for product, (_, b, c) in zip(products, _CYCLES, strict=True)]
-    parts = (first, diagonal, jnp.stack([keep(product) for product in products]))
-    first, diagonal, off_diagonal = (keep(suffix_sum(keep(part))) for part in parts)
-    return first, diagonal, off_diagonal

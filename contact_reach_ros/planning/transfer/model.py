@@ -125,7 +125,11 @@ def read_arm(system: brax.System) -> ArmModel:
     geoms = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
     bodies = model.geom_bodyid[geoms]
     place = {body: number for number, body in enumerate(dict.fromkeys(bodies[1:].tolist()))}
-    start, axis = _segments(system, geoms)
+    # MuJoCo lets the z axis point from the second end to the first.
+    half = [rotation_from_quaternion(model.geom_quat[geom])[:, 2] * model.geom_size[geom, 1] for geom in geoms]
+    start, end = _exact(model.geom_pos[geoms] + half), _exact(model.geom_pos[geoms] - half)
+    axis = end - start
+    fields = {model.numeric(index).name: np.array(model.numeric(index).data) for index in range(model.nnumeric)}
     return ArmModel(
         joint_offset=_double(link.transform.pos),
         joint_rotation=np.array(joint_rotation),
@@ -137,7 +141,7 @@ def read_arm(system: brax.System) -> ArmModel:
         armature=_double(system.dof.armature),
         lower=_double(system.dof.limit[0]),
         upper=_double(system.dof.limit[1]),
-        velocity_limit=_custom_field(system, VELOCITY_LIMITS),
+        velocity_limit=fields[VELOCITY_LIMITS],
         contact_links=tuple(model.body(body).name for body in place),
         capsule_link=bodies[1:] - 1,
         capsule_place=np.array([place[body] for body in bodies[1:].tolist()]),
@@ -147,27 +151,9 @@ def read_arm(system: brax.System) -> ArmModel:
         base_start=start[0],
         base_axis=axis[0],
         base_radius=float(model.geom_size[geoms[0], 0]),
-        self_pairs=tuple(
-            (int(first), int(second)) for first, second in _custom_field(system, SELF_PAIRS).reshape(-1, 2)
-        ),
+        # An arm without pairs has no such field.
+        self_pairs=tuple((int(one), int(two)) for one, two in fields.get(SELF_PAIRS, np.zeros(0)).reshape(-1, 2)),
     )
-
-
-def _segments(system: brax.System, geoms: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Starts of capsules and vectors from there to their ends, (C, 3) each, m."""
-    model = system.mj_model
-    # MuJoCo lets the z axis point from the second end to the first.
-    half = [rotation_from_quaternion(model.geom_quat[geom])[:, 2] * model.geom_size[geom, 1] for geom in geoms]
-    middle = model.geom_pos[geoms]
-    start, end = _exact(middle + half), _exact(middle - half)
-    return start, end - start
-
-
-def _custom_field(system: brax.System, name: str) -> Array:
-    """Values of a custom field of the MJCF; none if there is no such field."""
-    model = system.mj_model
-    fields = {model.numeric(index).name: np.array(model.numeric(index).data) for index in range(model.nnumeric)}
-    return fields.get(name, np.zeros(0))
 
 
 def _double(values: object) -> Array:

@@ -3,6 +3,18 @@
 The action of a step is the reference of the control law, and one call advances all candidates. Brax's generalized
 pipeline takes 40 to 160 times as long for the same motion on a CPU. `planning.brax_env` offers this one on Brax's
 own types.
+
+With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the null-space torque before projection, law
+(3) makes the arm move as
+
+    M q̈ = Jᵀ f + τ₀ + τ_contact,    f = Λ (a − J M⁻¹ τ₀),    Λ = (J M⁻¹ Jᵀ)⁻¹,
+
+where a is the task acceleration that law (1) asks for; C + g cancel, because the controller knows them. M, J and the
+torques go through one Cholesky factorisation each of M and of J M⁻¹ Jᵀ.
+
+Near singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ, which here would need an eigenvalue decomposition
+of every candidate. Instead, the pivots of its factorisation are lifted by the same rule. A pivot is never below the
+smallest eigenvalue, so that both leave the matrix alone in the same places, and Λ is bounded in both.
 """
 
 from __future__ import annotations
@@ -12,13 +24,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
-from contact_reach_ros.planning.transfer.closed_loop import N_TASK, Reference, joint_acceleration
-from contact_reach_ros.planning.transfer.contact import Obstacles, contact_step
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import dot, make_keep, rotate
+from contact_reach_ros.control.settings import AXIS, POSE, SINGULARITY_FLOOR, ImpedanceSettings
+from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
+from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames, arm_dynamics, flange_drift, link_frames
+from contact_reach_ros.planning.transfer.lanes import cross, dot, make_keep, ratio, root, rotate
 from contact_reach_ros.planning.transfer.model import ArmModel
+
+N_TASK = 6
+"""Size of Δx in actions, whatever part of it law (1) controls."""
 
 MAX_JOINT_SPEED = 10.0
 """Joint speeds are cut off here, rad/s, four times the limit of the fastest joint.
@@ -43,6 +58,17 @@ class System:
     def action_size(self) -> int:
         """Size of one knot's action: Δx (translation, rotation) and Δq."""
         return N_TASK + self.arm.n
+
+
+class Reference(NamedTuple):
+    """References of laws (1) and (2) while one knot is in force."""
+
+    position: jax.Array
+    """(3, B) translation of x_d, m."""
+    rotation: jax.Array
+    """(3, 3, B) rotation of x_d, indexed [row, column]."""
+    posture: jax.Array
+    """(n, B) q_d, rad."""
 
 
 class State(NamedTuple):
@@ -72,9 +98,9 @@ class Pose(NamedTuple):
     """(3, 3, B), indexed [row, column]."""
 
 
-def tip_pose(sys: System, state: State) -> Pose:
-    """Flange pose in this state."""
-    frames = link_frames(sys.arm, state.q, make_keep(state.q))
+def tip_pose(sys: System, q: jax.Array) -> Pose:
+    """Flange pose at joint angles `q` (n, B)."""
+    frames = link_frames(sys.arm, q, make_keep(q))
     return Pose(frames.flange, frames.flange_rotation)
 
 
@@ -112,3 +138,146 @@ def step(sys: System, state: State, act: Reference) -> State:
     acceleration = joint_acceleration(sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep)
     qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
     return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
+
+
+def joint_acceleration(
+    gains: ImpedanceSettings,
+    frames: Frames,
+    dynamics: Dynamics,
+    drift: jax.Array,
+    q: jax.Array,
+    v: jax.Array,
+    reference: Reference,
+    contact: Contact | None,
+    timestep: float | jax.Array,
+) -> jax.Array:
+    """Mean joint acceleration (n, B) over a step of `timestep` seconds, from midpoint positions and initial speeds.
+
+    Parameters
+    ----------
+    gains
+        Gains of laws (1) and (2).
+    frames, dynamics, drift
+        The arm at the midpoint, J̇q̇ included.
+    q, v
+        (n, B) joint angles at the midpoint and speeds at the start of the step.
+    reference
+        References in force.
+    contact
+        Forces on the arm, or None in free space.
+    """
+    rows = gains.rows
+    jacobian = controlled(gains, frames, dynamics.jacobian)
+    # The implicit midpoint rule for the gains: (1 + dt Kd / 2 + dt² Kp / 4) a = −Kp Δx − Kd ẋ + (contact) in task
+    # space, and the same with Kqd and Kqp in joint space. It lets 25 ms steps cope with Kd = 100 and the wrist's small
+    # inertia. The contact has its share in `a`: otherwise contact would be twice too soft.
+    implicit = 1.0 + 0.5 * timestep * gains.task_damping + 0.25 * timestep**2 * gains.task_stiffness
+    stiffening = 0.5 * timestep * gains.null_damping + 0.25 * timestep**2 * gains.null_stiffness
+    n = len(q)
+    mass_matrix = dynamics.mass_matrix + stiffening * np.eye(n)[:, :, None]
+    twist = jacobian[:, 0] * v[0]
+    for joint in range(1, n):
+        twist = twist + jacobian[:, joint] * v[joint]
+    error = controlled(gains, frames, pose_error(frames, reference, gains.task))
+    drift = controlled(gains, frames, drift)
+    desired = (-gains.task_stiffness * error - gains.task_damping * twist - drift) / implicit
+    null_torque = -gains.null_stiffness * (q - reference.posture) - gains.null_damping * v
+    torques = [null_torque] if contact is None else [null_torque, contact.joint_torque]
+
+    factor, solved, pivots = factorise_mass(mass_matrix, jnp.concatenate([jacobian, jnp.stack(torques)]))
+    wrench = _task_wrench(solved, desired, implicit, SINGULARITY_FLOOR)
+    # q̈ = L⁻ᵀ (L⁻¹ Jᵀ f + L⁻¹ τ₀ + L⁻¹ τ_contact), from the last joint to the first.
+    acceleration: list[jax.Array] = [wrench[0]] * n
+    for joint in reversed(range(n)):
+        row = solved[joint]
+        total = row[rows]
+        for extra in range(rows + 1, rows + len(torques)):
+            total = total + row[extra]
+        for axis in range(rows):
+            total = total + row[axis] * wrench[axis]
+        for later in range(joint + 1, n):
+            total = total - factor[joint][later - joint] * acceleration[later]
+        acceleration[joint] = ratio(total, pivots[joint])
+    return jnp.stack(acceleration)
+
+
+def controlled(gains: ImpedanceSettings, frames: Frames, vectors: jax.Array) -> jax.Array:
+    """The rows (m, ..., B) of task-space vectors (6, ..., B) that law (1) controls, as in `kernels.controlled`."""
+    if gains.task != AXIS:
+        return vectors[: gains.rows]
+    x, y, _ = frames.flange_axes
+    return jnp.concatenate([vectors[:3], jnp.stack([dot(x, vectors[3:]), dot(y, vectors[3:])])])
+
+
+def pose_error(frames: Frames, reference: Reference, task: str = POSE) -> jax.Array:
+    """Δx = x ⊖ x_d, (6, B): translation in m, then a rotation vector in rad, both in base axes.
+
+    It is that of R R_dᵀ or, where law (1) controls no more, of the turn of the tip's z axis. It comes from the sine of
+    its angle by a series, good to 0.1 mrad up to 0.5 rad.
+    """
+    desired, (x, y, z) = reference.rotation, frames.flange_axes
+    if task == AXIS:
+        sine = cross(desired[:, 2], z)
+    else:
+        sine = 0.5 * (cross(desired[:, 0], x) + cross(desired[:, 1], y) + cross(desired[:, 2], z))
+    square = dot(sine, sine)
+    rotation = sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0 + square * (15.0 / 336.0))))
+    return jnp.concatenate([frames.flange - reference.position, rotation])
+
+
+def factorise_mass(mass_matrix: jax.Array, rows: jax.Array) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
+    """Left-looking Cholesky factorisation of M with further rows (R, n, B) appended.
+
+    Returns for each joint j the column of the factor L from the diagonal down (n - j, B), the appended entries (R, B),
+    which are the j-th components of L⁻¹ applied to the rows, and the pivot (B,).
+    """
+    n = len(mass_matrix)
+    columns: list[jax.Array] = []
+    pivots = []
+    for joint in range(n):
+        column = jnp.concatenate([mass_matrix[joint, joint:], rows[:, joint]])
+        for earlier in range(joint):
+            passed = columns[earlier][joint - earlier :]
+            column = column - passed * passed[0][None]
+        pivot = root(column[0])
+        pivots.append(pivot)
+        columns.append(ratio(column, pivot[None]))
+    below = [column[: n - joint] for joint, column in enumerate(columns)]
+    appended = [column[n - joint :] for joint, column in enumerate(columns)]
+    return below, appended, pivots
+
+
+def _task_wrench(
+    solved: list[jax.Array], desired: jax.Array, implicit: float | jax.Array, floor: float
+) -> list[jax.Array]:
+    """The wrench f = Λ (desired − J M⁻¹ τ₀ − (1 − 1/implicit) J M⁻¹ τ_contact) as m rows (B,), by the same recursion.
+
+    `solved` holds for each joint the entries of L⁻¹ [Jᵀ τ₀ τ_contact], the last only if there is contact.
+    """
+    n_rows, n_task = solved[0].shape[0], len(desired)
+    columns: list[jax.Array] = []
+    pivots = []
+    for axis in range(n_task):
+        column = solved[0][axis:] * solved[0][axis][None]
+        for joint in range(1, len(solved)):
+            column = column + solved[joint][axis:] * solved[joint][axis][None]
+        matrix_part, torque_part = column[: n_task - axis], column[n_task - axis :]
+        right = desired[axis] - torque_part[0]
+        if n_rows > n_task + 1:
+            right = right + (1.0 / implicit - 1.0) * torque_part[1]
+        column = jnp.concatenate([matrix_part, right[None]])
+        for earlier in range(axis):
+            passed = columns[earlier][axis - earlier :]
+            column = column - passed * passed[0][None]
+        # Below the floor, floor/2 · (1 + (pivot/floor)²), as in the controller.
+        share = jnp.clip(column[0] * (1.0 / floor), 0.0, 1.0)
+        pivot = root(jnp.maximum(column[0], (0.5 * floor) * (1.0 + share * share)))
+        pivots.append(pivot)
+        columns.append(ratio(column, pivot[None]))
+    wrench: list[jax.Array] = [desired[0]] * n_task
+    for axis in reversed(range(n_task)):
+        total = columns[axis][n_task - axis]
+        for later in range(axis + 1, n_task):
+            total = total - columns[axis][later - axis] * wrench[later]
+        wrench[axis] = ratio(total, pivots[axis])
+    return wrench
