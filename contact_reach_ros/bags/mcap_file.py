@@ -15,7 +15,6 @@ from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
 
-import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -23,7 +22,6 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, ChunkIndex, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
 
 from contact_reach_ros.errors import BagError
 
@@ -109,14 +107,6 @@ class McapFile:
             # Stable: messages of the same time stay in the order of the file.
             waiting = sorted(waiting[ready:] + found, key=_RECEPTION)
         yield from ((names[message.channel_id], message) for message in waiting)
-
-    def reception_times(self) -> dict[int, NDArray[np.int64]]:
-        """Return times of reception, (n,) in ns since the epoch, by channel number, in the order of the file."""
-        times: dict[int, list[int]] = {number: [] for number in self.channels}
-        for start in sorted(chunk.chunk_start_offset for chunk in self._chunks):
-            for message in self._read(start):
-                times[message.channel_id].append(message.log_time)
-        return {number: np.array(found, np.int64) for number, found in times.items()}
 
     def _open_by_index(self) -> bool:
         """Take contents and chunks from the summary; returns False if it is missing, damaged or incomplete."""

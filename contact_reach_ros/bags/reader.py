@@ -100,7 +100,6 @@ class BagReader:
         self._files = self._open(self._find_files(information))
         if of_stack:
             self._leave_namespace()
-        self._times: list[dict[int, np.ndarray]] = []
         self.summary = self._summarise(information or self._embedded_information())
         self._decoder = Decoder(self.summary.topics, self.definition)
 
@@ -120,7 +119,10 @@ class BagReader:
         afterwards. Raises `BagError` if the bag has no such topic.
         """
         wanted = set(self.topics()) if topics is None else set(topics)
-        self._check_topics(wanted)
+        missing = sorted(wanted - set(self.topics()))
+        if missing:
+            known = ", ".join(sorted(self.topics())) or "none"
+            raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
         types = {name: topic.type for name, topic in self.topics().items()}
         for file in self._files:
             for name, message in file.messages(wanted, start_ns):
@@ -143,19 +145,8 @@ class BagReader:
         return self._decoder.decode(raw.topic, raw.data)
 
     def reception_times(self, topic: str) -> np.ndarray:
-        """Return times of reception, (n,) in ns since the epoch, in the order of the file; by the index if possible.
-
-        Raises `BagError` if the bag has no such topic.
-        """
-        self._check_topics([topic])
-        self._times = self._times or [file.reception_times() for file in self._files]
-        parts = [
-            times[number]
-            for file, times in zip(self._files, self._times, strict=True)
-            for number, channel in file.channels.items()
-            if channel.topic == topic
-        ]
-        return np.concatenate(parts)
+        """Return times of reception, (n,) in ns since the epoch; raises `BagError` if the bag has no such topic."""
+        return np.array([raw.log_time_ns for raw in self.raw_messages([topic])], np.int64)
 
     def definition(self, type_name: str) -> TypeDefinition:
         """Return the definition of a type from the bag; raises `BagError` if the bag has none."""
@@ -169,12 +160,6 @@ class BagReader:
             if channel.schema_id in file.schemas and file.schemas[channel.schema_id].name == type_name
         )
         return TypeDefinition(schemas[0].encoding, schemas[0].data, next(filter(None, hashes), ""))
-
-    def _check_topics(self, names: Collection[str]) -> None:
-        missing = sorted(set(names) - set(self.topics()))
-        if missing:
-            known = ", ".join(sorted(self.topics())) or "none"
-            raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
 
     def _read_information(self) -> Mapping[str, Any]:
         """Read metadata.yaml; a missing or damaged one becomes a note."""
