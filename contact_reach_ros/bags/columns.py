@@ -11,14 +11,12 @@ import gc
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.cdr import (
-    ARRAY_COUNT,
     ARRAY_START,
     COUNT,
     HEADER,
@@ -228,16 +226,6 @@ class Arrays(Collector):
         if rows.shape[1] < end or not (rows[:, : len(self._head)] == self._head).all():
             return np.full((1, self._width), np.nan) if len(rows) == 1 else None
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
-
-
-def array_numbers(data: bytes, dtype: str) -> NDArray[Any]:
-    """Return the numbers, 8 bytes each, of one MultiArray message without a layout; empty if it is none."""
-    if not data.startswith(PLAIN_CDR + NO_LAYOUT) or len(data) < ARRAY_START:
-        return np.zeros(0, dtype)
-    (count,) = COUNT.unpack_from(data, ARRAY_COUNT)
-    if len(data) < ARRAY_START + 8 * count:
-        return np.zeros(0, dtype)
-    return np.frombuffer(data, dtype, count, ARRAY_START)
 
 
 def read_raw(bag: BagReader, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]) -> None:

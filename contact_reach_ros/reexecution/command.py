@@ -14,7 +14,6 @@ from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.loops import (
     TOLERANCE,
     Reexecution,
-    realtime_factor,
     reexecute_controller,
     reexecute_observer,
 )
@@ -37,13 +36,10 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     report: dict[str, Any] = {"bag": str(bag)}
     differs = False
     if plan is None:
-        found = reexecute(inputs, changes)
-        for one in found.values():
+        for one in reexecute(inputs, changes):
             differs |= one.first_difference is not None
             _print(one, inputs, changes)
             report[one.node] = _as_json(one, inputs, changes)
-        report["reexecution_realtime_factor"] = realtime_factor(found)
-        print(f"re-executed {report['reexecution_realtime_factor']:.1f} times as fast as the robot")
     else:
         report["plan"], differs = _reexecute_plan(inputs, plan, changes)
     if file is not None:
@@ -51,16 +47,16 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     return DIFFERENT if differs else IDENTICAL
 
 
-def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> dict[str, Reexecution]:
-    """Re-execute controller and observer, as far as the bag has what they took in; returns them by name.
+def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> list[Reexecution]:
+    """Re-execute controller and observer, as far as the bag has what they took in.
 
     Raises `BagError` if it has that of neither.
     """
-    found = {}
+    found: list[Reexecution] = []
     missing: list[BagError] = []
-    for name, run in (("controller", reexecute_controller), ("observer", reexecute_observer)):
+    for run in (reexecute_controller, reexecute_observer):
         try:
-            found[name] = run(inputs, changes)
+            found.append(run(inputs, changes))
         except BagError as error:
             missing.append(error)
     if not found:

@@ -6,9 +6,9 @@ is how they would have answered the same states, which would soon have become ot
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,8 +80,6 @@ class Reexecution:
         Why the re-executed node stopped the arm.
     notes :
         What could not be done, one sentence each.
-    seconds :
-        Processor time that it took.
     """
 
     node: str
@@ -93,18 +91,6 @@ class Reexecution:
     first_difference: Difference | None
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
-    seconds: float
-
-    @property
-    def duration(self) -> float:
-        """Time of the robot's clock that was re-executed, s."""
-        return float(self.stamp_ns[-1] - self.stamp_ns[0]) / NANOSECONDS if len(self.stamp_ns) else 0.0
-
-
-def realtime_factor(found: Mapping[str, Reexecution]) -> float:
-    """How many times faster than the robot controller and observer together were re-executed."""
-    seconds = sum(one.seconds for one in found.values())
-    return max((one.duration for one in found.values()), default=0.0) / seconds if seconds else float("nan")
 
 
 def reexecute_controller(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
@@ -167,16 +153,10 @@ class _Loop:
 
     def run(self) -> Reexecution:
         """Go through all rows."""
-        began = time.process_time()
         for row in self.intake:
-            handler = self.handlers.get(row.what)
-            if handler is None:
-                continue
-            try:
-                handler(row)
-            except InputError:
-                # As the node refused it.
-                continue
+            if row.what in self.handlers:
+                with contextlib.suppress(InputError):  # as the node refused it
+                    self.handlers[row.what](row)
         compared = [output for output in self.outputs if output.is_compared]
         differences = [np.abs(output.value - output.recorded) for output in compared]
         return Reexecution(
@@ -189,7 +169,6 @@ class _Loop:
             self._first_difference(compared, differences),
             tuple(self.reasons),
             tuple(self._notes()),
-            time.process_time() - began,
         )
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
