@@ -73,21 +73,22 @@ class Column:
 
 
 class Collector(ABC):
-    """Collects the messages of one topic into a column; subclasses decode them."""
+    """Collects the messages of one topic into a column; subclasses decode them.
 
-    stamped = True
-    """Whether the messages begin with a header."""
+    Parameters
+    ----------
+    names :
+        Of the values of a message.
+    stamped :
+        Whether the messages begin with a header.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, names: tuple[str, ...], stamped: bool) -> None:
+        self.names, self.stamped = names, stamped
         self._waiting: list[RawMessage] = []
         self._times: list[Times] = []
         self._values: list[Values] = []
         self._refused = 0
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """Names of the values of a message."""
 
     @abstractmethod
     def decode(self, rows: Bytes) -> Values | None:
@@ -166,17 +167,11 @@ class JointStates(Collector):
     """
 
     def __init__(self, fields: Sequence[str], joints: Sequence[str] | None = None) -> None:
-        super().__init__()
+        super().__init__(tuple(joints or ()) * len(fields), stamped=True)
         self._fields = [JOINT_STATE_FIELDS.index(field) for field in fields]
         self._open = joints is None
-        self._joints = list(joints or ())
         if self._open and len(fields) > 1:
             raise ValueError("several fields need the names of the joints, since columns cannot be inserted later")
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the joints, repeated for each field."""
-        return tuple(self._joints * len(self._fields))
 
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""
@@ -187,38 +182,29 @@ class JointStates(Collector):
         fixed = [slice(STAMP_END, counts[0]), *(slice(at, at + 4) for at in counts[:-1])]
         if not all((rows[:, part] == rows[0, part]).all() for part in fixed):
             return None
-        return self._values_of(rows, first)
-
-    def _values_of(self, rows: Bytes, first: bytes) -> Values:
         names = joint_state_names(first)
         if self._open:
-            self._joints += [name for name in dict.fromkeys(names) if name not in self._joints]
-        shared = [name for name in self._joints if name in names]
-        sources, into = [names.index(name) for name in shared], [self._joints.index(name) for name in shared]
+            self.names += tuple(name for name in dict.fromkeys(names) if name not in self.names)
+        joints = self.names[: len(self.names) // len(self._fields)]
+        shared = [name for name in joints if name in names]
+        sources, into = [names.index(name) for name in shared], [joints.index(name) for name in shared]
         values = np.full((len(rows), len(self.names)), np.nan)
-        places = list(zip(joint_state_starts(first), joint_state_counts(first), strict=False))
+        starts = joint_state_starts(first)
         for index, field in enumerate(self._fields):
-            start, at = places[field]
+            start, at = starts[field], counts[field]
             if COUNT.unpack_from(first, at)[0] == len(names):
                 numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
-                values[:, [index * len(self._joints) + column for column in into]] = numbers[:, sources]
+                values[:, [index * len(joints) + column for column in into]] = numbers[:, sources]
         return values
 
 
 class Arrays(Collector):
     """Decodes Float64MultiArray messages without layouts; those that do not have `width` values become rows of NaN."""
 
-    stamped = False
-
     def __init__(self, width: int) -> None:
-        super().__init__()
+        super().__init__(tuple(map(str, range(width))), stamped=False)
         self._width = width
         self._head = np.frombuffer(PLAIN_CDR + NO_LAYOUT + COUNT.pack(width), np.uint8)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Indices of the values, as text."""
-        return tuple(map(str, range(self._width)))
 
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""

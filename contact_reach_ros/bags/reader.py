@@ -164,15 +164,10 @@ class BagReader:
     def _read_information(self) -> Mapping[str, Any]:
         """Read metadata.yaml; a missing or damaged one becomes a note."""
         try:
-            information = bag_metadata.read(self._path)
+            return bag_metadata.read(self._path)
         except BagError as error:
-            self._notes.append(f"{error}; the mcap files are read without it")
+            self._notes.append(str(error))
             return {}
-        if information is None:
-            self._notes.append(
-                "metadata.yaml is missing: the recording was not closed; `contact-reach bag repair` closes it"
-            )
-        return information or {}
 
     def _find_files(self, information: Mapping[str, Any]) -> Sequence[Path]:
         if not self._path.is_dir():
@@ -232,8 +227,9 @@ class BagReader:
         spans = [file.span_ns for file in self._files if file.span_ns is not None]
         start_ns, end_ns = min((start for start, _ in spans), default=0), max((end for _, end in spans), default=0)
         notes = (*self._notes, *self._file_notes())
-        duration = (end_ns - start_ns) / NANOSECONDS
-        return BagSummary(self._path, topics, start_ns, duration, bag_metadata.custom_data(information), notes)
+        kept = information.get("custom_data")
+        texts = {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
+        return BagSummary(self._path, topics, start_ns, (end_ns - start_ns) / NANOSECONDS, texts, notes)
 
     def _topic(self, channel: Channel, schema: Schema | None) -> RecordedTopic:
         try:

@@ -36,7 +36,18 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     report: dict[str, Any] = {"bag": str(bag)}
     differs = False
     if plan is None:
-        for one in reexecute(inputs, changes):
+        found: list[Reexecution] = []
+        missing: list[BagError] = []
+        for run in (reexecute_controller, reexecute_observer):
+            try:
+                found.append(run(inputs, changes))
+            except BagError as error:
+                missing.append(error)
+        if not found:
+            raise missing[0]
+        for lacking in missing:
+            print(f"note: {lacking}")
+        for one in found:
             differs |= one.first_difference is not None
             _print(one, inputs, changes)
             report[one.node] = _as_json(one, inputs, changes)
@@ -45,25 +56,6 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return DIFFERENT if differs else IDENTICAL
-
-
-def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> list[Reexecution]:
-    """Re-execute controller and observer, as far as the bag has what they took in.
-
-    Raises `BagError` if it has that of neither.
-    """
-    found: list[Reexecution] = []
-    missing: list[BagError] = []
-    for run in (reexecute_controller, reexecute_observer):
-        try:
-            found.append(run(inputs, changes))
-        except BagError as error:
-            missing.append(error)
-    if not found:
-        raise missing[0]
-    for lacking in missing:
-        print(f"note: {lacking}")
-    return found
 
 
 def _print(found: Reexecution, inputs: RecordedInputs, changes: ChangedSettings) -> None:

@@ -31,8 +31,8 @@ from contact_reach_ros.reexecution.inputs import (
     RecordedInputs,
     Row,
 )
-from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings, recorded_period
-from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
+from contact_reach_ros.timing import NANOSECONDS, PERIOD
 
 TOLERANCE = 1e-9
 """N m: differences up to this count as none."""
@@ -132,7 +132,7 @@ class _Loop:
         recorded = inputs.sections(node)
         self.node, self.inputs, self.changes = node, inputs, changes
         self.settings: dict[str, Any] = changes.apply(node, recorded)
-        self.period = recorded_period(node, inputs.settings)
+        self.period = 1.0 / float(inputs.settings[node].get("state_rate", 1.0 / PERIOD))
         self.topic = EXTERNAL_TORQUE
         if node == "controller":
             supervision = recorded["supervision"]
