@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
-from contact_reach_ros.bags.goals import goal_in, pursued
+from contact_reach_ros.bags.goals import goal_in
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
@@ -34,6 +34,8 @@ _SPARSE = {
 }
 """Types of the topics with few messages."""
 
+_SAME_GOAL = 1e-5
+"""Distance within which a goal and that of a plan, which is written with six digits, are the same, m."""
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
 
@@ -353,7 +355,11 @@ def _goals(
         stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
         times = np.where(clock.covers(stamps), (stamps - clock.origin_ns) / NANOSECONDS, times)
     planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
-    kept = pursued(positions, planned) & np.isfinite(positions).all(axis=1)
+    kept = np.isfinite(positions).all(axis=1)
+    # Bags of earlier versions do not name the goals of plans.
+    if planned:
+        away = np.abs(positions[:, None] - np.unique(np.stack(planned), axis=0)).max(axis=2)
+        kept &= (away < _SAME_GOAL).any(axis=1)
     return tuple(Series(times[some], ("x", "y", "z"), positions[some]) for some in (kept, ~kept))  # type: ignore[return-value]
 
 

@@ -11,12 +11,7 @@ import numpy as np
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import (
-    TOLERANCE,
-    Reexecution,
-    reexecute_controller,
-    reexecute_observer,
-)
+from contact_reach_ros.reexecution.loops import TOLERANCE, Reexecution, reexecute
 from contact_reach_ros.reexecution.settings import ChangedSettings
 
 IDENTICAL, DIFFERENT = 0, 1
@@ -38,9 +33,9 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     if plan is None:
         found: list[Reexecution] = []
         missing: list[BagError] = []
-        for run in (reexecute_controller, reexecute_observer):
+        for node in ("controller", "observer"):
             try:
-                found.append(run(inputs, changes))
+                found.append(reexecute(node, inputs, changes))
             except BagError as error:
                 missing.append(error)
         if not found:

@@ -93,22 +93,18 @@ class Reexecution:
     notes: tuple[str, ...]
 
 
-def reexecute_controller(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
-    """Re-execute the controller.
+def reexecute(node: str, inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
+    """Re-execute the controller or the observer.
 
     Raises
     ------
     BagError
-        If the bag lacks what the controller took in, or its settings.
+        If the bag lacks what the node took in, or its settings.
     SettingsError
         If changed settings are not accepted.
     """
-    return _ControllerLoop(inputs, changes or ChangedSettings()).run()
-
-
-def reexecute_observer(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
-    """Re-execute the observer; raises as `reexecute_controller` does."""
-    return _ObserverLoop(inputs, changes or ChangedSettings()).run()
+    loop = _ControllerLoop if node == "controller" else _ObserverLoop
+    return loop(inputs, changes or ChangedSettings()).run()
 
 
 class _Output(NamedTuple):
