@@ -106,7 +106,7 @@ class BagReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes of the summary, with damaged chunks and undecodable messages found since."""
-        return (*self._notes, *self._file_notes(), *self._decoder.notes())
+        return (*self._notes, *chain.from_iterable(file.notes() for file in self._files), *self._decoder.notes())
 
     def topics(self) -> Mapping[str, RecordedTopic]:
         """The topics of the bag by name."""
@@ -226,7 +226,7 @@ class BagReader:
                 topics[channel.topic] = dataclasses.replace(known, message_count=count)
         spans = [file.span_ns for file in self._files if file.span_ns is not None]
         start_ns, end_ns = min((start for start, _ in spans), default=0), max((end for _, end in spans), default=0)
-        notes = (*self._notes, *self._file_notes())
+        notes = (*self._notes, *chain.from_iterable(file.notes() for file in self._files))
         kept = information.get("custom_data")
         texts = {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
         return BagSummary(self._path, topics, start_ns, (end_ns - start_ns) / NANOSECONDS, texts, notes)
@@ -251,9 +251,6 @@ class BagReader:
             if isinstance(content, dict):
                 return content
         return {}
-
-    def _file_notes(self) -> Iterator[str]:
-        return chain.from_iterable(file.notes() for file in self._files)
 
 
 def _file_number(path: Path) -> tuple[int, str]:
