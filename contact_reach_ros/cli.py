@@ -178,11 +178,11 @@ def _parser() -> argparse.ArgumentParser:
     info = bag.add_parser("info", help="topics, rates, gaps and lost messages of a bag")
     info.add_argument("path", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
     _add_json(info)
-    info.set_defaults(run=_later("bags.info:bag_info"))
+    info.set_defaults(run=_later("bags.command:bag_info"))
     repair = bag.add_parser("repair", help="make a complete bag of what can be read of a damaged one")
     repair.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file; it is left as it is")
     repair.add_argument("--output", type=Path, metavar="DIR", help="the new bag (default: BAG_repaired)")
-    repair.set_defaults(run=_bag_repair)
+    repair.set_defaults(run=_later("bags.command:repair_bag"))
 
     bench = add("bench", _bench, "how well this machine keeps the time of the running stack")
     bench.add_argument("what", nargs="?", default="control", choices=["control"], help=argparse.SUPPRESS)
@@ -267,15 +267,6 @@ def _bench(what: str, **options: Any) -> None:
     from contact_reach_ros.doctor.fitness import run_fitness
 
     run_fitness(**options)
-
-
-def _bag_repair(bag: Path, output: Path | None) -> None:
-    from contact_reach_ros.bags.repair import repair_bag
-
-    repair = repair_bag(bag, output)
-    for note in repair.notes:
-        print(f"note: {note}")
-    print(f"{repair.message_count} messages of {repair.topic_count} topics are in {repair.bag}")
 
 
 if __name__ == "__main__":

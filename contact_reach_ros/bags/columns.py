@@ -11,14 +11,12 @@ import gc
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.cdr import (
-    ARRAY_COUNT,
     ARRAY_START,
     COUNT,
     HEADER,
@@ -74,21 +72,22 @@ class Column:
 
 
 class Collector(ABC):
-    """Collects the messages of one topic into a column; subclasses decode them."""
+    """Collects the messages of one topic into a column; subclasses decode them.
 
-    stamped = True
-    """Whether the messages begin with a header."""
+    Parameters
+    ----------
+    names :
+        Of the values of a message.
+    stamped :
+        Whether the messages begin with a header.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, names: tuple[str, ...], stamped: bool) -> None:
+        self.names, self.stamped = names, stamped
         self._waiting: list[RawMessage] = []
         self._times: list[Times] = []
         self._values: list[Values] = []
         self._refused = 0
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """Names of the values of a message."""
 
     @abstractmethod
     def decode(self, rows: Bytes) -> Values | None:
@@ -167,17 +166,11 @@ class JointStates(Collector):
     """
 
     def __init__(self, fields: Sequence[str], joints: Sequence[str] | None = None) -> None:
-        super().__init__()
+        super().__init__(tuple(joints or ()) * len(fields), stamped=True)
         self._fields = [JOINT_STATE_FIELDS.index(field) for field in fields]
         self._open = joints is None
-        self._joints = list(joints or ())
         if self._open and len(fields) > 1:
             raise ValueError("several fields need the names of the joints, since columns cannot be inserted later")
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the joints, repeated for each field."""
-        return tuple(self._joints * len(self._fields))
 
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""
@@ -188,34 +181,38 @@ class JointStates(Collector):
         fixed = [slice(STAMP_END, counts[0]), *(slice(at, at + 4) for at in counts[:-1])]
         if not all((rows[:, part] == rows[0, part]).all() for part in fixed):
             return None
+<<<<<<< HEAD
+=======
+        names = joint_state_names(first)
+>>>>>>> w3/bags
         if self._open:
-            self._joints += [name for name in dict.fromkeys(names) if name not in self._joints]
-        shared = [name for name in self._joints if name in names]
-        sources, into = [names.index(name) for name in shared], [self._joints.index(name) for name in shared]
+            self.names += tuple(name for name in dict.fromkeys(names) if name not in self.names)
+        joints = self.names[: len(self.names) // len(self._fields)]
+        shared = [name for name in joints if name in names]
+        sources, into = [names.index(name) for name in shared], [joints.index(name) for name in shared]
         values = np.full((len(rows), len(self.names)), np.nan)
+<<<<<<< HEAD
         for index, field in enumerate(self._fields):
             at = counts[field]
             start = aligned(at + COUNT.size)
+=======
+        starts = joint_state_starts(first)
+        for index, field in enumerate(self._fields):
+            start, at = starts[field], counts[field]
+>>>>>>> w3/bags
             if COUNT.unpack_from(first, at)[0] == len(names):
                 numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
-                values[:, [index * len(self._joints) + column for column in into]] = numbers[:, sources]
+                values[:, [index * len(joints) + column for column in into]] = numbers[:, sources]
         return values
 
 
 class Arrays(Collector):
     """Decodes Float64MultiArray messages without layouts; those that do not have `width` values become rows of NaN."""
 
-    stamped = False
-
     def __init__(self, width: int) -> None:
-        super().__init__()
+        super().__init__(tuple(map(str, range(width))), stamped=False)
         self._width = width
         self._head = np.frombuffer(PLAIN_CDR + NO_LAYOUT + COUNT.pack(width), np.uint8)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Indices of the values, as text."""
-        return tuple(map(str, range(self._width)))
 
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""
@@ -223,16 +220,6 @@ class Arrays(Collector):
         if rows.shape[1] < end or not (rows[:, : len(self._head)] == self._head).all():
             return np.full((1, self._width), np.nan) if len(rows) == 1 else None
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
-
-
-def array_numbers(data: bytes, dtype: str) -> NDArray[Any]:
-    """Return the numbers, 8 bytes each, of one MultiArray message without a layout; empty if it is none."""
-    if not data.startswith(PLAIN_CDR + NO_LAYOUT) or len(data) < ARRAY_START:
-        return np.zeros(0, dtype)
-    (count,) = COUNT.unpack_from(data, ARRAY_COUNT)
-    if len(data) < ARRAY_START + 8 * count:
-        return np.zeros(0, dtype)
-    return np.frombuffer(data, dtype, count, ARRAY_START)
 
 
 def read_raw(bag: BagReader, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]) -> None:

@@ -10,20 +10,19 @@ from __future__ import annotations
 import struct
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Set
 from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, ChunkIndex, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
 
 from contact_reach_ros.errors import BagError
 
@@ -33,6 +32,14 @@ impossible length."""
 _HEAD_BYTES = 9
 """Bytes of opcode and length before the content of a record."""
 _RECEPTION = attrgetter("log_time")
+
+
+class _Chunk(NamedTuple):
+    start: int
+    first_ns: int
+    last_ns: int
+    channels: Set[int]
+    """Empty if not known."""
 
 
 class McapFile:
@@ -58,7 +65,7 @@ class McapFile:
         self.channels: dict[int, Channel] = {}
         self.message_counts: Counter[int] = Counter()
         self.metadata: dict[str, dict[str, str]] = {}
-        self._chunks: list[ChunkIndex] = []
+        self._chunks: list[_Chunk] = []
         self._cut_at: int | None = None
         self._damaged: set[int] = set()
         try:
@@ -78,8 +85,8 @@ class McapFile:
             self._scan()
         self.span_ns: tuple[int, int] | None = None
         if self._chunks:
-            first = min(chunk.message_start_time for chunk in self._chunks)
-            self.span_ns = first, max(chunk.message_end_time for chunk in self._chunks)
+            first_ns = min(chunk.first_ns for chunk in self._chunks)
+            self.span_ns = first_ns, max(chunk.last_ns for chunk in self._chunks)
         # The next request often lies close by: the viewer reads topic by topic and moment by moment.
         self._read_cached = lru_cache(4)(self._read)
 
@@ -98,25 +105,16 @@ class McapFile:
         """
         names = {number: channel.topic for number, channel in self.channels.items() if channel.topic in topics}
         waiting: list[Message] = []
-        for chunk in sorted(self._chunks, key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset)):
-            indexed = chunk.message_index_offsets
-            if chunk.message_end_time < start_ns or (indexed and names.keys().isdisjoint(indexed)):
+        for chunk in sorted(self._chunks, key=attrgetter("first_ns", "start")):
+            if chunk.last_ns < start_ns or (chunk.channels and names.keys().isdisjoint(chunk.channels)):
                 continue
-            ready = bisect_left(waiting, chunk.message_start_time, key=_RECEPTION)
+            ready = bisect_left(waiting, chunk.first_ns, key=_RECEPTION)
             yield from ((names[message.channel_id], message) for message in waiting[:ready])
-            read = self._read_cached(chunk.chunk_start_offset)
+            read = self._read_cached(chunk.start)
             found = [message for message in read if message.channel_id in names and message.log_time >= start_ns]
             # Stable: messages of the same time stay in the order of the file.
             waiting = sorted(waiting[ready:] + found, key=_RECEPTION)
         yield from ((names[message.channel_id], message) for message in waiting)
-
-    def reception_times(self) -> dict[int, NDArray[np.int64]]:
-        """Return times of reception, (n,) in ns since the epoch, by channel number, in the order of the file."""
-        times: dict[int, list[int]] = {number: [] for number in self.channels}
-        for start in sorted(chunk.chunk_start_offset for chunk in self._chunks):
-            for message in self._read(start):
-                times[message.channel_id].append(message.log_time)
-        return {number: np.array(found, np.int64) for number, found in times.items()}
 
     def _open_by_index(self) -> bool:
         """Take contents and chunks from the summary; returns False if it is missing, damaged or incomplete."""
@@ -137,7 +135,11 @@ class McapFile:
             return False
         self.schemas, self.channels, self.metadata = summary.schemas, summary.channels, metadata
         self.message_counts.update(counts)
-        self._chunks = [chunk for chunk in chunks if chunk.message_index_offsets or chunk.message_end_time]
+        self._chunks = [
+            _Chunk(c.chunk_start_offset, c.message_start_time, c.message_end_time, c.message_index_offsets.keys())
+            for c in chunks
+            if c.message_index_offsets or c.message_end_time
+        ]
         return True
 
     def _scan(self) -> None:
@@ -148,7 +150,7 @@ class McapFile:
                 for record in StreamReader(stream, emit_chunks=True, record_size_limit=self._size).records:
                     start, end = end, stream.tell()
                     if isinstance(record, Chunk):
-                        self._add_chunk(record, start, end)
+                        self._add_chunk(record, start)
                     elif isinstance(record, Metadata):
                         self.metadata[record.name] = record.metadata
                     elif isinstance(record, Message):
@@ -160,7 +162,7 @@ class McapFile:
             except _DAMAGE:
                 self._cut_at = end
 
-    def _add_chunk(self, chunk: Chunk, start: int, end: int) -> None:
+    def _add_chunk(self, chunk: Chunk, start: int) -> None:
         try:
             records = breakup_chunk(chunk, validate_crc=True)
         except _DAMAGE:
@@ -173,19 +175,7 @@ class McapFile:
             return
         counts = Counter(message.channel_id for message in found)
         self.message_counts += counts
-        self._chunks.append(
-            ChunkIndex(
-                chunk_start_offset=start,
-                chunk_length=end - start,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                uncompressed_size=chunk.uncompressed_size,
-                message_start_time=chunk.message_start_time,
-                message_end_time=chunk.message_end_time,
-                message_index_offsets=dict.fromkeys(counts, 0),
-                message_index_length=0,
-            )
-        )
+        self._chunks.append(_Chunk(start, chunk.message_start_time, chunk.message_end_time, set(counts)))
 
     def _add_definition(self, record: object) -> None:
         if isinstance(record, Schema):

@@ -76,16 +76,21 @@ class Decoder:
         self._topics = topics
         self._definition = definition
         self._store = get_typestore(Stores.EMPTY)
-        self._decodable: set[str] = set()
+        self._compiled: dict[str, Any] = {}
         self._left_out: dict[str, BagError] = {}
         self._undecoded: Counter[str] = Counter()
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Decode a message; returns None if that fails, which `notes` reports afterwards."""
-        if not self._is_decodable(topic):
+        if topic not in self._compiled:
+            try:
+                self._compiled[topic] = self._compile(self._topics[topic])
+            except BagError as error:
+                self._compiled[topic], self._left_out[topic] = None, error
+        definition = self._compiled[topic]
+        if definition is None:
             return None
         # Not by `deserialize_cdr`, which refuses bytes after the end: rclpy's `serialize_message` leaves up to eight.
-        definition = self._store.get_msgdef(self._topics[topic].type)
         try:
             little_endian = data[1] & 1
             decode = definition.deserialize_cdr_le if little_endian else definition.deserialize_cdr_be
@@ -101,16 +106,7 @@ class Decoder:
         for topic, count in self._undecoded.items():
             yield f"topic '{topic}': {count} messages are no {self._topics[topic].type} and left out"
 
-    def _is_decodable(self, topic: str) -> bool:
-        if topic not in self._decodable and topic not in self._left_out:
-            try:
-                self._prepare(self._topics[topic])
-                self._decodable.add(topic)
-            except BagError as error:
-                self._left_out[topic] = error
-        return topic in self._decodable
-
-    def _prepare(self, topic: RecordedTopic) -> None:
+    def _compile(self, topic: RecordedTopic) -> Any:
         if topic.encoding != CDR:
             raise BagError(f"is serialised as {topic.encoding or 'nothing known'}, expected {CDR}")
         definition = self._definition(topic.type)
@@ -121,8 +117,8 @@ class Decoder:
         try:
             if topic.type not in self._store.fielddefs:
                 self._store.register(get_types_from_msg(definition.text.decode(), topic.type))
-            # Compiles the decoder, which shows whether a dependency is missing.
-            self._store.get_msgdef(topic.type)
+            # This also shows whether a dependency is missing.
+            return self._store.get_msgdef(topic.type)
         except _UNCLEAR as error:
             raise BagError(f"type '{topic.type}' has no clear definition: {error}") from error
 

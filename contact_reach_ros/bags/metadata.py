@@ -99,28 +99,21 @@ def sync_directory(directory: Path) -> None:
         os.close(descriptor)
 
 
-def read(directory: Path) -> dict[str, Any] | None:
-    """Read metadata.yaml of a bag; returns None if there is none, as after a killed recording.
-
-    Raises `BagError` if the file is no rosbag2 metadata or cannot be read.
-    """
-    path = directory / _FILE_NAME
+def read(directory: Path) -> dict[str, Any]:
+    """Read metadata.yaml of a bag; raises `BagError` if it is missing, no rosbag2 metadata, or cannot be read."""
+    path, without = directory / _FILE_NAME, "the mcap files are read without it"
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return None
+        raise BagError(
+            f"{_FILE_NAME} is missing: the recording was not closed; `contact-reach bag repair` closes it"
+        ) from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BagError(f"{path}: cannot be read: {error}") from error
+        raise BagError(f"{path}: cannot be read: {error}; {without}") from error
     inner = content.get(_ROOT) if isinstance(content, dict) else None
     if not isinstance(inner, dict):
-        raise BagError(f"{path}: expected the metadata of a rosbag2 bag, with the key '{_ROOT}'")
+        raise BagError(f"{path}: expected the metadata of a rosbag2 bag, with the key '{_ROOT}'; {without}")
     return inner
-
-
-def custom_data(content: Mapping[str, Any]) -> dict[str, str]:
-    """Return the text stored with a bag, by key; empty if there is none."""
-    found = content.get("custom_data")
-    return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
 
 
 def dump_yaml(content: Any) -> str:

@@ -100,14 +100,13 @@ class BagReader:
         self._files = self._open(self._find_files(information))
         if of_stack:
             self._leave_namespace()
-        self._times: list[dict[int, np.ndarray]] = []
         self.summary = self._summarise(information or self._embedded_information())
         self._decoder = Decoder(self.summary.topics, self.definition)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes of the summary, with damaged chunks and undecodable messages found since."""
-        return (*self._notes, *self._file_notes(), *self._decoder.notes())
+        return (*self._notes, *chain.from_iterable(file.notes() for file in self._files), *self._decoder.notes())
 
     def topics(self) -> Mapping[str, RecordedTopic]:
         """The topics of the bag by name."""
@@ -120,7 +119,10 @@ class BagReader:
         afterwards. Raises `BagError` if the bag has no such topic.
         """
         wanted = set(self.topics()) if topics is None else set(topics)
-        self._check_topics(wanted)
+        missing = sorted(wanted - set(self.topics()))
+        if missing:
+            known = ", ".join(sorted(self.topics())) or "none"
+            raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
         types = {name: topic.type for name, topic in self.topics().items()}
         for file in self._files:
             for name, message in file.messages(wanted, start_ns):
@@ -143,19 +145,8 @@ class BagReader:
         return self._decoder.decode(raw.topic, raw.data)
 
     def reception_times(self, topic: str) -> np.ndarray:
-        """Return times of reception, (n,) in ns since the epoch, in the order of the file; by the index if possible.
-
-        Raises `BagError` if the bag has no such topic.
-        """
-        self._check_topics([topic])
-        self._times = self._times or [file.reception_times() for file in self._files]
-        parts = [
-            times[number]
-            for file, times in zip(self._files, self._times, strict=True)
-            for number, channel in file.channels.items()
-            if channel.topic == topic
-        ]
-        return np.concatenate(parts)
+        """Return times of reception, (n,) in ns since the epoch; raises `BagError` if the bag has no such topic."""
+        return np.array([raw.log_time_ns for raw in self.raw_messages([topic])], np.int64)
 
     def definition(self, type_name: str) -> TypeDefinition:
         """Return the definition of a type from the bag; raises `BagError` if the bag has none."""
@@ -170,24 +161,13 @@ class BagReader:
         )
         return TypeDefinition(schemas[0].encoding, schemas[0].data, next(filter(None, hashes), ""))
 
-    def _check_topics(self, names: Collection[str]) -> None:
-        missing = sorted(set(names) - set(self.topics()))
-        if missing:
-            known = ", ".join(sorted(self.topics())) or "none"
-            raise BagError(f"bag '{self._path}' has no topic '{missing[0]}'; it has {known}")
-
     def _read_information(self) -> Mapping[str, Any]:
         """Read metadata.yaml; a missing or damaged one becomes a note."""
         try:
-            information = bag_metadata.read(self._path)
+            return bag_metadata.read(self._path)
         except BagError as error:
-            self._notes.append(f"{error}; the mcap files are read without it")
+            self._notes.append(str(error))
             return {}
-        if information is None:
-            self._notes.append(
-                "metadata.yaml is missing: the recording was not closed; `contact-reach bag repair` closes it"
-            )
-        return information or {}
 
     def _find_files(self, information: Mapping[str, Any]) -> Sequence[Path]:
         if not self._path.is_dir():
@@ -246,9 +226,10 @@ class BagReader:
                 topics[channel.topic] = dataclasses.replace(known, message_count=count)
         spans = [file.span_ns for file in self._files if file.span_ns is not None]
         start_ns, end_ns = min((start for start, _ in spans), default=0), max((end for _, end in spans), default=0)
-        notes = (*self._notes, *self._file_notes())
-        duration = (end_ns - start_ns) / NANOSECONDS
-        return BagSummary(self._path, topics, start_ns, duration, bag_metadata.custom_data(information), notes)
+        notes = (*self._notes, *chain.from_iterable(file.notes() for file in self._files))
+        kept = information.get("custom_data")
+        texts = {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
+        return BagSummary(self._path, topics, start_ns, (end_ns - start_ns) / NANOSECONDS, texts, notes)
 
     def _topic(self, channel: Channel, schema: Schema | None) -> RecordedTopic:
         try:
@@ -270,9 +251,6 @@ class BagReader:
             if isinstance(content, dict):
                 return content
         return {}
-
-    def _file_notes(self) -> Iterator[str]:
-        return chain.from_iterable(file.notes() for file in self._files)
 
 
 def _file_number(path: Path) -> tuple[int, str]:

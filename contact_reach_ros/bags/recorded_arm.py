@@ -18,9 +18,8 @@ _ONLOOKERS = ("recorder", "viewer")
 
 def arm_of_bag(bag: BagReader) -> Arm:
     """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
-    topics = [name for name in (f"/{SETTINGS}",) if name in bag.topics()]
-    statuses = [item.message for item in bag.messages(topics)] if topics else []
-    return recorded_arm({status.name: read_settings(status) for status in statuses if status is not None})
+    statuses = (item.message for item in bag.messages({f"/{SETTINGS}"} & bag.topics().keys()))
+    return recorded_arm({status.name: read_settings(status) for status in statuses})
 
 
 def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contact_reach_ros.bags.clock import Clock
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
-from contact_reach_ros.bags.goals import goal_in, pursued
+from contact_reach_ros.bags.goals import goal_in
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
@@ -34,8 +34,50 @@ _SPARSE = {
 }
 """Types of the topics with few messages."""
 
+_SAME_GOAL = 1e-5
+"""Distance within which a goal and that of a plan, which is written with six digits, are the same, m."""
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
+
+
+class Clock:
+    """Places messages on the robot's clock, in s since its first joint state.
+
+    Attributes
+    ----------
+    origin_ns :
+        Stamp of the first joint state, ns.
+    """
+
+    def __init__(self, states: Column) -> None:
+        stamped = states.stamp_ns != 0
+        received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
+        if len(stamps):
+            self._received_0, self.origin_ns, self._last_ns = int(received[0]), int(stamps[0]), int(stamps[-1])
+        else:
+            self._received_0 = self.origin_ns = self._last_ns = int(states.log_ns[0]) if len(states) else 0
+        self._received = (received - self._received_0) / NANOSECONDS
+        self._stamps = (stamps - self.origin_ns) / NANOSECONDS
+
+    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether stamps, ns, lie between those of the first joint state and of the last one."""
+        return np.asarray((stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns))
+
+    def of_stamps(self, column: Column) -> np.ndarray:
+        """By the stamps in the headers, or by reception where they are zero."""
+        times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
+        unstamped = column.stamp_ns == 0
+        times[unstamped] = self.of_receptions(column.log_ns[unstamped])
+        return times
+
+    def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
+        """By times of reception, ns."""
+        received = (log_ns - self._received_0) / NANOSECONDS
+        if not len(self._received):
+            return received
+        inside = np.interp(received, self._received, self._stamps)
+        # Outside of the joint states both clocks are taken to run alike.
+        return inside + received - np.clip(received, self._received[0], self._received[-1])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -313,7 +355,11 @@ def _goals(
         stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
         times = np.where(clock.covers(stamps), (stamps - clock.origin_ns) / NANOSECONDS, times)
     planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
-    kept = pursued(positions, planned) & np.isfinite(positions).all(axis=1)
+    kept = np.isfinite(positions).all(axis=1)
+    # Bags of earlier versions do not name the goals of plans.
+    if planned:
+        away = np.abs(positions[:, None] - np.unique(np.stack(planned), axis=0)).max(axis=2)
+        kept &= (away < _SAME_GOAL).any(axis=1)
     return tuple(Series(times[some], ("x", "y", "z"), positions[some]) for some in (kept, ~kept))  # type: ignore[return-value]
 
 

@@ -13,6 +13,8 @@ from contact_reach_ros.errors import BagError
 
 ROS2MSG = "ros2msg"
 """Language of .msg files, the only one of definitions that is read and written here."""
+LOST = "messages_lost"
+"""Key of a bag's custom data for the number of lost messages; with a topic's name appended, those of that topic."""
 CDR = "cdr"
 """Serialisation of ROS 2 messages."""
 

@@ -24,8 +24,8 @@ each chunk in memory until the file is closed: with two chunks a second, 2 MB in
 @dataclasses.dataclass
 class _Channel:
     topic: RecordedTopic
-    definition: TypeDefinition
-    number: int = 0
+    type_hash: str
+    number: int
     message_count: int = 0
 
 
@@ -113,9 +113,14 @@ class BagWriter:
             raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
         if topic.name in self._channels:
             raise BagError(f"bag '{self._directory}': topic '{topic.name}' is added twice")
-        channel = _Channel(topic, definition or self._types.definition(topic.type))
-        self._register(channel)
-        self._channels[topic.name] = channel
+        definition = definition or self._types.definition(topic.type)
+        if topic.type not in self._schema_ids:
+            schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
+            self._schema_ids[topic.type] = schema_id
+        profiles = bag_metadata.dump_yaml(written_qos(topic.offered_qos))
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
+        number = self._writer.register_channel(topic.name, topic.encoding, self._schema_ids[topic.type], about)
+        self._channels[topic.name] = _Channel(topic, definition.type_hash, number)
 
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0
@@ -178,7 +183,12 @@ class BagWriter:
             return
         self._closed = True
         try:
-            self._finish_file()
+            with self._stream:
+                self._wait_for_disk()
+                self._add_information()
+                self._writer.finish()
+                self._stream.flush()
+                os.fdatasync(self._stream.fileno())
             bag_metadata.write(self._directory, self._information())
         except OSError as error:
             raise self._refused(error) from error
@@ -190,24 +200,6 @@ class BagWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _finish_file(self) -> None:
-        with self._stream:
-            self._wait_for_disk()
-            self._add_information()
-            self._writer.finish()
-            self._stream.flush()
-            os.fdatasync(self._stream.fileno())
-
-    def _register(self, channel: _Channel) -> None:
-        topic, definition = channel.topic, channel.definition
-        schema_id = self._schema_ids.get(topic.type)
-        if schema_id is None:
-            schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
-            self._schema_ids[topic.type] = schema_id
-        profiles = bag_metadata.dump_yaml(written_qos(topic.offered_qos))
-        about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
-        channel.number = self._writer.register_channel(topic.name, topic.encoding, schema_id, about)
 
     def _wait_for_disk(self) -> None:
         """Wait for the last `flush` to reach the disk; raises its error."""
@@ -225,7 +217,7 @@ class BagWriter:
 
     def _information(self) -> dict[str, Any]:
         topics = [
-            (dataclasses.replace(channel.topic, message_count=channel.message_count), channel.definition.type_hash)
+            (dataclasses.replace(channel.topic, message_count=channel.message_count), channel.type_hash)
             for channel in self._channels.values()
         ]
         return bag_metadata.information(self._file, topics, self._custom_data)

@@ -6,24 +6,23 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Generator, Iterable, Sequence
 
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from contact_reach_ros.bags.playback import paced, read_ahead
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.topics import OfferedQos
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.interfaces import REPLAY
+from contact_reach_ros.timing import NANOSECONDS
 
 _MATCHED_S = 1.0
 _ARRIVAL_S = 1.0
-_SWITCH_S = 1e-4
-"""Switching interval of the interpreter: the thread that reads ahead must not delay the one that publishes."""
+_STALLED_NS = 500_000_000
+"""A longer delay, as of a process that was suspended with Ctrl-Z, is not made up for."""
 
 
 def published_name(recorded: str) -> str:
@@ -66,7 +65,6 @@ class BagPublisher:
 
         Raises `BagError` if the bag cannot be read.
         """
-        sys.setswitchinterval(_SWITCH_S)
         # Subscriptions have to be matched before the first message.
         self._stopped.wait(_MATCHED_S)
         began, count, rounds = time.monotonic(), 0, 0
@@ -74,10 +72,9 @@ class BagPublisher:
             self._publish(message)
         while not self._stopped.is_set() and (loop or not rounds):
             stored = self._reader.raw_messages(list(self._publishers), start_ns)
-            with closing(read_ahead(stored)) as messages:
-                for message in paced(messages, start_ns, self._rate, self._stopped):
-                    self._publish(message)
-                    count += 1
+            for message in paced(stored, start_ns, self._rate, self._stopped):
+                self._publish(message)
+                count += 1
             rounds += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
@@ -103,6 +100,34 @@ class BagPublisher:
                     break
                 kept[message.topic].append(message)
         return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
+
+
+def paced(
+    messages: Iterable[RawMessage], start_ns: int, rate: float, stopped: threading.Event
+) -> Generator[RawMessage, None, None]:
+    """Yield each message when it is due, until the end or until `stopped` is set.
+
+    Every message has an absolute deadline on the steady clock, so that delays do not add up.
+
+    Parameters
+    ----------
+    messages :
+        In the order of reception; one that follows a later one is handed out together with it.
+    start_ns :
+        Time of the recording to begin at, ns since the epoch.
+    rate :
+        Recorded time per real time, 1 for the original pace.
+    stopped :
+        Ends the playback.
+    """
+    began_ns = time.monotonic_ns()
+    for message in messages:
+        remaining_ns = began_ns + int((message.log_time_ns - start_ns) / rate) - time.monotonic_ns()
+        if remaining_ns < -_STALLED_NS:
+            began_ns -= remaining_ns
+        if stopped.wait(max(remaining_ns, 0) / NANOSECONDS):
+            return
+        yield message
 
 
 def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:

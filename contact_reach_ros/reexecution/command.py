@@ -11,13 +11,7 @@ import numpy as np
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import (
-    TOLERANCE,
-    Reexecution,
-    realtime_factor,
-    reexecute_controller,
-    reexecute_observer,
-)
+from contact_reach_ros.reexecution.loops import TOLERANCE, Reexecution, reexecute
 from contact_reach_ros.reexecution.settings import ChangedSettings
 
 IDENTICAL, DIFFERENT = 0, 1
@@ -37,37 +31,26 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     report: dict[str, Any] = {"bag": str(bag)}
     differs = False
     if plan is None:
-        found = reexecute(inputs, changes)
-        for one in found.values():
+        found: list[Reexecution] = []
+        missing: list[BagError] = []
+        for node in ("controller", "observer"):
+            try:
+                found.append(reexecute(node, inputs, changes))
+            except BagError as error:
+                missing.append(error)
+        if not found:
+            raise missing[0]
+        for lacking in missing:
+            print(f"note: {lacking}")
+        for one in found:
             differs |= one.first_difference is not None
             _print(one, inputs, changes)
             report[one.node] = _as_json(one, inputs, changes)
-        report["reexecution_realtime_factor"] = realtime_factor(found)
-        print(f"re-executed {report['reexecution_realtime_factor']:.1f} times as fast as the robot")
     else:
         report["plan"], differs = _reexecute_plan(inputs, plan, changes)
     if file is not None:
         file.write_text(json.dumps(report, indent=2) + "\n")
     return DIFFERENT if differs else IDENTICAL
-
-
-def reexecute(inputs: RecordedInputs, changes: ChangedSettings) -> dict[str, Reexecution]:
-    """Re-execute controller and observer, as far as the bag has what they took in; returns them by name.
-
-    Raises `BagError` if it has that of neither.
-    """
-    found = {}
-    missing: list[BagError] = []
-    for name, run in (("controller", reexecute_controller), ("observer", reexecute_observer)):
-        try:
-            found[name] = run(inputs, changes)
-        except BagError as error:
-            missing.append(error)
-    if not found:
-        raise missing[0]
-    for lacking in missing:
-        print(f"note: {lacking}")
-    return found
 
 
 def _print(found: Reexecution, inputs: RecordedInputs, changes: ChangedSettings) -> None:

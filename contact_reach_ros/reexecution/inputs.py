@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, array_numbers, read_raw
+from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.recorded_arm import SETTINGS, recorded_arm
 from contact_reach_ros.errors import BagError
@@ -121,7 +121,7 @@ class RecordedInputs:
         handlers |= {f"/intake/{node}": batch.append for node, batch in batches.items()}
         read_raw(bag, handlers)
         self.columns = {name: column.column() for name, column in columns.items()}
-        self.intakes = {node: _join(batch) for node, batch in batches.items() if batch}
+        self.intakes = {node: _join(map(bag.decode, batch)) for node, batch in batches.items() if batch}
         if not len(self.columns[JOINT_STATES]):
             raise BagError(f"bag '{bag.summary.path}' has no joint states: nothing can be re-executed")
         if not self.intakes:
@@ -207,10 +207,10 @@ class RecordedInputs:
         return first
 
 
-def _join(messages: Sequence[RawMessage]) -> Intake:
+def _join(messages: Iterable[Any]) -> Intake:
     """Batches in their order, up to the first gap; those that came twice count once."""
     width = len(COLUMNS)
-    batches = [array_numbers(message.data, "<i8") for message in messages]
+    batches = [message.data for message in messages if message is not None]
     by_first = {int(batch[0]): batch[1:] for batch in batches if len(batch) > width and (len(batch) - 1) % width == 0}
     rows: list[NDArray[np.int64]] = []
     expected: int | None = None

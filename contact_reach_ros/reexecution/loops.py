@@ -6,9 +6,9 @@ is how they would have answered the same states, which would soon have become ot
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,8 +31,8 @@ from contact_reach_ros.reexecution.inputs import (
     RecordedInputs,
     Row,
 )
-from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings, recorded_period
-from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
+from contact_reach_ros.timing import NANOSECONDS, PERIOD
 
 TOLERANCE = 1e-9
 """N m: differences up to this count as none."""
@@ -80,8 +80,6 @@ class Reexecution:
         Why the re-executed node stopped the arm.
     notes :
         What could not be done, one sentence each.
-    seconds :
-        Processor time that it took.
     """
 
     node: str
@@ -93,36 +91,20 @@ class Reexecution:
     first_difference: Difference | None
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
-    seconds: float
-
-    @property
-    def duration(self) -> float:
-        """Time of the robot's clock that was re-executed, s."""
-        return float(self.stamp_ns[-1] - self.stamp_ns[0]) / NANOSECONDS if len(self.stamp_ns) else 0.0
 
 
-def realtime_factor(found: Mapping[str, Reexecution]) -> float:
-    """How many times faster than the robot controller and observer together were re-executed."""
-    seconds = sum(one.seconds for one in found.values())
-    return max((one.duration for one in found.values()), default=0.0) / seconds if seconds else float("nan")
-
-
-def reexecute_controller(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
-    """Re-execute the controller.
+def reexecute(node: str, inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
+    """Re-execute the controller or the observer.
 
     Raises
     ------
     BagError
-        If the bag lacks what the controller took in, or its settings.
+        If the bag lacks what the node took in, or its settings.
     SettingsError
         If changed settings are not accepted.
     """
-    return _ControllerLoop(inputs, changes or ChangedSettings()).run()
-
-
-def reexecute_observer(inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
-    """Re-execute the observer; raises as `reexecute_controller` does."""
-    return _ObserverLoop(inputs, changes or ChangedSettings()).run()
+    loop = _ControllerLoop if node == "controller" else _ObserverLoop
+    return loop(inputs, changes or ChangedSettings()).run()
 
 
 class _Output(NamedTuple):
@@ -146,7 +128,7 @@ class _Loop:
         recorded = inputs.sections(node)
         self.node, self.inputs, self.changes = node, inputs, changes
         self.settings: dict[str, Any] = changes.apply(node, recorded)
-        self.period = recorded_period(node, inputs.settings)
+        self.period = 1.0 / float(inputs.settings[node].get("state_rate", 1.0 / PERIOD))
         self.topic = EXTERNAL_TORQUE
         if node == "controller":
             supervision = recorded["supervision"]
@@ -167,16 +149,10 @@ class _Loop:
 
     def run(self) -> Reexecution:
         """Go through all rows."""
-        began = time.process_time()
         for row in self.intake:
-            handler = self.handlers.get(row.what)
-            if handler is None:
-                continue
-            try:
-                handler(row)
-            except InputError:
-                # As the node refused it.
-                continue
+            if row.what in self.handlers:
+                with contextlib.suppress(InputError):  # as the node refused it
+                    self.handlers[row.what](row)
         compared = [output for output in self.outputs if output.is_compared]
         differences = [np.abs(output.value - output.recorded) for output in compared]
         return Reexecution(
@@ -189,7 +165,6 @@ class _Loop:
             self._first_difference(compared, differences),
             tuple(self.reasons),
             tuple(self._notes()),
-            time.process_time() - began,
         )
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:

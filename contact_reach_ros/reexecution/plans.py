@@ -50,8 +50,6 @@ class ReexecutedPlan:
         The recorded ones, by the keys of plan/statistics.
     differences
         From the recorded plan, by the names and in the units of `TOLERANCES`; none with changed settings.
-    exceeded
-        What differs by more than its tolerance, in words; empty if nothing does.
     seconds
         Wall-clock time.
     """
@@ -59,8 +57,17 @@ class ReexecutedPlan:
     plan: Plan
     statistics: Mapping[str, str]
     differences: Mapping[str, float]
-    exceeded: str
     seconds: float
+
+    @property
+    def exceeded(self) -> str:
+        """What differs by more than its tolerance, in words; empty if nothing does."""
+        # Not `>`: what is not a number exceeds it, too.
+        return ", ".join(
+            f"{name} by {value:.2g} (tolerance {TOLERANCES[name]:g})"
+            for name, value in self.differences.items()
+            if not value <= TOLERANCES[name]
+        )
 
 
 class _RecordedSolution:
@@ -146,19 +153,19 @@ class RecordedPlans:
         request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
         memory = read_memory(parts, request, knot_duration_s, ramp_s)
-        planner = self._searching(changes) if changes else self._evaluator
+        if changes:
+            planner = self._make_planner(changes.apply("planner", self._settings), HybridSolver)
+        else:
+            planner = self._evaluator
         self._solution.best = parts["found"]
         planner.memory = memory if memory is None or len(memory.best) == planner.size else None
         plan = planner.plan(request)
         differences = {} if changes else self._differences(plan, number)
-        return ReexecutedPlan(plan, statistics, differences, _exceeded(differences), time.perf_counter() - began)
+        return ReexecutedPlan(plan, statistics, differences, time.perf_counter() - began)
 
     @functools.cached_property
     def _evaluator(self) -> RecedingHorizonPlanner:
         return self._make_planner(self._settings, lambda *_: self._solution)
-
-    def _searching(self, changes: ChangedSettings) -> RecedingHorizonPlanner:
-        return self._make_planner(changes.apply("planner", self._settings), HybridSolver)
 
     def _make_planner(self, settings: Mapping[str, Any], solver: Callable[..., Solver[Any]]) -> RecedingHorizonPlanner:
         # Results must not depend on how fast the machine is.
@@ -199,13 +206,3 @@ class RecordedPlans:
 
 def _largest(values: Array) -> float:
     return float(np.abs(values).max())
-
-
-def _exceeded(differences: Mapping[str, float]) -> str:
-    """What differs by more than its tolerance, in words."""
-    # Not `>`: what is not a number exceeds it, too.
-    return ", ".join(
-        f"{name} by {value:.2g} (tolerance {TOLERANCES[name]:g})"
-        for name, value in differences.items()
-        if not value <= TOLERANCES[name]
-    )

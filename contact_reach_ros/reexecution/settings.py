@@ -20,7 +20,6 @@ from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
 from contact_reach_ros.settings import Sections, check_node_names, full_name, parameters_in, unknown_key
-from contact_reach_ros.timing import PERIOD
 
 BUDGET = "budget"
 """Prefix of the contact budget, which comes from a file of its own."""
@@ -81,11 +80,6 @@ _OF_PROCESSES = ("use_sim_time", ROBOT, "autostart", "cpus", "state_rate", *TOOL
 """Parameters of every node that do not change what it computes."""
 
 
-def recorded_period(node: str, settings: Mapping[str, Mapping[str, Any]]) -> float:
-    """Nominal time between joint states that a node of a bag had, s."""
-    return 1.0 / float(settings.get(node, {}).get("state_rate", 1.0 / PERIOD))
-
-
 def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> dict[str, Any]:
     """The settings objects of a node by prefix; `recorded` are its values by full name.
 
@@ -103,12 +97,9 @@ def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> di
             )
     try:
         values = _by_prefix(node, recorded, (*FIXED, *_EVERY_NODE), source)
-    except SettingsError as error:
-        raise BagError(f"{error}; use the version that recorded the bag") from error
-    try:
         return {prefix: kind.from_mapping(values[prefix], source) for prefix, kind in SECTIONS[node].items()}
     except SettingsError as error:
-        raise BagError(str(error)) from error
+        raise BagError(f"{error}; use the version that recorded the bag") from error
 
 
 class ChangedSettings:

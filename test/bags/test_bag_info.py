@@ -7,7 +7,7 @@ from rclpy.serialization import serialize_message
 from rich.console import Console
 from std_msgs.msg import String
 
-from contact_reach_ros.bags.info import bag_info, read_info
+from contact_reach_ros.bags.command import bag_info, read_info
 from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 
@@ -33,13 +33,13 @@ def bag(tmp_path: Path) -> Path:
 
 
 def test_rates_gaps_and_lost_messages(bag: Path) -> None:
-    rare, stream = read_info(bag).topics
-    assert (stream.name, stream.message_count, stream.lost) == ("/stream", 1000, 3)
-    assert stream.longest_gap_s == pytest.approx(0.501)
-    assert stream.rate_hz == pytest.approx(999 / 1.499)
-    assert stream.qos == "best effort"
-    assert (rare.lost, rare.qos) == (0, "not known")
-    assert rare.rate_hz == pytest.approx(5.0)
+    rare, stream = read_info(bag)["topics"]
+    assert (stream["name"], stream["message_count"], stream["lost"]) == ("/stream", 1000, 3)
+    assert stream["longest_gap_s"] == pytest.approx(0.501)
+    assert stream["rate_hz"] == pytest.approx(999 / 1.499)
+    assert stream["qos"] == "best effort"
+    assert (rare["lost"], rare["qos"]) == (0, "not known")
+    assert rare["rate_hz"] == pytest.approx(5.0)
 
 
 def test_command_prints_a_table_and_writes_json(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

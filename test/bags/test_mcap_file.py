@@ -38,12 +38,8 @@ def check(path: Path, written: list[tuple[str, Message]]) -> McapFile:
     assert list(file.messages(["/b"], 997)) == [
         entry for entry in file.messages(["/a", "/b"]) if entry[0] == "/b" and entry[1].log_time >= 997
     ]
-    times = file.reception_times()
-    assert set(times) == set(file.channels)
     for number, channel in file.channels.items():
-        expected = [message.log_time for name, message in written if name == channel.topic]
-        assert times[number].tolist() == expected
-        assert file.message_counts[number] == len(expected)
+        assert file.message_counts[number] == sum(name == channel.topic for name, _ in written)
     assert file.span_ns == (994, 1000)
     return file
 

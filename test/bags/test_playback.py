@@ -1,13 +1,12 @@
-"""Playback hands out messages when they are due, and reads them ahead."""
+"""Playback hands out messages when they are due."""
 
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
-from contact_reach_ros.bags.playback import paced, read_ahead
 from contact_reach_ros.bags.reader import RawMessage
+from contact_reach_ros.nodes.bag_publisher import paced
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -40,24 +39,3 @@ def test_after_a_long_delay_messages_keep_their_distances() -> None:
         if len(times) == 1:
             time.sleep(0.7)
     assert times[2] - times[1] >= 49 * MS
-
-
-def test_error_of_the_reader_comes_where_the_messages_are_asked_for() -> None:
-    def broken() -> Iterator[RawMessage]:
-        yield message(0)
-        raise OSError("gone")
-
-    with pytest.raises(OSError, match="gone"):
-        list(read_ahead(broken()))
-
-
-def test_reader_ends_when_nobody_wants_more() -> None:
-    def endless() -> Iterator[RawMessage]:
-        while True:
-            yield message(0)
-
-    before = threading.active_count()
-    messages = read_ahead(endless())
-    next(messages)
-    messages.close()
-    assert threading.active_count() == before

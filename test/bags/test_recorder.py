@@ -23,8 +23,8 @@ from ros_domains import fresh_domain
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
+from contact_reach_ros.bags.command import repair_bag
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.repair import repair_bag
 from contact_reach_ros.bags.settings import RecorderSettings
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
@@ -208,7 +208,8 @@ def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
     assert [item.message.data for item in reader.messages()] == [str(count) for count in range(50)]
     assert reader.summary.custom_data["seed"] == "5"
     assert len(reader.summary.notes) == 2
-    repaired = BagReader(repair_bag(recorder.directory).bag)
+    repair_bag(recorder.directory)
+    repaired = BagReader(recorder.directory.with_name(f"{recorder.directory.name}_repaired"))
     assert [item.message.data for item in repaired.messages()] == [str(count) for count in range(50)]
     assert repaired.notes == ()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from contact_reach_ros.bags.info import read_info
+from contact_reach_ros.bags.command import read_info
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages import topics
 from contact_reach_ros.resources import share_directory
@@ -20,9 +20,9 @@ def reader() -> BagReader:
 def test_it_is_whole_and_small(reader: BagReader) -> None:
     assert sum(path.stat().st_size for path in SAMPLE.iterdir()) <= 2_000_000
     info = read_info(SAMPLE)
-    assert info.notes == ()
-    assert {topic.lost for topic in info.topics} == {0}
-    assert {"scene", "seed", "parameter_file", "scene_file", "contact_budget", "versions"} <= set(info.custom_data)
+    assert info["notes"] == ()
+    assert {topic["lost"] for topic in info["topics"]} == {0}
+    assert {"scene", "seed", "parameter_file", "scene_file", "contact_budget", "versions"} <= set(info["custom_data"])
 
 
 def test_it_has_every_tick_of_every_topic_of_a_lockstep_run(reader: BagReader) -> None:

@@ -12,7 +12,7 @@ from episodes import RECORDED, SCENES, SEEDS, run_episode
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.loops import reexecute
 
 BAGS = Path(__file__).with_name("bags")
 EARLY = 60
@@ -42,6 +42,6 @@ def test_episodes_take_the_same_course(scene: str, seed: int) -> None:
 def test_controller_and_observer_answer_as_recorded(bag: str, torques: int, residuals: int) -> None:
     """One bag with a contact and a stop, one between the walls, one in real time with lost states."""
     inputs = RecordedInputs(BagReader(BAGS / bag))
-    for found, outputs in ((reexecute_controller(inputs), torques), (reexecute_observer(inputs), residuals)):
+    for found, outputs in ((reexecute("controller", inputs), torques), (reexecute("observer", inputs), residuals)):
         assert found.first_difference is None
         assert found.compared >= outputs

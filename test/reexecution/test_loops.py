@@ -14,7 +14,7 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import BATCH, COLUMNS, IntakeLog, Taken
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import _ControllerLoop, reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.loops import _ControllerLoop, reexecute
 from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.resources import share_directory
 
@@ -40,7 +40,7 @@ def changed(directory: Path, change: Callable[[int, RawMessage], RawMessage | No
 
 
 def test_torques_and_residuals_are_identical(sample: RecordedInputs) -> None:
-    for found in (reexecute_controller(sample), reexecute_observer(sample)):
+    for found in (reexecute("controller", sample), reexecute("observer", sample)):
         assert found.compared > 3000
         assert found.largest_difference <= 1e-9
         assert found.first_difference is None
@@ -58,7 +58,7 @@ def test_the_first_difference_is_named(tmp_path: Path) -> None:
         return raw._replace(data=bytes(data))
 
     inputs = changed(tmp_path / "bag", change)
-    first = reexecute_controller(inputs).first_difference
+    first = reexecute("controller", inputs).first_difference
     assert first is not None
     assert first.tick == int(inputs.columns["effort_controller/commands"].sequence[1999])
     assert first.field == "effort_controller/commands of lbr_A3"
@@ -70,7 +70,7 @@ def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
         return None if raw.topic == "/joint_states" and 1500 <= number < 1550 else raw
 
     inputs = changed(tmp_path / "bag", change)
-    for found in (reexecute_controller(inputs), reexecute_observer(inputs)):
+    for found in (reexecute("controller", inputs), reexecute("observer", inputs)):
         assert found.first_difference is None
         assert found.compared > 3000
         assert any(note.startswith("50 messages that the") for note in found.notes)
@@ -79,7 +79,7 @@ def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
 def test_other_settings_have_other_results(sample: RecordedInputs, tmp_path: Path) -> None:
     file = tmp_path / "other.yaml"
     file.write_text("controller: {ros__parameters: {limits: {torque_share: 0.05}}}\nmodel: {ros__parameters: {}}\n")
-    found = reexecute_controller(sample, ChangedSettings(file))
+    found = reexecute("controller", sample, ChangedSettings(file))
     assert np.abs(found.values[:, 1]).max() == pytest.approx(0.05 * 320.0)
     assert np.nanmax(np.abs(found.recorded[:, 1])) > 40.0
     assert found.first_difference is None and found.compared == 0
@@ -90,9 +90,9 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
         return lambda _, raw: None if raw.topic == topic else raw
 
     with pytest.raises(BagError, match="lacks the settings of the controller"):
-        reexecute_controller(changed(tmp_path / "settings", without("/settings")))
+        reexecute("controller", changed(tmp_path / "settings", without("/settings")))
     with pytest.raises(BagError, match="lacks intake/observer"):
-        reexecute_observer(changed(tmp_path / "intake", without("/intake/observer")))
+        reexecute("observer", changed(tmp_path / "intake", without("/intake/observer")))
     with pytest.raises(BagError, match="no joint states"):
         changed(tmp_path / "states", without("/joint_states"))
 

@@ -1,5 +1,6 @@
 """Recorded settings are those of this version, or nothing is re-executed with them."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -9,13 +10,13 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.presets import SECTIONS as DECLARED
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import reexecute_controller, reexecute_observer
+from contact_reach_ros.reexecution.loops import reexecute
 from contact_reach_ros.reexecution.plans import RecordedPlans
 from contact_reach_ros.reexecution.settings import SECTIONS, ChangedSettings, recorded_sections
 from contact_reach_ros.resources import share_directory
 
 SAMPLE = share_directory() / "bags" / "sample"
-RUNS = {"controller": reexecute_controller, "observer": reexecute_observer, "planner": RecordedPlans}
+RUNS = {node: partial(reexecute, node) for node in ("controller", "observer")} | {"planner": RecordedPlans}
 SECTIONS_OF_NODES = [(node, prefix) for node, sections in SECTIONS.items() for prefix in sections]
 
 
