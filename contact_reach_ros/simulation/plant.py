@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -11,7 +12,6 @@ import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
-from contact_reach_ros.simulation.contacts import ContactReader, Contacts
 from contact_reach_ros.simulation.obstacles import (
     OUT_OF_REACH,
     Foam,
@@ -132,7 +132,9 @@ class Plant:
         has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
         self._foam = Foam(scene.obstacles, scene.foam_scale) if has_edges else None
         self._obstacles = slice(scene.arm.n, self.model.nv)
-        self._contacts = ContactReader(self.model, self.data, self.contact_links)
+        names = [self.model.body(body).name for body in self.model.geom_bodyid]
+        links = self.contact_links
+        self._link_of_geom = [links.index(name) if name in links else -1 for name in names]
         self.data.qpos[self._arm] = scene.start
         self._apply_joint_settings()
         mujoco.mj_forward(self.model, self.data)
@@ -201,15 +203,22 @@ class Plant:
 
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `contact_links`, (L,), N: the vector sum over its contacts."""
-        return self._contacts.forces()
+        sums = [[0.0, 0.0, 0.0] for _ in self.contact_links]
+        for link, sign, force, frame in self._contact_rows():
+            total = sums[link]
+            for row, size in enumerate(force):
+                along = sign * size
+                total[0] += along * frame[3 * row]
+                total[1] += along * frame[3 * row + 1]
+                total[2] += along * frame[3 * row + 2]
+        return np.array([math.hypot(*total) for total in sums])
 
     def normal_forces(self) -> Array:
         """Sum of the normal forces of the contacts on each of `contact_links`, (L,), N, without friction."""
-        return self._contacts.normal_forces()
-
-    def contacts(self) -> Contacts:
-        """All contacts with the arm; those of a link add up to its force in `contact_forces`."""
-        return self._contacts.contacts()
+        sums = [0.0 for _ in self.contact_links]
+        for link, _, force, _ in self._contact_rows():
+            sums[link] += force[0]
+        return np.array(sums)
 
     def obstacle_positions(self) -> Array:
         """Where the obstacles' spheres are seen, (K, 3), m, base frame, in the order of `rest_positions`.
@@ -245,12 +254,8 @@ class Plant:
         model.body_ipos[body] = PAYLOAD_CENTER
         # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._set_constants()
-
-    def _set_constants(self) -> None:
-        """Let MuJoCo know of changed masses and frames."""
-        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
-        soften_fixed(self.model)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        soften_fixed(model)
 
     def set_pushes(self, pushes: Sequence[PointForce]) -> None:
         """Replace the external forces on links."""
@@ -271,6 +276,32 @@ class Plant:
             lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.point - data.xipos[body]
             data.xfrc_applied[body, :3] += push.force
             data.xfrc_applied[body, 3:] += np.cross(lever, push.force)
+
+    def _contact_rows(self) -> Iterator[tuple[int, float, list[float], list[float]]]:
+        """Link, sign, force and frame of each contact with one of `contact_links`, as plain numbers.
+
+        Where the arm touches itself there is a row for each of the two links. The sign is that of the force on the
+        link: MuJoCo gives the force on the second geometry of the two.
+
+        The force (1,) or (3,), N, is normal and, with friction, tangential; MuJoCo's frame (9,) is a rotation matrix in
+        row order, whose first row is the normal.
+        """
+        data = self.data
+        if data.ncon == 0:
+            return
+        # Plain numbers: arrays are slower for fewer than a dozen contacts. With an elliptic friction cone the rows of
+        # a contact among the constraints are its force.
+        contact, links, forces = data.contact, self._link_of_geom, data.efc_force.tolist()
+        columns = (contact.geom, contact.efc_address, contact.dim, contact.frame)
+        for (first, second), address, dim, frame in zip(*(column.tolist() for column in columns), strict=True):
+            # MuJoCo leaves out contacts without an address, which carry no force.
+            if address < 0:
+                continue
+            force = forces[address : address + dim]
+            if links[first] >= 0:
+                yield links[first], -1.0, force, frame
+            if links[second] >= 0:
+                yield links[second], 1.0, force, frame
 
     def _apply_joint_settings(self) -> None:
         joints, scale = self._joints, self._friction_scale
