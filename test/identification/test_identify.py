@@ -9,8 +9,8 @@ from motions import ARM, recording
 from benchmarks.identified import record
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.identification.command import describe, write
 from contact_reach_ros.identification.identify import LINKS, identify
-from contact_reach_ros.identification.output import describe, write
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.presets import check_parameters
