@@ -10,7 +10,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.scenes.paths import free_path, path_segments
+from contact_reach_ros.scenes.placing import free_path, path_segments
 from contact_reach_ros.simulation import faults
 from contact_reach_ros.simulation.faults import Fault
 from contact_reach_ros.world.collision import overlap_depths

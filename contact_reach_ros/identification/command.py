@@ -19,7 +19,7 @@ from contact_reach_ros.bags.recorded_arm import arm_of_bag
 from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.identification.fit import CONFIDENCE
-from contact_reach_ros.identification.identify import LINKS, TOOL, Identification, identify
+from contact_reach_ros.identification.identify import Identification, identify
 from contact_reach_ros.identification.recording import Recording, make_recording
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -87,7 +87,7 @@ def run_identification(
     tool = Tool.from_mapping({name: own[full] for name, full in names.items() if full in own}, source)
     budget = sections[BUDGET].resolve(arm)
     print(f"fitting {', '.join(f'{len(each.stamps_ns) * each.period:.0f} s' for each in recordings)}", flush=True)
-    found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recordings, LINKS if links else TOOL)
+    found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recordings, links)
     print(describe(found, arm, budget))
     base = parameters or config_file(DEFAULT_PARAMETERS)
     file, budget_file = write(found, base, output, source)

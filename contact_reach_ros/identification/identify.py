@@ -22,9 +22,6 @@ from contact_reach_ros.observer.settings import MEASURED, MomentumSettings, Obse
 from contact_reach_ros.settings import Setting
 from contact_reach_ros.timing import states_in
 
-TOOL, LINKS = FITS = ("tool", "links")
-"""What else than friction and offsets differs from what the nodes know: the tool, or the weights of the links."""
-
 _DIGITS = 5
 """Decimals of what is written."""
 
@@ -93,7 +90,7 @@ def identify(
     settings: ObserverSettings,
     budget: ContactBudget,
     recordings: Sequence[Recording],
-    what: str = TOOL,
+    links: bool = False,
 ) -> Identification:
     """Fit the model to free motions, and see what the observer makes of them with it.
 
@@ -109,20 +106,18 @@ def identify(
         Of the observer, as they were.
     recordings
         With the tool.
-    what
-        One of `FITS`: the other is taken as the nodes had it.
+    links
+        Fit the weights of the links, with the tool as the nodes had it; else the tool, with the links as they had them.
     """
     if settings.torque_source != MEASURED:
         raise InputError("the observer takes commands for torques: identification needs torque_source: measured")
     momentum = settings.momentum.resolve(arm)
     motions = [make_samples(each, momentum) for each in recordings]
     had = arm.with_tool(tool)
-    known = had if what == LINKS else arm.with_center_shifts(*_shifts(momentum, arm, tool.mass, 0.0))
-    parameters = Parameters(
-        known, None if what == LINKS else tool, momentum.gravity_in_torque, momentum.rotors_in_torque
-    )
+    known = had if links else arm.with_center_shifts(*_shifts(momentum, arm, tool.mass, 0.0))
+    parameters = Parameters(known, None if links else tool, momentum.gravity_in_torque, momentum.rotors_in_torque)
     found = fit(parameters, motions)
-    new_tool, half_widths = (None, np.full(3, np.nan)) if what == LINKS else _tool(found, arm, tool)
+    new_tool, half_widths = (None, np.full(3, np.nan)) if links else _tool(found, arm, tool)
     new = dataclasses.replace(momentum, **_values(found))
     if new_tool is not None:
         x, y = _shifts(momentum, arm, tool.mass, new_tool.mass)

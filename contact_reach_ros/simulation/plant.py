@@ -97,12 +97,13 @@ class Plant:
         self.arm = scene.arm
         mismatch = scene.mismatch
         bodies = [body for obstacle in scene.true_obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
-        everything = [*bodies, unknown_sphere(*unknown)] if unknown else bodies
+        if unknown is not None:
+            bodies.append(unknown_sphere(*unknown))
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(
                 scene.arm,
                 mismatch.inertia_set,
-                [*everything, *rigid_geoms(scene.environment)],
+                [*bodies, *rigid_geoms(scene.environment)],
                 mismatch.payload,
                 self_contacts(scene.arm),
             )
@@ -125,7 +126,6 @@ class Plant:
         self._torque_limits = scene.arm.torque_limits
         self._torque = np.full(scene.arm.n, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
-        self._first_obstacle = self.model.nbody - len(everything)
         self._pushes: list[PointForce] = []
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
@@ -228,14 +228,6 @@ class Plant:
         positions = self._rests.copy()
         positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
         return positions
-
-    def place_obstacles(self, positions: Array) -> None:
-        """Move the obstacles' spheres to `positions` (K, 3), m, at rest; those that cannot move stay."""
-        self.data.qpos[self._obstacles] = (positions - self._rests)[self._movable].ravel()
-
-    def obstacle_body(self, index: int) -> int:
-        """The simulation's body of an obstacle's sphere, by its index in `obstacle_positions`."""
-        return self._first_obstacle + index
 
     def scale_friction(self, factor: float) -> None:
         """Multiply both joint frictions by a factor, relative to those of the scene."""
