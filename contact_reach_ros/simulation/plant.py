@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.simulation.obstacles import (
     OUT_OF_REACH,
@@ -21,7 +22,7 @@ from contact_reach_ros.simulation.obstacles import (
     soften_fixed,
     unknown_sphere,
 )
-from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings
+from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings, SensorSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
@@ -44,15 +45,6 @@ class Actuation(Enum):
     """The commanded torques."""
     DAMPED_HOLD = "damped hold"
     """The robot's own gravity compensation and damping."""
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Readings of the joint sensors: positions (n,) rad, velocities (n,) rad/s, torques (n,) N m, NaN where unknown."""
-
-    position: Array
-    velocity: Array
-    torque: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,15 +183,15 @@ class Plant:
         mujoco.mj_step(self.model, data)
         self.steps += 1
 
-    def read(self) -> Reading:
-        """Sensor readings in the present state; each call draws new noise."""
+    def read(self) -> JointState:
+        """What the joint sensors show of the present state, at its simulated time; each call draws new noise."""
         sensors = self._sensors
         noise = self._noise_scale * self._random.standard_normal((3, self.scene.arm.n))
         position = self.data.qpos[self._arm] + sensors.position_noise * noise[0]
         if sensors.position_resolution > 0.0:
             position = sensors.position_resolution * np.rint(position / sensors.position_resolution)
         velocity = self.data.qvel[self._arm] + sensors.velocity_noise * noise[1]
-        return Reading(position, velocity, self._torque + sensors.torque_noise * noise[2])
+        return JointState(self.steps * TICK_NS, position, velocity, self._torque + sensors.torque_noise * noise[2])
 
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `contact_links`, (L,), N: the vector sum over its contacts."""
