@@ -22,7 +22,7 @@ from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import UnexpectedContactSettings
-from contact_reach_ros.simulation.faults import AnyFault, Fault, Late, WrongPlans
+from contact_reach_ros.simulation.faults import AnyFault, Fault, Vector
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import WatchdogSettings
@@ -96,6 +96,15 @@ class EpisodeOptions:
         return ReplanningSettings(period=self.period, latency=self.latency)
 
 
+@dataclass(frozen=True)
+class WrongPlans(Fault):
+    """Plans lead elsewhere by an offset (3,), m, base frame, last longer by a factor and arrive later by a delay, s."""
+
+    offset: Vector = (0.0, 0.0, 0.0)
+    stretch: float = 1.0
+    delay: float = 0.0
+
+
 class _EpisodeRobot(SimulatedRobot):
     """Calls `after_tick` after each tick of the physics, of which there may be several between joint states."""
 
@@ -163,10 +172,11 @@ class _EpisodeStack(Stack):
         super()._send(torque)
 
     def _follow(self, plan: Plan) -> Plan:
-        for wrong in self._active(WrongPlans):
+        faults = self._active(WrongPlans)
+        for wrong in faults:
             positions, duration = plan.positions + np.array(wrong.offset), wrong.stretch * plan.knot_duration_s
             plan = dataclasses.replace(plan, positions=positions, knot_duration_s=duration)
-        delay = sum(late.delay for late in self._active(Late) if late.what == "plans")
+        delay = sum(wrong.delay for wrong in faults)
         if delay > 0.0:
             self._late.append((self._clock_ns + round(delay * NANOSECONDS), plan))
             return plan

@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.episode import WrongPlans
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.scenes.paths import free_path, path_segments
+from contact_reach_ros.scenes.placing import free_path, path_segments
 from contact_reach_ros.simulation import faults
 from contact_reach_ros.simulation.faults import Fault
 from contact_reach_ros.world.collision import overlap_depths
@@ -62,7 +63,9 @@ def _lost(random: Random, _: Scene) -> Fault:
 
 def _late(random: Random, _: Scene) -> Fault:
     what = str(random.choice(["commands", "states", "plans"]))
-    return faults.Late(what, _log(random, 0.02, 0.6) if what == "plans" else _log(random, 0.001, 0.1))
+    if what == "plans":
+        return WrongPlans(delay=_log(random, 0.02, 0.6))
+    return faults.Late(what, _log(random, 0.001, 0.1))
 
 
 def _not_finite(random: Random, scene: Scene) -> Fault:
@@ -107,7 +110,7 @@ def _obstacle(random: Random, scene: Scene) -> Fault:
 
 def _wrong_plans(random: Random, _: Scene) -> Fault:
     x, y, z = random.uniform(-0.1, 0.1, 3).tolist()
-    return faults.WrongPlans((x, y, z), _log(random, 0.3, 30.0))
+    return WrongPlans((x, y, z), _log(random, 0.3, 30.0))
 
 
 DRAWS: tuple[Callable[[Random, Scene], Fault], ...] = (

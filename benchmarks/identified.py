@@ -8,7 +8,7 @@ import functools
 from benchmarks.free_motion import FreeMotion
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.tool import NO_TOOL
-from contact_reach_ros.identification.identify import LINKS, identify
+from contact_reach_ros.identification.identify import identify
 from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
@@ -36,7 +36,7 @@ def identified(arm: Arm, mismatch: MismatchSettings) -> MomentumSettings:
     if mismatch == NO_MISMATCH:
         return MomentumSettings()
     motion = record(arm, mismatch, _SEED)
-    return identify(arm, NO_TOOL, ObserverSettings(), ContactBudget().resolve(arm), [motion], LINKS).momentum
+    return identify(arm, NO_TOOL, ObserverSettings(), ContactBudget().resolve(arm), [motion], links=True).momentum
 
 
 def record(arm: Arm, mismatch: MismatchSettings, seed: int, seconds: float = RECORDED_S) -> Recording:

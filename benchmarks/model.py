@@ -33,6 +33,7 @@ from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
+from contact_reach_ros.world.spheres import rest_positions
 
 OURS, MUJOCO = "closed_loop", "MuJoCo"
 
@@ -87,7 +88,8 @@ def simulate(
     plant = Plant(scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
     plant.set_actuation(Actuation.COMMANDED)
     if spheres is not None:
-        plant.place_obstacles(spheres)
+        movable = ~np.concatenate([np.zeros(0, bool), *(obstacle.fixed for obstacle in scene.obstacles)])
+        plant.data.qpos[arm.n :] = (spheres - rest_positions(scene))[movable].ravel()
     data = plant.data
     data.qvel[: arm.n] = v
     gains = ImpedanceSettings()

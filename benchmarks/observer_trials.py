@@ -19,7 +19,6 @@ from contact_reach_ros.observer.safety import RELEASE_DEBOUNCE, SafetySettings
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 
 MID_ARM = (3, 4, 5)
@@ -33,7 +32,6 @@ RISE = 1.0 - math.exp(-1.0)
 
 _BETWEEN_S = (0.5, 1.0)
 """Least and greatest time between pushes, s."""
-_TICK_NS = int(TICK * NANOSECONDS)
 _EPISODE_S = 60.0
 """Free motion is cut into pieces of this length, each with a hand-over of its own."""
 
@@ -57,8 +55,7 @@ def step_63_error(arm: Arm, joint: int) -> float:
         # Held softly, each joint for itself: what holds it is known, what pushes it is not.
         command = model.bias - model.mass_matrix.diagonal() * (400.0 * (q - start) + 40.0 * v)
         plant.step(command + external)
-        reading = plant.read()
-        observer.update(JointState(plant.steps * _TICK_NS, reading.position, reading.velocity, command))
+        observer.update(plant.read()._replace(torque=command))
         shares.append(float(observer.momentum.residual[joint] / external[joint]))
     ticks = len(shares) - 2 + (RISE - shares[-2]) / (shares[-1] - shares[-2])
     return ticks * TICK * settings.momentum.gain - 1.0

@@ -23,8 +23,9 @@ def press_in_plant(plant: Plant, node: int, force: Array, steps: int) -> Array:
     steps
         Number of steps.
     """
-    body = plant.obstacle_body(node)
-    before = plant.obstacle_positions()[node]
+    # The spheres' bodies are the last ones.
+    positions = plant.obstacle_positions()
+    body, before = plant.model.nbody - len(positions) + node, positions[node]
     plant.data.xfrc_applied[body, :3] = force
     track = np.empty((steps, 3))
     for step in range(steps):

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
@@ -125,7 +124,7 @@ class ClosedLoop:
         self._steps = round(period / TICK)
         plant.set_actuation(Actuation.COMMANDED)
         reading = plant.read()
-        self.controller.start(reading.position, reading.velocity, self.now_ns)
+        self.controller.start(reading.q, reading.v, self.now_ns)
 
     @property
     def now_ns(self) -> int:
@@ -144,9 +143,7 @@ class ClosedLoop:
         for _ in range(round(seconds * SECOND_NS / TICK_NS / self._steps)):
             if before_tick is not None:
                 before_tick()
-            reading = self.plant.read()
-            state = JointState(self.now_ns, reading.position, reading.velocity, reading.torque)
-            self.torques.append(self.controller.update(state, self.now_ns))
+            self.torques.append(self.controller.update(self.plant.read(), self.now_ns))
             for _ in range(self._steps):
                 self.plant.step(self.torques[max(len(self.torques) - 1 - self._late, 0)])
             yield

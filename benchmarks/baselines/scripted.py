@@ -10,7 +10,7 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.planning.plan import Plan, Request
-from contact_reach_ros.scenes.paths import free_path
+from contact_reach_ros.scenes.placing import free_path
 from contact_reach_ros.world.scene import Scene
 
 _KNOTS = 3

@@ -95,7 +95,8 @@ def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
         step = basis @ (inverse @ (flat.T @ targets.ravel()))
         values = values + parameters.scales * step
         remaining = errors - columns @ (parameters.scales * step)
-        noise = np.maximum(_rms(remaining, moves), _LEAST_NOISE)
+        rms = np.sqrt((remaining**2).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
+        noise = np.maximum(rms, _LEAST_NOISE)
     scores = np.einsum("cni,cn->ci", weighted, remaining / noise)
     inner, freedom = _covariance(inverse, scores, blocks)
     scaled_basis = parameters.scales[:, None] * basis
@@ -109,10 +110,6 @@ def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
         known,
         tuple(_in_words(direction, parameters.names) for direction in unknown.T),
     )
-
-
-def _rms(errors: Array, moves: np.ndarray) -> Array:
-    return np.sqrt((errors**2).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
 
 
 def _blocks(motions: Sequence[Samples]) -> np.ndarray:

@@ -16,15 +16,37 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.fit import Fit, fit
 from contact_reach_ros.identification.parameters import Parameters
 from contact_reach_ros.identification.recording import Recording, make_samples
-from contact_reach_ros.identification.thresholds import Watched, propose, watch
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import MEASURED, MomentumSettings, ObserverSettings
-
-TOOL, LINKS = FITS = ("tool", "links")
-"""What else than friction and offsets differs from what the nodes know: the tool, or the weights of the links."""
+from contact_reach_ros.settings import Setting
+from contact_reach_ros.timing import states_in
 
 _DIGITS = 5
 """Decimals of what is written."""
+
+
+MARGIN = 1.5
+"""Of thresholds over the largest torques of free motion: a longer motion has larger ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """The observer's torques while nothing touched the arm, (n,) each.
+
+    Attributes
+    ----------
+    rms
+        Of the external torque, N m.
+    used
+        Largest share of a joint's contact threshold that its sudden external torque had for as long as a contact takes.
+    mean
+        Largest slow mean, N m.
+    """
+
+    rms: Array
+    used: Array
+    mean: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +90,7 @@ def identify(
     settings: ObserverSettings,
     budget: ContactBudget,
     recordings: Sequence[Recording],
-    what: str = TOOL,
+    links: bool = False,
 ) -> Identification:
     """Fit the model to free motions, and see what the observer makes of them with it.
 
@@ -84,20 +106,18 @@ def identify(
         Of the observer, as they were.
     recordings
         With the tool.
-    what
-        One of `FITS`: the other is taken as the nodes had it.
+    links
+        Fit the weights of the links, with the tool as the nodes had it; else the tool, with the links as they had them.
     """
     if settings.torque_source != MEASURED:
         raise InputError("the observer takes commands for torques: identification needs torque_source: measured")
     momentum = settings.momentum.resolve(arm)
     motions = [make_samples(each, momentum) for each in recordings]
     had = arm.with_tool(tool)
-    known = had if what == LINKS else arm.with_center_shifts(*_shifts(momentum, arm, tool.mass, 0.0))
-    parameters = Parameters(
-        known, None if what == LINKS else tool, momentum.gravity_in_torque, momentum.rotors_in_torque
-    )
+    known = had if links else arm.with_center_shifts(*_shifts(momentum, arm, tool.mass, 0.0))
+    parameters = Parameters(known, None if links else tool, momentum.gravity_in_torque, momentum.rotors_in_torque)
     found = fit(parameters, motions)
-    new_tool, half_widths = (None, np.full(3, np.nan)) if what == LINKS else _tool(found, arm, tool)
+    new_tool, half_widths = (None, np.full(3, np.nan)) if links else _tool(found, arm, tool)
     new = dataclasses.replace(momentum, **_values(found))
     if new_tool is not None:
         x, y = _shifts(momentum, arm, tool.mass, new_tool.mass)
@@ -158,3 +178,58 @@ def _tool(found: Fit, arm: Arm, tool: Tool) -> tuple[Tool, Array]:
         tool, mass=round(float(mass), _DIGITS), center=tuple(np.round(position, _DIGITS).tolist())
     )
     return found_tool, np.where(known[1:], widths, np.nan)
+
+
+def watch(arm: Arm, settings: ObserverSettings, budget: ContactBudget, recording: Recording) -> Watched:
+    """Let an observer see a recording.
+
+    Raises `InputError` if the acting torque is never known for as long as a hand-over takes.
+    """
+    budget, period = budget.resolve(arm), recording.period
+    observer = Observer(arm, settings, budget, period, locates=False)
+    residuals, sudden, speeds = [], [], []
+    for state in recording.states():
+        observer.update(state)
+        if observer.momentum.known_for >= budget.handover_time:
+            residuals.append(observer.momentum.residual)
+            sudden.append(observer.monitor.sudden)
+            speeds.append(np.abs(state.v))
+    states = states_in(settings.safety.contact_debounce, period)
+    if len(residuals) < states:
+        raise InputError(f"the torques are never known for {budget.handover_time:g} s: expected a longer recording")
+    limits = np.array(budget.contact_thresholds) + np.array(budget.contact_per_speed) * np.array(speeds)
+    shares = np.lib.stride_tricks.sliding_window_view(np.abs(sudden) / limits, states, axis=0).min(axis=-1)
+    torques = np.array(residuals)
+    return Watched(
+        np.sqrt((torques**2).mean(axis=0)), shares.max(axis=0), np.abs(torques - np.array(sudden)).max(axis=0)
+    )
+
+
+def propose(arm: Arm, budget: ContactBudget, seen: Watched, dry_friction: Sequence[float]) -> ContactBudget:
+    """The budget with thresholds as low as the free motion permits; none is raised.
+
+    Those that report a contact, and the share that counts as an error of the model, keep a `MARGIN` over it. Those that
+    stop the arm are lowered by as much: what they permit beyond that is the permitted force. At rest `dry_friction`
+    (n,), N m, may carry any part of a weight: so much always counts as an error of the model.
+    """
+    budget = budget.resolve(arm)
+    share = np.minimum(MARGIN * seen.used, 1.0)
+    contact = _within("contact_thresholds", share * budget.contact_thresholds)
+    error = np.minimum(_within("model_error", np.maximum(MARGIN * seen.mean, dry_friction)), budget.model_error)
+    less, less_error = np.array(budget.contact_thresholds) - contact, np.array(budget.model_error) - error
+    values = {
+        "contact_thresholds": contact,
+        "contact_per_speed": share * budget.contact_per_speed,
+        "model_error": error,
+        "sudden_thresholds": _within("sudden_thresholds", budget.sudden_thresholds - less),
+        "torque_thresholds": _within("torque_thresholds", budget.torque_thresholds - less_error),
+        "handover_thresholds": np.minimum(_within("handover_thresholds", error + contact), budget.handover_thresholds),
+    }
+    rounded: dict[str, Any] = {name: tuple(np.round(value, 2).tolist()) for name, value in values.items()}
+    return dataclasses.replace(budget, **rounded)
+
+
+def _within(name: str, values: Array) -> Array:
+    """Values of a threshold, no smaller than the budget accepts."""
+    entry: Setting = next(entry for entry in ContactBudget.declared() if entry.name == name)
+    return np.maximum(values, entry.minimum or 0.0)

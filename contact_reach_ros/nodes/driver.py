@@ -27,7 +27,6 @@ from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.scenes.generate import make_scene, parse_target
-from contact_reach_ros.simulation.pace import Pace
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
 from contact_reach_ros.timing import NANOSECONDS, Histogram, write_counts
@@ -39,8 +38,56 @@ _LOCKSTEP_START_NS = 1000 * NANOSECONDS
 """Simulated time begins well after zero, which ROS interprets as 'not set'."""
 _ANSWER_NS = 500_000
 """Time to wait for the controller. A late tick can still catch up, since it needs less than the other half."""
+_MAX_CATCH_UP_NS = 20_000_000
 _REST_NS = 300_000
 """Part of a tick reserved for publishing after the joint state."""
+
+
+class Pace:
+    """Counts ticks of the steady clock.
+
+    Parameters
+    ----------
+    period_ns
+        Time between ticks, ns.
+
+    Attributes
+    ----------
+    next_ns
+        When the next tick is due, ns.
+    missed
+        Ticks that came late by a period or more.
+    stood_ns
+        Time for which the robot has stood still because this process did, ns.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.next_ns = 0
+        self.missed = 0
+        self.stood_ns = 0
+        self._period_ns = period_ns
+
+    def start(self, now_ns: int) -> None:
+        """Let the first tick be due in a period."""
+        self.next_ns = now_ns + self._period_ns
+
+    def stand_still(self, now_ns: int) -> int:
+        """After a long pause of this process, leave out ticks: the robot neither moves nor receives anything.
+
+        Returns the time that is left out, ns, by which its stamps advance.
+        """
+        ticks = max((now_ns - self.next_ns - _MAX_CATCH_UP_NS) // self._period_ns, 0)
+        self.missed += ticks
+        self.next_ns += ticks * self._period_ns
+        self.stood_ns += ticks * self._period_ns
+        return ticks * self._period_ns
+
+    def due(self, now_ns: int) -> int:
+        """Number of ticks that are due: a real robot moves on, whether this process is on time or not."""
+        late = max((now_ns - self.next_ns) // self._period_ns, 0)
+        self.missed += late
+        self.next_ns += (1 + late) * self._period_ns
+        return 1 + late
 
 
 class DriverNode(ManagedNode):

@@ -16,8 +16,7 @@ from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.scenes.paths import capsule_links, free_path, on_hand, postures_at
-from contact_reach_ros.scenes.placing import target_clearance
+from contact_reach_ros.scenes.placing import capsule_links, free_path, on_hand, postures_at, target_clearance
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle import ObstacleSettings, WallSettings

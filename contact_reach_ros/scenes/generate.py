@@ -16,8 +16,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.scenes.fitting import fitted
-from contact_reach_ros.scenes.paths import free_path, on_hand, on_middle
-from contact_reach_ros.scenes.placing import place
+from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, place
 from contact_reach_ros.world.collision import check_goal, check_hand, nearest, overlap_depths
 from contact_reach_ros.world.goal import Goal, Target
 from contact_reach_ros.world.obstacle import Obstacle, WallSettings, bodies

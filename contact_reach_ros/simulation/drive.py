@@ -33,6 +33,8 @@ class Drive:
         Why the arm is stopped; empty while it is not.
     rejected
         Number of refused commands.
+    is_open
+        Whether the arm has been handed over: the brakes are open, or were before a stop.
     """
 
     def __init__(self, plant: Plant, settings: WatchdogSettings, open_after: float = OPEN_AFTER) -> None:
@@ -50,12 +52,7 @@ class Drive:
         self._command: Array | None = None
         self._command_ns = 0
         self._steady_since_ns = 0
-        self._opened = False
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the arm has been handed over: the brakes are open, or were before a stop."""
-        return self._opened
+        self.is_open = False
 
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (n,) in N m that arrived at `clock_ns`.
@@ -76,10 +73,10 @@ class Drive:
         """Advance the plant by one tick under the present command."""
         silence = clock_ns - self._command_ns
         if self._command is not None and silence <= self._hold_ns:
-            self._opened = self._opened or clock_ns - self._steady_since_ns >= self._open_ns
-        if self._opened and not self.stop_reason:
+            self.is_open = self.is_open or clock_ns - self._steady_since_ns >= self._open_ns
+        if self.is_open and not self.stop_reason:
             self._watch_speed()
-        if self.stop_reason or not self._opened:
+        if self.stop_reason or not self.is_open:
             actuation = Actuation.BRAKED
         elif not self._watches_silence:
             actuation = Actuation.COMMANDED
@@ -112,4 +109,4 @@ class Drive:
         """Release a stop; the brakes open again after steady commands."""
         self.stop_reason = ""
         self._command = None
-        self._opened = False
+        self.is_open = False

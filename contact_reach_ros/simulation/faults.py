@@ -1,7 +1,7 @@
 """Faults of the simulation: what goes wrong, when, and what it does to messages, robot and surroundings.
 
-`SimulatedRobot(scene, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0), at=2.0, duration=0.1)])` injects them. Faults of
-plans and of nodes other than the driver (`Silent`, `WrongPlans`, `Late("plans")`) act in episodes of the benchmarks.
+`SimulatedRobot(scene, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0), at=2.0, duration=0.1)])` injects them.
+`Silent` nodes other than the driver act in episodes of the benchmarks.
 """
 
 from __future__ import annotations
@@ -85,10 +85,9 @@ class Lost(MessageFault):
 
 @dataclass(frozen=True)
 class Late(MessageFault):
-    """Commands, joint states or plans arrive later by a delay, s, in order."""
+    """Commands or joint states arrive later by a delay, s, in order."""
 
     delay: float = 0.005
-    CHOICES = ("commands", "states", "plans")
 
 
 @dataclass(frozen=True)
@@ -190,14 +189,6 @@ class Silent(Fault):
         super().__post_init__()
         if self.node not in ("driver", "controller", "observer", "planner"):
             raise SettingsError(f"{self}: expected driver, controller, observer or planner")
-
-
-@dataclass(frozen=True)
-class WrongPlans(Fault):
-    """Plans lead elsewhere by an offset (3,), m, base frame, and last longer by a factor."""
-
-    offset: Vector = (0.0, 0.0, 0.0)
-    stretch: float = 1.0
 
 
 AnyFault = TypeVar("AnyFault", bound=Fault)

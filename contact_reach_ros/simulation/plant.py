@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -10,8 +11,8 @@ import mujoco
 import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
-from contact_reach_ros.simulation.contacts import ContactReader, Contacts
 from contact_reach_ros.simulation.obstacles import (
     OUT_OF_REACH,
     Foam,
@@ -21,7 +22,7 @@ from contact_reach_ros.simulation.obstacles import (
     soften_fixed,
     unknown_sphere,
 )
-from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings
+from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings, SensorSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
@@ -44,15 +45,6 @@ class Actuation(Enum):
     """The commanded torques."""
     DAMPED_HOLD = "damped hold"
     """The robot's own gravity compensation and damping."""
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Readings of the joint sensors: positions (n,) rad, velocities (n,) rad/s, torques (n,) N m, NaN where unknown."""
-
-    position: Array
-    velocity: Array
-    torque: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +89,13 @@ class Plant:
         self.arm = scene.arm
         mismatch = scene.mismatch
         bodies = [body for obstacle in scene.true_obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
-        everything = [*bodies, unknown_sphere(*unknown)] if unknown else bodies
+        if unknown is not None:
+            bodies.append(unknown_sphere(*unknown))
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(
                 scene.arm,
                 mismatch.inertia_set,
-                [*everything, *rigid_geoms(scene.environment)],
+                [*bodies, *rigid_geoms(scene.environment)],
                 mismatch.payload,
                 self_contacts(scene.arm),
             )
@@ -125,14 +118,15 @@ class Plant:
         self._torque_limits = scene.arm.torque_limits
         self._torque = np.full(scene.arm.n, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
-        self._first_obstacle = self.model.nbody - len(everything)
         self._pushes: list[PointForce] = []
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
         has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
         self._foam = Foam(scene.obstacles, scene.foam_scale) if has_edges else None
         self._obstacles = slice(scene.arm.n, self.model.nv)
-        self._contacts = ContactReader(self.model, self.data, self.contact_links)
+        names = [self.model.body(body).name for body in self.model.geom_bodyid]
+        links = self.contact_links
+        self._link_of_geom = [links.index(name) if name in links else -1 for name in names]
         self.data.qpos[self._arm] = scene.start
         self._apply_joint_settings()
         mujoco.mj_forward(self.model, self.data)
@@ -189,27 +183,34 @@ class Plant:
         mujoco.mj_step(self.model, data)
         self.steps += 1
 
-    def read(self) -> Reading:
-        """Sensor readings in the present state; each call draws new noise."""
+    def read(self) -> JointState:
+        """What the joint sensors show of the present state, at its simulated time; each call draws new noise."""
         sensors = self._sensors
         noise = self._noise_scale * self._random.standard_normal((3, self.scene.arm.n))
         position = self.data.qpos[self._arm] + sensors.position_noise * noise[0]
         if sensors.position_resolution > 0.0:
             position = sensors.position_resolution * np.rint(position / sensors.position_resolution)
         velocity = self.data.qvel[self._arm] + sensors.velocity_noise * noise[1]
-        return Reading(position, velocity, self._torque + sensors.torque_noise * noise[2])
+        return JointState(self.steps * TICK_NS, position, velocity, self._torque + sensors.torque_noise * noise[2])
 
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `contact_links`, (L,), N: the vector sum over its contacts."""
-        return self._contacts.forces()
+        sums = [[0.0, 0.0, 0.0] for _ in self.contact_links]
+        for link, sign, force, frame in self._contact_rows():
+            total = sums[link]
+            for row, size in enumerate(force):
+                along = sign * size
+                total[0] += along * frame[3 * row]
+                total[1] += along * frame[3 * row + 1]
+                total[2] += along * frame[3 * row + 2]
+        return np.array([math.hypot(*total) for total in sums])
 
     def normal_forces(self) -> Array:
         """Sum of the normal forces of the contacts on each of `contact_links`, (L,), N, without friction."""
-        return self._contacts.normal_forces()
-
-    def contacts(self) -> Contacts:
-        """All contacts with the arm; those of a link add up to its force in `contact_forces`."""
-        return self._contacts.contacts()
+        sums = [0.0 for _ in self.contact_links]
+        for link, _, force, _ in self._contact_rows():
+            sums[link] += force[0]
+        return np.array(sums)
 
     def obstacle_positions(self) -> Array:
         """Where the obstacles' spheres are seen, (K, 3), m, base frame, in the order of `rest_positions`.
@@ -219,14 +220,6 @@ class Plant:
         positions = self._rests.copy()
         positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
         return positions
-
-    def place_obstacles(self, positions: Array) -> None:
-        """Move the obstacles' spheres to `positions` (K, 3), m, at rest; those that cannot move stay."""
-        self.data.qpos[self._obstacles] = (positions - self._rests)[self._movable].ravel()
-
-    def obstacle_body(self, index: int) -> int:
-        """The simulation's body of an obstacle's sphere, by its index in `obstacle_positions`."""
-        return self._first_obstacle + index
 
     def scale_friction(self, factor: float) -> None:
         """Multiply both joint frictions by a factor, relative to those of the scene."""
@@ -245,12 +238,8 @@ class Plant:
         model.body_ipos[body] = PAYLOAD_CENTER
         # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._set_constants()
-
-    def _set_constants(self) -> None:
-        """Let MuJoCo know of changed masses and frames."""
-        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
-        soften_fixed(self.model)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        soften_fixed(model)
 
     def set_pushes(self, pushes: Sequence[PointForce]) -> None:
         """Replace the external forces on links."""
@@ -271,6 +260,32 @@ class Plant:
             lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.point - data.xipos[body]
             data.xfrc_applied[body, :3] += push.force
             data.xfrc_applied[body, 3:] += np.cross(lever, push.force)
+
+    def _contact_rows(self) -> Iterator[tuple[int, float, list[float], list[float]]]:
+        """Link, sign, force and frame of each contact with one of `contact_links`, as plain numbers.
+
+        Where the arm touches itself there is a row for each of the two links. The sign is that of the force on the
+        link: MuJoCo gives the force on the second geometry of the two.
+
+        The force (1,) or (3,), N, is normal and, with friction, tangential; MuJoCo's frame (9,) is a rotation matrix in
+        row order, whose first row is the normal.
+        """
+        data = self.data
+        if data.ncon == 0:
+            return
+        # Plain numbers: arrays are slower for fewer than a dozen contacts. With an elliptic friction cone the rows of
+        # a contact among the constraints are its force.
+        contact, links, forces = data.contact, self._link_of_geom, data.efc_force.tolist()
+        columns = (contact.geom, contact.efc_address, contact.dim, contact.frame)
+        for (first, second), address, dim, frame in zip(*(column.tolist() for column in columns), strict=True):
+            # MuJoCo leaves out contacts without an address, which carry no force.
+            if address < 0:
+                continue
+            force = forces[address : address + dim]
+            if links[first] >= 0:
+                yield links[first], -1.0, force, frame
+            if links[second] >= 0:
+                yield links[second], 1.0, force, frame
 
     def _apply_joint_settings(self) -> None:
         joints, scale = self._joints, self._friction_scale

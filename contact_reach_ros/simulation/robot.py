@@ -10,12 +10,16 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.faults import Fault, Faults, UnknownObstacle
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import TICK, JointSettings, SensorSettings, WatchdogSettings, check_period
-from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.simulation.settings import (
+    TICK,
+    TICK_NS,
+    JointSettings,
+    SensorSettings,
+    WatchdogSettings,
+    check_period,
+)
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
-
-TICK_NS = int(TICK * NANOSECONDS)
 
 _SPHERES_EVERY = 20
 _MESHES_EVERY = 40
@@ -147,8 +151,7 @@ class SimulatedRobot:
 
     def read(self) -> list[JointState]:
         """The joint states that arrive now; without faults, the present one. Each call draws new sensor noise."""
-        reading = self.plant.read()
-        state = JointState(self.now_ns, reading.position, reading.velocity, reading.torque)
+        state = self.plant.read()._replace(stamp_ns=self.now_ns)
         if self.faults is None:
             return [state]
         if self.faults.is_silent("driver", self.now_ns):

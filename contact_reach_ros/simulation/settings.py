@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Settings, setting
+from contact_reach_ros.timing import NANOSECONDS
 
 TICK = 0.001
 """Step of the simulated robot, s."""
+TICK_NS = int(TICK * NANOSECONDS)
 
 
 def check_period(period: float) -> int:

@@ -180,16 +180,12 @@ class MeshSettings(ObstacleSettings):
         along = (np.moveaxis(index, axis, 0) for axis in range(3))
         return np.concatenate([np.stack([line[:-1].ravel(), line[1:].ravel()], axis=1) for line in along])
 
-    def level(self, number: int) -> NDArray[np.bool_]:
-        """(N,) true for the nodes on one level along z; -1 is the top."""
-        mask = np.zeros(self.nodes, bool)
-        mask[:, :, number] = True
-        return mask.ravel()
-
     def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
-        fixed = self.level(fixed_level)
+        fixed = np.zeros(self.nodes, bool)
+        fixed[:, :, fixed_level] = True
+        edges = self.edges()
         return Obstacle(
-            self.KIND, name, points, self.node_radius, self.material, fixed, edges=self.edges(), lattice=self.nodes
+            self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=edges, lattice=self.nodes
         )
 
 

@@ -7,6 +7,7 @@ import pytest
 from arm_simulation import ARM
 from test_metrics import episode
 
+from benchmarks.episode import WrongPlans
 from benchmarks.episode_result import EpisodeResult
 from benchmarks.fault_checks import (
     BOUNDS,
@@ -26,7 +27,6 @@ from contact_reach_ros.simulation.faults import (
     RivalCommands,
     UnknownObstacle,
     WrongClock,
-    WrongPlans,
 )
 from contact_reach_ros.world.scene_file import read_scene
 

@@ -81,9 +81,9 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
     model = RobotModel(ARM)
     for _ in range(100):
         reading = plant.read()
-        model.update(reading.position, reading.velocity)
+        model.update(reading.q, reading.v)
         plant.step(model.bias + torque)
-    moved = plant.read().position - HOME
+    moved = plant.read().q - HOME
     assert np.abs(moved).max() > 0.01
     np.testing.assert_allclose(np.asarray(state.q)[:, 0] - HOME, moved, rtol=0.03, atol=1e-3)
 

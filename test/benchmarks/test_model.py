@@ -17,7 +17,7 @@ from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Problem, term_weights
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.scenes.paths import MIN_MOBILITY
+from contact_reach_ros.scenes.placing import MIN_MOBILITY
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.scene import Scene

@@ -171,7 +171,7 @@ def displacement_after_silence(is_guarded):
     ended = None
     for tick in range(1, 900):
         now_ns, reading = tick * TICK_NS, plant.read()
-        state = JointState(now_ns, reading.position, reading.velocity, None)
+        state = reading._replace(stamp_ns=now_ns, torque=None)
         guard.see(state, now_ns)
         sent = None
         if tick < 400:

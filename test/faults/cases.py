@@ -8,6 +8,7 @@ from dataclasses import MISSING, dataclass, fields
 
 from arm_simulation import ARM
 
+from benchmarks.episode import WrongPlans
 from benchmarks.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
 from contact_reach_ros.simulation.faults import (
     Fault,
@@ -24,7 +25,6 @@ from contact_reach_ros.simulation.faults import (
     UnknownObstacle,
     VelocityNoise,
     WrongClock,
-    WrongPlans,
 )
 
 KINDS = (
@@ -240,9 +240,9 @@ CASES = (
     Case([Silent("controller", at=0.5)], STILL, _WATCHDOG, planner="small"),
     Case([Silent("controller", at=0.5, duration=0.06)], REACHED),
     Case([Silent("controller", at=0.5, duration=0.3)], STILL, _WATCHDOG, planner="small"),
-    Case([Late("plans", 0.2, at=0.5)], REACHED),
-    Case([Late("plans", 0.5, at=0.5)], STILL, _NO_PLAN, refused="plans", timeout=9.0),
-    Case([Late("plans", 0.1, at=0.5)], REACHED, scene="table", planner="small", timeout=8.0, rate=500),
+    Case([WrongPlans(delay=0.2, at=0.5)], REACHED),
+    Case([WrongPlans(delay=0.5, at=0.5)], STILL, _NO_PLAN, refused="plans", timeout=9.0),
+    Case([WrongPlans(delay=0.1, at=0.5)], REACHED, scene="table", planner="small", timeout=8.0, rate=500),
     Case([WrongPlans(offset=(0.0, 0.0, 0.2), at=0.5)], STILL, _NO_PLAN, planner="small", timeout=9.0, rate=200),
     Case([WrongPlans(offset=(0.0, 0.0, -0.04), at=0.5)], STILL, _NO_PLAN, scene="table", timeout=9.0, rate=200),
     Case([WrongPlans(stretch=20.0, at=0.5)], STILL, _NO_PLAN, planner="small", refused="plans", timeout=9.0, rate=200),

@@ -9,8 +9,8 @@ from motions import ARM, recording
 from benchmarks.identified import record
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.identification.identify import LINKS, identify
-from contact_reach_ros.identification.output import describe, write
+from contact_reach_ros.identification.command import describe, write
+from contact_reach_ros.identification.identify import identify
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
 from contact_reach_ros.presets import check_parameters
@@ -58,7 +58,7 @@ def test_links_that_differ_make_no_tool_of_negative_mass():
 
 @pytest.mark.slow
 def test_links_of_the_bare_arm_and_then_its_tool():
-    bare = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [record(ARM, MismatchSettings(payload=0.0), 1, 60.0)], LINKS)
+    bare = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [record(ARM, MismatchSettings(payload=0.0), 1, 60.0)], links=True)
     assert bare.tool is None and bare.rms_ratio < 1.0 / 3.0
     settings = dataclasses.replace(SETTINGS, momentum=bare.momentum)
     loaded = identify(ARM, NO_TOOL, settings, BUDGET, [record(ARM, MismatchSettings(), 0, 60.0)])

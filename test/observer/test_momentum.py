@@ -32,7 +32,7 @@ class Observed:
         command = self._model.bias - inertia * (400.0 * (q - self._start) + 40.0 * v)
         self.plant.step(command + external)
         reading = self.plant.read()
-        return self.observer.update(reading.position, reading.velocity, command, self.plant.steps * TICK_NS)
+        return self.observer.update(reading.q, reading.v, command, self.plant.steps * TICK_NS)
 
     def push(self, body: str, force: tuple[float, float, float]) -> None:
         """A force on a link at its centre of mass, base axes, N."""

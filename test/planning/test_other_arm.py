@@ -98,15 +98,15 @@ def test_scenes_are_made_and_simulated(name):
     scene = make_scene(file, SIX_AXIS, 0)
     plant = Plant(scene, IDEAL_SENSORS, NO_FRICTION)
     assert plant.contact_links == SIX_AXIS.contact_links
-    np.testing.assert_array_equal(plant.read().position, scene.start)
+    np.testing.assert_array_equal(plant.read().q, scene.start)
     drive = Drive(plant, WatchdogSettings(), open_after=0.0)
     with pytest.raises(InputError, match="7 values; expected 6"):
         drive.command(np.zeros(ARM.n), 0)
     model = RobotModel(SIX_AXIS)
     for tick in range(50):
-        model.update(plant.read().position, plant.read().velocity)
+        model.update(plant.read().q, plant.read().v)
         drive.command(model.bias.copy(), tick * 1_000_000)
         drive.tick(tick * 1_000_000)
     assert plant.actuation is Actuation.COMMANDED and not drive.stop_reason
-    np.testing.assert_allclose(plant.read().position, scene.start, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(plant.read().q, scene.start, rtol=0, atol=1e-3)
     assert plant.contact_forces().shape == (len(SIX_AXIS.contact_links),)

@@ -13,7 +13,7 @@ from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.fitting import fitted, with_gap
 from contact_reach_ros.scenes.generate import load_scene, make_scene
-from contact_reach_ros.scenes.paths import free_path, path_segments, postures_at
+from contact_reach_ros.scenes.placing import free_path, path_segments, postures_at
 from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene_file import read_scene
 

@@ -12,7 +12,7 @@ from arm_simulation import ARM, POSITION_LIMITS, mobility, with_obstacle
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.paths import free_path
+from contact_reach_ros.scenes.placing import free_path
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths

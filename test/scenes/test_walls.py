@@ -8,7 +8,7 @@ from arm_simulation import ARM, HOME, numbered
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.paths import free_path, on_hand, on_middle, path_segments, swivelled_segments
+from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, path_segments, swivelled_segments
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.scene import Scene

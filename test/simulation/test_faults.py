@@ -23,7 +23,6 @@ from contact_reach_ros.simulation.faults import (
     TorqueSensor,
     UnknownObstacle,
     WrongClock,
-    WrongPlans,
 )
 from contact_reach_ros.simulation.plant import Actuation, Plant, PointForce
 from contact_reach_ros.simulation.robot import SimulatedRobot
@@ -117,12 +116,10 @@ class TestMessages:
         assert [command[0] for command in faults.commands(0)] == [1.0, 3.0]
 
     def test_those_that_run_the_nodes_ask_what_acts_on_them(self):
-        faults = playing(Silent("observer", at=0.1, duration=0.1), Late("plans", 0.2), WrongPlans(stretch=2.0))
+        faults = playing(Silent("observer", at=0.1, duration=0.1))
         silent = [faults.is_silent("observer", tick * MS) for tick in (99, 100, 199, 200)]
         assert silent == [False, True, True, False]
         assert not faults.is_silent("controller", 100 * MS)
-        assert [fault.delay for fault in faults.active(Late, 0)] == [0.2]
-        assert [fault.stretch for fault in faults.active(WrongPlans, 0)] == [2.0]
 
 
 def test_a_driver_that_pauses_brakes_and_comes_back_reset():

@@ -137,8 +137,8 @@ class TestMismatch:
             for scale in (1.0, 4.0)
         )
         for reading, larger in ((plain.read(), noisy.read()) for _ in range(10)):
-            np.testing.assert_allclose(larger.position - HOME, 4.0 * (reading.position - HOME), rtol=1e-6)
-            np.testing.assert_allclose(larger.velocity, 4.0 * reading.velocity)
+            np.testing.assert_allclose(larger.q - HOME, 4.0 * (reading.q - HOME), rtol=1e-6)
+            np.testing.assert_allclose(larger.v, 4.0 * reading.v)
 
 
 class TestSensors:
@@ -152,8 +152,8 @@ class TestSensors:
         readings = [plant.read() for _ in range(3000)]
         rounding = self.NOISY.position_resolution / np.sqrt(12)
         for name, true, spread in (
-            ("position", plant.data.qpos, np.hypot(self.NOISY.position_noise, rounding)),
-            ("velocity", plant.data.qvel, self.NOISY.velocity_noise),
+            ("q", plant.data.qpos, np.hypot(self.NOISY.position_noise, rounding)),
+            ("v", plant.data.qvel, self.NOISY.velocity_noise),
             ("torque", command, self.NOISY.torque_noise),
         ):
             errors = np.array([getattr(reading, name) for reading in readings]) - true
@@ -170,8 +170,8 @@ class TestSensors:
         plant.step()
         reading = plant.read()
         assert np.isnan(reading.torque).all()
-        assert np.isfinite(reading.position).all()
-        assert np.isfinite(reading.velocity).all()
+        assert np.isfinite(reading.q).all()
+        assert np.isfinite(reading.v).all()
 
 
 def recording(seed: int) -> np.ndarray:
@@ -182,10 +182,10 @@ def recording(seed: int) -> np.ndarray:
     rows, model = [], RobotModel(ARM)
     for _ in range(300):
         reading = plant.read()
-        plant.step(model.gravity_at(reading.position) + np.array([0, 8, 0, 4, 0, 0, 0]))
+        plant.step(model.gravity_at(reading.q) + np.array([0, 8, 0, 4, 0, 0, 0]))
         values = (
-            reading.position,
-            reading.velocity,
+            reading.q,
+            reading.v,
             reading.torque,
             plant.contact_forces(),
             plant.obstacle_positions()[0],

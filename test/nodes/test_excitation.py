@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from motions import ARM
+from arm_simulation import ARM
 
+from contact_reach_ros.bringup.excitation import check_clearance, goals
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.identification.excitation import check_clearance, goals
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Target
