@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
@@ -13,13 +13,14 @@ from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.topics import Qos
+from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.world.goal import POSE
 from contact_reach_ros.world.spheres import Spheres
 
+_T = TypeVar("_T")
 _OBSERVER = "observer"
 _DEPTH = 2000
 """Joint states that may wait to be read: those of two seconds."""
@@ -38,7 +39,10 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
         client.wait_ready()
         if not client.until(lambda: _OBSERVER in client.settings, _HEARD_S):
             raise ContactReachError("not heard: settings of the observer; run contact-reach doctor")
-        states = _record(client)
+        reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
+        states = _hear(client, topics.JOINT_STATES, reader.read, qos=Qos(_DEPTH))
+        if not states:
+            raise ContactReachError("not heard: joint_states; run contact-reach doctor")
         if client.settings[PLANNER].get("goal_orientation") != POSE:
             raise InputError(
                 "the motion turns the wrist: start the stack with --set planner:goal_orientation=pose, or give a bag"
@@ -54,28 +58,21 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
         return recording_of(states), client.settings
 
 
-def _record(client: StackClient) -> list[JointState]:
-    """Joint states, which come to the list while the client is served; raises `ContactReachError` if none does."""
-    states: list[JointState] = []
-    reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
-    client.inbox.add(topics.JOINT_STATES, lambda data: states.append(reader.read(data)), Qos(_DEPTH), serialized=True)
-    if not client.until(lambda: bool(states), _HEARD_S):
-        raise ContactReachError("not heard: joint_states; run contact-reach doctor")
-    return states
+def _hear(client: StackClient, topic: Topic, read: Callable[[bytes], _T], **options: Any) -> list[_T]:
+    """What messages say, which come to the list while the client is served; the first is waited for."""
+    found: list[_T] = []
+    client.inbox.add(topic, lambda data: found.append(read(data)), serialized=True, **options)
+    client.until(lambda: bool(found), _HEARD_S)
+    return found
 
 
 def _obstacles(client: StackClient) -> Spheres:
     """What stands around the arm; raises `InputError` if that has to be known and is not."""
-    found: list[Spheres] = []
     reader = ObstacleMarkerReader(client.arm.base_frame, AssumedMaterial.of(PlannerNodeSettings()))
-    client.inbox.add(
-        topics.OBSTACLES, lambda data: found.append(reader.read(data)), serialized=True, largest=LARGEST_SCENE
-    )
-    if client.until(lambda: bool(found), _HEARD_S):
-        return found[-1]
-    if client.settings[PLANNER].get("require_obstacles", True):
+    found = _hear(client, topics.OBSTACLES, reader.read, largest=LARGEST_SCENE)
+    if not found and client.settings[PLANNER].get("require_obstacles", True):
         raise InputError("nothing heard on obstacles: it is not known whether the arm has room")
-    return Spheres.none()
+    return found[-1] if found else Spheres.none()
 
 
 def _move(client: StackClient) -> None:
