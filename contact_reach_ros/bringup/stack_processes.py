@@ -98,7 +98,10 @@ class StackProcesses:
         deadline = time.monotonic() + _STARTUP_S
         for wave in Wave:
             if wave is Wave.LOOPS:
-                self._look_around()
+                # Once more: discovery has settled while the first processes got ready.
+                others = running(self.client.node, [process.name for process in self._table], self.process_ids)
+                if others:
+                    raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
             processes = [process for process in self._table if process.wave is wave]
             for process in processes:
                 self._start(process)
@@ -118,15 +121,9 @@ class StackProcesses:
         deadline = time.monotonic() + _DISCOVERY_S
         while missing := [topic.name for topic in heard if not self.client.hears(RECORDER, topic)]:
             if time.monotonic() > deadline:
-                late = f"after {_DISCOVERY_S:.0f} s{self._see_log()}"
-                raise StackError(f"{RECORDER} does not hear {', '.join(missing)} {late}")
+                named = ", ".join(missing)
+                raise StackError(f"{RECORDER} does not hear {named} after {_DISCOVERY_S:.0f} s{self._see_log()}")
             self.watch(_POLL_S)
-
-    def _look_around(self) -> None:
-        """Look for another stack once more: discovery has settled while the first processes got ready."""
-        others = running(self.client.node, [process.name for process in self._table], self.process_ids)
-        if others:
-            raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
 
     def _wait_active(self, processes: Sequence[Process], deadline: float, progress: Callable[[str], None]) -> None:
         missing = {process.name: "not asked yet" for process in processes}
