@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.identification.excitation import check_clearance, goals
@@ -52,7 +51,9 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
         try:
             _move(client)
         except KeyboardInterrupt:
-            _hold(client, states)
+            if states:
+                client.send_goal(*RobotModel(client.arm).tip_pose(states[-1].q))
+                client.until(lambda: client.goal_state is not None, _HEARD_S)
             print("interrupted: the arm is held where it is", flush=True)
             raise
         return recording_of(states), client.settings
@@ -86,10 +87,3 @@ def _move(client: StackClient) -> None:
         if client.stops or not (outcome.done or outcome.text.startswith("not settled")):
             hint = "" if client.stops else "; if nothing touched the arm, move it more slowly: contact-reach speed 0.5"
             raise ContactReachError(f"goal {number} of the motion: {outcome.text}{hint}")
-
-
-def _hold(client: StackClient, states: list[JointState]) -> None:
-    """Make the present pose the goal, and wait until the planner has it."""
-    if states:
-        client.send_goal(*RobotModel(client.arm).tip_pose(states[-1].q))
-        client.until(lambda: client.goal_state is not None, _HEARD_S)

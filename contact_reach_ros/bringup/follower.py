@@ -85,7 +85,13 @@ class Follower(StackClient):
         patience = _DISCOVERY_S if self._lockstep is None else _BRAKES_OPEN_S
         deadline = time.monotonic() + patience
         while missing := self.missing():
-            self._go_on()
+            if self._lockstep is not None:
+                # Time goes on until the brakes are open, and then stands still while others get ready.
+                if self._stands_still() and not self._commanded:
+                    self._promised_ns = self.stamp_ns + _STEP_NS
+                # Each time: the driver may not have heard the first ones.
+                if self._promised_ns:
+                    self._lockstep.promise(self._promised_ns)
             stack.watch(_LOOK_S)
             if self.stops:
                 raise StackError(self.state)
@@ -126,16 +132,6 @@ class Follower(StackClient):
         if self._lockstep is None:
             return True
         return self.stamp_ns + self._tick_ns > self._promised_ns and self._lockstep.may_handle(self.stamp_ns)
-
-    def _go_on(self) -> None:
-        """In lockstep, let time go on until the brakes are open; then it stands still while others get ready."""
-        if self._lockstep is None:
-            return
-        if self._stands_still() and not self._commanded:
-            self._promised_ns = self.stamp_ns + _STEP_NS
-        if self._promised_ns:
-            # Each time: the driver may not have heard the first ones.
-            self._lockstep.promise(self._promised_ns)
 
     def _on_state(self, message: JointState) -> None:
         joints = self._model.arm.joint_names
