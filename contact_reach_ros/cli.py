@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
 
     up = add(
         "up",
-        _later("bringup.commands:up"),
+        _later("bringup.bringup:up"),
         "start the stack and supervise it until Ctrl-C: what the executable bringup does",
     )
     _add_arm(up, "robot")

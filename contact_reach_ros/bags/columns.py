@@ -181,25 +181,15 @@ class JointStates(Collector):
         fixed = [slice(STAMP_END, counts[0]), *(slice(at, at + 4) for at in counts[:-1])]
         if not all((rows[:, part] == rows[0, part]).all() for part in fixed):
             return None
-<<<<<<< HEAD
-=======
-        names = joint_state_names(first)
->>>>>>> w3/bags
         if self._open:
             self.names += tuple(name for name in dict.fromkeys(names) if name not in self.names)
         joints = self.names[: len(self.names) // len(self._fields)]
         shared = [name for name in joints if name in names]
         sources, into = [names.index(name) for name in shared], [joints.index(name) for name in shared]
         values = np.full((len(rows), len(self.names)), np.nan)
-<<<<<<< HEAD
         for index, field in enumerate(self._fields):
             at = counts[field]
             start = aligned(at + COUNT.size)
-=======
-        starts = joint_state_starts(first)
-        for index, field in enumerate(self._fields):
-            start, at = starts[field], counts[field]
->>>>>>> w3/bags
             if COUNT.unpack_from(first, at)[0] == len(names):
                 numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
                 values[:, [index * len(joints) + column for column in into]] = numbers[:, sources]

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
 
@@ -20,8 +21,8 @@ from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
-from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.settings import check_node_names, sections_of_others
+from contact_reach_ros.ros.process import bare_node, in_namespace
+from contact_reach_ros.settings import as_arguments, check_node_names, sections_of_others
 
 NAME = "bringup"
 
@@ -29,6 +30,11 @@ NAME = "bringup"
 def main() -> None:
     """Bring the stack up and supervise it until Ctrl-C, SIGTERM or the end of one process."""
     sys.exit(run_bringup(sys.argv))
+
+
+def up(namespace: str = "", **options: Any) -> int:
+    """Start the stack in a namespace, with options of `BringupOptions`, and supervise it, as the executable does."""
+    return run_bringup([NAME, "--ros-args", *as_arguments(options), *in_namespace(namespace)])
 
 
 def run_bringup(arguments: list[str]) -> int:
@@ -45,10 +51,11 @@ def run_bringup(arguments: list[str]) -> int:
             table = processes(options)
             refuse_beside_another(node, [process.name for process in table], began)
             passed_on = _remappings(arguments)
-            client = Client(node)
-            stack = StackProcesses(client, table, options.parameter_file, interruption, passed_on=passed_on)
+            stack = StackProcesses(Client(node), table, options.parameter_file, interruption, passed_on=passed_on)
             try:
                 _supervise(node, stack)
+            except KeyboardInterrupt:
+                return 0
             except StackError as error:
                 print(f"{NAME}: {error}; ending the stack", file=sys.stderr)
                 return 1
@@ -96,7 +103,7 @@ def _say_discovery(node: Node, wanted: str) -> None:
 
 
 def _supervise(node: Node, stack: StackProcesses) -> None:
-    """Bring the stack up and watch it until it is interrupted; raises `StackError` if a process dies."""
+    """Bring the stack up and watch it; raises as `StackProcesses.check`."""
     log = node.get_logger()
     shown = ""
 
@@ -106,13 +113,10 @@ def _supervise(node: Node, stack: StackProcesses) -> None:
             log.info(line)
             shown = line
 
-    try:
-        stack.bring_up(progress)
-        log.info("all nodes are active; send a goal to goal_pose")
-        while True:
-            stack.watch(0.1)
-    except KeyboardInterrupt:
-        return
+    stack.bring_up(progress)
+    log.info("all nodes are active; send a goal to goal_pose")
+    while True:
+        stack.watch(0.1)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,11 @@
-"""What a user does with a stack from the command line: `contact-reach up`, `goto`, `home`, `speed`, ...
+"""What a user does with a stack from the command line: `contact-reach goto`, `home`, `speed`, ...
 
 Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError` stands for 2, no stack or bad input.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,26 +13,9 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.settings import SPEED_SCALE
-from contact_reach_ros.ros.client import PLANNER, StackClient, connect
+from contact_reach_ros.ros.client import PLANNER, Outcome, StackClient, connect
 from contact_reach_ros.ros.interfaces import STOPPABLE
-from contact_reach_ros.ros.process import in_namespace
-from contact_reach_ros.ros.stopping import Outcome, release_all, stop_arm
-from contact_reach_ros.settings import as_arguments
 from contact_reach_ros.world.goal import POSE
-
-_REST_S = 5.0
-"""Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
-
-
-def up(namespace: str = "", **options: Any) -> int:
-    """Start the stack, in a namespace, and supervise it until Ctrl-C, as the executable does.
-
-    Options are those of `BringupOptions`.
-    """
-    # What it imports would delay a stop by seconds.
-    from contact_reach_ros.bringup.bringup import NAME, run_bringup
-
-    return run_bringup([NAME, "--ros-args", *as_arguments(options), *in_namespace(namespace)])
 
 
 def goto(
@@ -67,13 +48,9 @@ def goto(
     with connect(discovery, namespace) as client:
         client.wait_ready()
         orientation = client.settings[PLANNER].get("goal_orientation")
-        if rpy is not None and orientation != POSE:
-            raise ContactReachError(
-                f"the planner has goal_orientation = {orientation}: give no --rpy, or start it with "
-                "goal_orientation = pose"
-            )
-        if rpy is None and orientation == POSE:
-            raise ContactReachError("the planner has goal_orientation = pose: give the orientation with --rpy")
+        if (rpy is not None) != (orientation == POSE):
+            remedy = "give the orientation with --rpy" if rpy is None else "give no --rpy, or start it with pose"
+            raise ContactReachError(f"the planner has goal_orientation = {orientation}: {remedy}")
         return _go(client, np.array(position, float), rotation, wait, timeout)
 
 
@@ -101,20 +78,14 @@ def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
     with connect(discovery, namespace) as client:
         client.find(lambda: any(client.offers(f"{name}/stop") for name in STOPPABLE))
-        return _report(stop_arm(client.trigger))
+        return _report(client.stop())
 
 
 def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
     with connect(discovery, namespace) as client:
         client.find(lambda: any(client.offers(f"{name}/reset") for name in STOPPABLE))
-        give_up = time.monotonic() + _REST_S
-
-        def look() -> set[str]:
-            client.hear_everybody()
-            return set(client.stops)
-
-        return _report(release_all(look, client.trigger, lambda: time.monotonic() > give_up))
+        return _report(client.release_all())
 
 
 def _go(client: StackClient, position: Array, rotation: Array | None, wait: bool, timeout: float) -> int:

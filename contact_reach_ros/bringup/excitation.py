@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -19,7 +18,7 @@ from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.topics import Qos
+from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
@@ -27,6 +26,7 @@ from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import POSE
 from contact_reach_ros.world.spheres import Spheres
 
+_T = TypeVar("_T")
 _OBSERVER = "observer"
 _DEPTH = 2000
 """Joint states that may wait to be read: those of two seconds."""
@@ -63,7 +63,10 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
         client.wait_ready()
         if not client.until(lambda: _OBSERVER in client.settings, _HEARD_S):
             raise ContactReachError("not heard: settings of the observer; run contact-reach doctor")
-        states = _record(client)
+        reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
+        states = _hear(client, topics.JOINT_STATES, reader.read, qos=Qos(_DEPTH))
+        if not states:
+            raise ContactReachError("not heard: joint_states; run contact-reach doctor")
         if client.settings[PLANNER].get("goal_orientation") != POSE:
             raise InputError(
                 "the motion turns the wrist: start the stack with --set planner:goal_orientation=pose, or give a bag"
@@ -73,34 +76,29 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
         try:
             _move(client)
         except KeyboardInterrupt:
-            _hold(client, states)
+            if states:
+                client.send_goal(*RobotModel(client.arm).tip_pose(states[-1].q))
+                client.until(lambda: client.goal_state is not None, _HEARD_S)
             print("interrupted: the arm is held where it is", flush=True)
             raise
         return recording_of(states), client.settings
 
 
-def _record(client: StackClient) -> list[JointState]:
-    """Joint states, which come to the list while the client is served; raises `ContactReachError` if none does."""
-    states: list[JointState] = []
-    reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
-    client.inbox.add(topics.JOINT_STATES, lambda data: states.append(reader.read(data)), Qos(_DEPTH), serialized=True)
-    if not client.until(lambda: bool(states), _HEARD_S):
-        raise ContactReachError("not heard: joint_states; run contact-reach doctor")
-    return states
+def _hear(client: StackClient, topic: Topic, read: Callable[[bytes], _T], **options: Any) -> list[_T]:
+    """What messages say, which come to the list while the client is served; the first is waited for."""
+    found: list[_T] = []
+    client.inbox.add(topic, lambda data: found.append(read(data)), serialized=True, **options)
+    client.until(lambda: bool(found), _HEARD_S)
+    return found
 
 
 def _obstacles(client: StackClient) -> Spheres:
     """What stands around the arm; raises `InputError` if that has to be known and is not."""
-    found: list[Spheres] = []
     reader = ObstacleMarkerReader(client.arm.base_frame, AssumedMaterial.of(PlannerNodeSettings()))
-    client.inbox.add(
-        topics.OBSTACLES, lambda data: found.append(reader.read(data)), serialized=True, largest=LARGEST_SCENE
-    )
-    if client.until(lambda: bool(found), _HEARD_S):
-        return found[-1]
-    if client.settings[PLANNER].get("require_obstacles", True):
+    found = _hear(client, topics.OBSTACLES, reader.read, largest=LARGEST_SCENE)
+    if not found and client.settings[PLANNER].get("require_obstacles", True):
         raise InputError("nothing heard on obstacles: it is not known whether the arm has room")
-    return Spheres.none()
+    return found[-1] if found else Spheres.none()
 
 
 def _move(client: StackClient) -> None:
@@ -114,13 +112,6 @@ def _move(client: StackClient) -> None:
         if client.stops or not (outcome.done or outcome.text.startswith("not settled")):
             hint = "" if client.stops else "; if nothing touched the arm, move it more slowly: contact-reach speed 0.5"
             raise ContactReachError(f"goal {number} of the motion: {outcome.text}{hint}")
-
-
-def _hold(client: StackClient, states: list[JointState]) -> None:
-    """Make the present pose the goal, and wait until the planner has it."""
-    if states:
-        client.send_goal(*RobotModel(client.arm).tip_pose(states[-1].q))
-        client.until(lambda: client.goal_state is not None, _HEARD_S)
 
 
 def goals(arm: Arm) -> list[tuple[Array, Array]]:

@@ -21,14 +21,12 @@ from contact_reach_ros.timing import NANOSECONDS
 
 _DISCOVERY_S = 15.0
 """For nodes that are up to hear each other."""
-_LISTENERS = 2
-"""Planner and recorder have to hear goals before there is one."""
-
+_BRAKES_OPEN_S = 60.0
+"""In lockstep, for that and until the brakes are open."""
 _NOT_READY = (topics.WAITING_FOR_STATE, topics.WAITING_FOR_OBSTACLES, topics.WAITING_FOR_CONTROLLER)
 _LOOK_S = 0.1
 _STEP_NS = 100_000_000
 """In lockstep, time from one look at whether the stack is ready to the next."""
-_MAXIMUM_STEPS = 100
 
 
 class Follower(StackClient):
@@ -68,8 +66,13 @@ class Follower(StackClient):
         self.distance = float("nan")
         self.force = 0.0
         self._commanded = False
-        self._tick_ns, self._promised_ns, self._steps = lockstep_tick_ns, 0, 0
-        self._lockstep = self._take_part() if lockstep_tick_ns else None
+        self._tick_ns, self._promised_ns = lockstep_tick_ns, 0
+        self._lockstep: Lockstep | None = None
+        if lockstep_tick_ns:
+            topic = topics.LOCKSTEP_HORIZON
+            publisher = node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+            self._lockstep = Lockstep(node.get_name(), lockstep_tick_ns, publisher.publish)
+            self.inbox.add(topic, self._lockstep.hear, topics.STREAM)
         # In lockstep, the last one before time stands still must not get lost.
         self.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST._replace(reliable=lockstep_tick_ns > 0))
         self.inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
@@ -79,17 +82,23 @@ class Follower(StackClient):
 
         Raises `StackError` if a process died, something stopped the arm, or it takes too long.
         """
-        deadline = time.monotonic() + _DISCOVERY_S
-        while missing := self.missing(_LISTENERS):
-            if self._go_on():
-                deadline = time.monotonic() + _DISCOVERY_S
+        patience = _DISCOVERY_S if self._lockstep is None else _BRAKES_OPEN_S
+        deadline = time.monotonic() + patience
+        while missing := self.missing():
+            if self._lockstep is not None:
+                # Time goes on until the brakes are open, and then stands still while others get ready.
+                if self._stands_still() and not self._commanded:
+                    self._promised_ns = self.stamp_ns + _STEP_NS
+                # Each time: the driver may not have heard the first ones.
+                if self._promised_ns:
+                    self._lockstep.promise(self._promised_ns)
             stack.watch(_LOOK_S)
             if self.stops:
                 raise StackError(self.state)
             if time.monotonic() > deadline:
-                raise StackError(f"not heard after {_DISCOVERY_S:.0f} s: {', '.join(missing)}")
+                raise StackError(f"not heard after {patience:.0f} s: {', '.join(missing)}")
 
-    def missing(self, listeners: int = 1) -> list[str]:
+    def missing(self) -> list[str]:
         """As `StackClient`, and what keeps the arm from being moved."""
         summary = self.summaries.get(PLANNER, "")
         heard = {
@@ -98,7 +107,7 @@ class Follower(StackClient):
             f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {summary}": summary not in _NOT_READY,
             f"{topics.LOCKSTEP_HORIZON.name} up to the last joint state": self._stands_still(),
         }
-        return super().missing(listeners) + [what for what, is_heard in heard.items() if not is_heard]
+        return super().missing() + [what for what, is_heard in heard.items() if not is_heard]
 
     def send_target(self) -> None:
         """Make `target` the goal; in lockstep time then goes on."""
@@ -118,35 +127,11 @@ class Follower(StackClient):
             f"contact {self.force:5.1f} N   {self.state}"
         )
 
-    def _take_part(self) -> Lockstep:
-        """Take part in lockstep: time goes on as far as this promises."""
-        topic = topics.LOCKSTEP_HORIZON
-        publisher = self.node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
-        lockstep = Lockstep(self.node.get_name(), self._tick_ns, publisher.publish)
-        self.inbox.add(topic, lockstep.hear, topics.STREAM)
-        return lockstep
-
     def _stands_still(self) -> bool:
         """Whether time waits for this node, and everybody is done with the last joint state; always in real time."""
         if self._lockstep is None:
             return True
         return self.stamp_ns + self._tick_ns > self._promised_ns and self._lockstep.may_handle(self.stamp_ns)
-
-    def _go_on(self) -> bool:
-        """In lockstep, let time go on until the brakes are open; then it stands still while others get ready.
-
-        Returns whether another step was permitted, of as many as should be enough.
-        """
-        if self._lockstep is None:
-            return False
-        steps = self._steps
-        if steps < _MAXIMUM_STEPS and self._stands_still() and not self._commanded:
-            self._steps += 1
-            self._promised_ns = self.stamp_ns + _STEP_NS
-        if self._promised_ns:
-            # Each time: the driver may not have heard the first ones.
-            self._lockstep.promise(self._promised_ns)
-        return self._steps > steps
 
     def _on_state(self, message: JointState) -> None:
         joints = self._model.arm.joint_names

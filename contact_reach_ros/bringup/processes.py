@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import NamedTuple
 
 import yaml
 
@@ -17,7 +15,6 @@ from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
-from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
 from contact_reach_ros.settings import RATE, ROBOT, check_name, parameters_in
 from contact_reach_ros.simulation.settings import DriverSettings
@@ -62,30 +59,19 @@ class Process:
     essential: bool = True
 
     @property
-    def module(self) -> str:
-        """Python module to run."""
-        return f"{PACKAGE}.nodes.{self.name}"
-
-    @property
     def enclave(self) -> str:
         """Enclave whose keys and permissions the process uses where DDS security is on."""
         return f"{ENCLAVES}/{self.name}"
 
 
-class Override(NamedTuple):
-    """A parameter of one node."""
+def _overrides(texts: Sequence[str]) -> dict[str, dict[str, ParameterValue]]:
+    """Parameters by node, from texts node:parameter=value, the value as YAML.
 
-    node: str
-    name: str
-    value: ParameterValue
-
-    @classmethod
-    def parse(cls, text: str) -> Override:
-        """Read node:parameter=value, the value as YAML.
-
-        Raises `SettingsError` if the text has another form, the node is not one of `TUNABLE`, has no such parameter, or
-        does not accept the value.
-        """
+    Raises `SettingsError` if a text has another form, the node is not one of `TUNABLE`, has no such parameter, or does
+    not accept the value.
+    """
+    found: dict[str, dict[str, ParameterValue]] = {name: {} for name in TUNABLE}
+    for text in texts:
         node, colon, rest = text.partition(":")
         name, equals, written = rest.partition("=")
         if not (colon and equals and name and node in TUNABLE):
@@ -102,7 +88,8 @@ class Override(NamedTuple):
         check_name(known, name, f"override '{text}'")
         if name in known:
             known[name].check(value, f"override '{text}': {name}")
-        return cls(node, name, value)
+        found[node][name] = value
+    return found
 
 
 def processes(options: BringupOptions) -> list[Process]:
@@ -115,54 +102,40 @@ def processes(options: BringupOptions) -> list[Process]:
     arm: dict[str, ParameterValue] = {ROBOT.name: options.robot} if options.robot else {}
     rate: dict[str, ParameterValue] = {RATE.name: options.state_rate} if options.state_rate else {}
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
-    simulation: dict[str, ParameterValue] = {
-        "scene": options.scene,
-        "lockstep": options.lockstep,
-        **rate,
-        **arm,
-    }
+    changed = _overrides(options.overrides)
     table = []
+    if options.view:
+        table.append(Process(VIEWER, time, wave=Wave.EARLY, essential=False))
     if options.bag:
-        recording = {"bag": options.bag, "use_sim_time": options.lockstep, **_origin(options), **arm}
+        recording = {"bag": options.bag, "use_sim_time": options.lockstep, **_origin(options, changed["driver"]), **arm}
         table.append(Process(RECORDER, recording, wave=Wave.EARLY))
     adapted = options.adapter != "none"
+    simulation: dict[str, ParameterValue] = {"scene": options.scene, "lockstep": options.lockstep, **rate, **arm}
     if options.lockstep:
         own = parameters_in(options.parameter_file, "driver").get("waits_for", "")
         others = [own, RECORDER if options.bag else "", ADAPTER if adapted else ""]
         simulation["waits_for"] = ",".join(filter(None, others))
     if options.driver:
-        table.append(Process("driver", simulation, Wave.LAST if options.lockstep else Wave.LOOPS))
+        wave = Wave.LAST if options.lockstep else Wave.LOOPS
+        table.append(Process("driver", {**simulation, **changed["driver"]}, wave))
+    elif changed["driver"]:
+        raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
     if adapted:
         # The simulated driver has no controllers of ros2_control that could be asked.
         table.append(Process(ADAPTER, {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}))
-    table.append(Process(OBSERVER, time))
-    changed = [Override.parse(text) for text in options.overrides]
+    table.append(Process(OBSERVER, {**time, **changed[OBSERVER]}))
     # The controller watches itself with the observer's.
-    watch = {f"{OBSERVER}:{entry.name}": entry.value for entry in changed if entry.node == OBSERVER}
-    # The planner plans for the controller's gains.
-    gains = {f"controller:{entry.name}": entry.value for entry in changed if entry.node == "controller"}
+    watch = {f"{OBSERVER}:{name}": value for name, value in changed[OBSERVER].items()}
     behind = {"supervision.adapter": True} if adapted else {}
-    table.append(Process("controller", {**time, **watch, **behind}))
+    table.append(Process("controller", {**time, **watch, **behind, **changed["controller"]}))
+    # The planner plans for the controller's gains.
+    gains = {f"controller:{name}": value for name, value in changed["controller"].items()}
     # Of what stands around a real robot the simulated scene knows nothing.
     obstacles = _obstacles(scene, options.parameter_file) if options.driver else {}
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
-    table.append(Process("planner", {**time, **obstacles, **gains, **unhurried}, wave=Wave.EARLY))
-    if options.view:
-        table.insert(0, Process(VIEWER, time, wave=Wave.EARLY, essential=False))
-    for entry in changed:
-        if entry.node not in [process.name for process in table]:
-            raise SettingsError(f"override '{entry.node}:{entry.name}={entry.value}': this node is not started here")
-    table = [
-        dataclasses.replace(
-            process,
-            parameters={
-                **process.parameters,
-                **{entry.name: entry.value for entry in changed if entry.node == process.name},
-            },
-        )
-        for process in table
-    ]
+    planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
+    table.append(Process("planner", planning, wave=Wave.EARLY))
     check_parameters(options.parameter_file, {process.name: process.parameters for process in table})
     return table
 
@@ -182,16 +155,15 @@ def page_address(parameter_file: Path) -> str:
     return settings.page_address(settings.port)
 
 
-def _origin(options: BringupOptions) -> dict[str, ParameterValue]:
-    """Facts about the run that its bag keeps."""
+def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+    """Facts about the run that its bag keeps; `changed` holds the overrides of the driver."""
     budget = str(parameters_in(options.parameter_file, OBSERVER).get("contact_budget", ""))
     files = {
         "parameter_file": options.parameter_file,
         "scene_file": scene_file(options.scene),
         "contact_budget": budget_file(budget),
     }
-    given = parameters_in(options.parameter_file, "driver")
-    given |= {entry.name: entry.value for entry in map(Override.parse, options.overrides) if entry.node == "driver"}
+    given = {**parameters_in(options.parameter_file, "driver"), **changed}
     drawn = {entry.name: given.get(entry.name, entry.default) for entry in DriverSettings.declared()}
     lockstep = "true" if options.lockstep else "false"
     values = {"scene": options.scene, "seed": drawn["seed"], "target": drawn["target"], "lockstep": lockstep}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from contact_reach_ros.arms import robot_in
 from contact_reach_ros.control.adapter_settings import FRANKA, KINDS, LBR
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
@@ -54,11 +53,6 @@ class BringupOptions(Settings):
         if self.parameters:
             return Path(self.parameters)
         return config_file(f"{self.adapter}.yaml" if self.adapter in (LBR, FRANKA) else DEFAULT_PARAMETERS)
-
-    @property
-    def arm(self) -> str:
-        """What `load_arm` takes: the option's, or what the parameter file has for the planner."""
-        return self.robot or robot_in(self.parameter_file)
 
 
 BRINGUP_SECTIONS: Sections = {"": BringupOptions}

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
-from contact_reach_ros.bringup.children import Children, Interruption, StackError
+from contact_reach_ros.bringup.children import Interruption, StackError, end_with_parent
 from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client
 from contact_reach_ros.ros.graph import running
 from contact_reach_ros.ros.interfaces import RECORDER
@@ -29,12 +32,9 @@ _STARTUP_S = 240.0
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
-_ANSWERS = (topics.COMMANDS, topics.EXTERNAL_TORQUE)
-"""Topics that a recorder should hear before time begins: of earlier messages it receives only the last seconds."""
-_HEARD_S = 3.0
-"""Longest wait for that: a recorder need not record everything."""
 _DISCOVERY_S = 15.0
 """For nodes that are up to hear each other."""
+_END_TIMEOUT_S = 15.0
 _WATCHDOG_S = 0.3
 """Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
 
@@ -72,7 +72,10 @@ class StackProcesses:
         self._interruption = interruption
         self._table = list(table)
         self.parameter_file = parameter_file
-        self._children = Children(log)
+        self._log_path = log
+        self._log: IO[bytes] | None = None
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._optional: set[str] = set()
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
@@ -95,14 +98,15 @@ class StackProcesses:
         deadline = time.monotonic() + _STARTUP_S
         for wave in Wave:
             if wave is Wave.LOOPS:
-                self._look_around()
+                # Once more: discovery has settled while the first processes got ready.
+                others = running(self.client.node, [process.name for process in self._table], self.process_ids)
+                if others:
+                    raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
             processes = [process for process in self._table if process.wave is wave]
-            if wave is Wave.LAST and processes and RECORDER in self._children:
-                self._not_recorded(_ANSWERS, _HEARD_S)
             for process in processes:
-                self._children.start(process.name, ["-m", process.module, *self._arguments(process)])
+                self._start(process)
             self._wait_active(processes, deadline, progress)
-            self._children.optional |= {process.name for process in processes if not process.essential}
+            self._optional |= {process.name for process in processes if not process.essential}
 
     def wait_recorded(self, heard: Sequence[Topic]) -> None:
         """Wait until the recorder has subscribed to topics, each of which it first has to discover.
@@ -114,36 +118,19 @@ class StackProcesses:
         KeyboardInterrupt
             If it was interrupted.
         """
-        missing = self._not_recorded(heard, _DISCOVERY_S)
-        if missing:
-            names = ", ".join(topic.name for topic in missing)
-            raise StackError(f"{RECORDER} does not hear {names} after {_DISCOVERY_S:.0f} s{self._children.see_log()}")
-
-    def _look_around(self) -> None:
-        """Look for another stack once more: discovery has settled while the first processes got ready."""
-        others = running(self.client.node, [process.name for process in self._table], self._children.process_ids)
-        if others:
-            raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
-
-    def _not_recorded(self, heard: Sequence[Topic], timeout: float) -> list[Topic]:
-        """Wait until the recorder hears topics, for at most some s; returns those that it still does not hear."""
-        deadline, missing = time.monotonic() + timeout, list(heard)
-        while missing and time.monotonic() < deadline:
+        deadline = time.monotonic() + _DISCOVERY_S
+        while missing := [topic.name for topic in heard if not self.client.hears(RECORDER, topic)]:
+            if time.monotonic() > deadline:
+                named = ", ".join(missing)
+                raise StackError(f"{RECORDER} does not hear {named} after {_DISCOVERY_S:.0f} s{self._see_log()}")
             self.watch(_POLL_S)
-            missing = [topic for topic in missing if not self._is_recorded(topic)]
-        return missing
-
-    def _is_recorded(self, topic: Topic) -> bool:
-        node = self.client.node
-        hearing = node.get_subscriptions_info_by_topic(node.resolve_topic_name(topic.name))
-        return any(endpoint.node_name == RECORDER for endpoint in hearing)
 
     def _wait_active(self, processes: Sequence[Process], deadline: float, progress: Callable[[str], None]) -> None:
         missing = {process.name: "not asked yet" for process in processes}
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
-                raise StackError(f"not active after {_STARTUP_S:.0f} s: {named}{self._children.see_log()}")
+                raise StackError(f"not active after {_STARTUP_S:.0f} s: {named}{self._see_log()}")
             progress("waiting for " + ", ".join(missing))
             missing |= {name: self._state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
@@ -165,31 +152,69 @@ class StackProcesses:
             If there was an interruption.
         """
         self._interruption.check()
-        self._children.check()
+        for name, process in list(self._running.items()):
+            code = process.poll()
+            if code is None:
+                continue
+            how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+            if name not in self._optional:
+                raise StackError(f"{name} ended ({how}){self._see_log()}")
+            print(f"{name} ended ({how}); the stack goes on without it", file=sys.stderr)
+            del self._running[name]
 
     @property
     def process_ids(self) -> dict[str, int]:
         """Of the processes that were started, by name."""
-        return self._children.process_ids
+        return {name: process.pid for name, process in self._running.items()}
 
     def shutdown(self) -> None:
         """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
         self._halt()
         for process in reversed(self._table):
-            self._children.end(process.name)
+            self._end(process.name)
             if process.name == CONTROLLER:
                 self.client.spin(_WATCHDOG_S)
         self.client.close()
-        self._children.close()
+        if self._log is not None:
+            self._log.close()
 
-    def _arguments(self, process: Process) -> list[str]:
+    def _start(self, process: Process) -> None:
+        if self._log_path is not None and self._log is None:
+            self._log = self._log_path.open("wb")
         file = self.parameter_file
-        return [
+        arguments = [
             *("--ros-args", "--enclave", process.enclave, "--params-file", str(file)),
             *namespace_arguments(self.client.node.get_namespace(), file, process.name),
             *self._passed_on,
             *as_arguments(process.parameters),
         ]
+        self._running[process.name] = subprocess.Popen(
+            [sys.executable, "-m", f"{PACKAGE}.nodes.{process.name}", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=self._log,
+            # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
+            start_new_session=True,
+            preexec_fn=end_with_parent,
+        )
+
+    def _end(self, name: str) -> None:
+        """End a process, if it is running: by SIGKILL if SIGTERM does not do it."""
+        process = self._running.pop(name, None)
+        if process is None or process.poll() is not None:
+            return
+        # Not SIGINT, which Python turns into a traceback while it is still importing.
+        process.terminate()
+        try:
+            process.wait(_END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGTERM: killed", file=sys.stderr)
+            process.kill()
+            process.wait()
+
+    def _see_log(self) -> str:
+        """Where the output of the processes is, to be appended to a message."""
+        return f"; its output is in {self._log_path}" if self._log_path else ""
 
     def _state_of(self, name: str) -> str:
         """Lifecycle state of a node, or why it is unknown."""
@@ -201,11 +226,11 @@ class StackProcesses:
 
     def _halt(self) -> None:
         """Ask the controller for its compliant stop and wait until the arm is at rest."""
-        if not self._children.is_alive(CONTROLLER):
+        controller = self._running.get(CONTROLLER)
+        if controller is None or controller.poll() is not None:
             self.client.spin(_WATCHDOG_S)
             return
-        with suppress(ContactReachError):
-            self.client.call(f"{CONTROLLER}/stop", Trigger, Trigger.Request(), patience=0.5, timeout=0.5)
+        self.client.trigger(CONTROLLER, "stop")
         self.client.until(lambda: not self._speed > _REST_SPEED, _REST_TIMEOUT_S)
 
     def _on_state(self, message: JointState) -> None:

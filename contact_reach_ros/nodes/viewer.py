@@ -29,7 +29,6 @@ from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.ros.stopping import release, stop_arm
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
@@ -150,7 +149,7 @@ class _StackActions:
         self._node = node
         self._live = live
         self._goals = node.make_publisher(topics.GOAL_POSE)
-        self._services = Services(node, time.sleep)
+        self._services = Services(node)
 
     def send_goal(self, position: Array) -> str:
         """See `Actions`."""
@@ -162,12 +161,12 @@ class _StackActions:
 
     def stop(self) -> str:
         """See `Actions`."""
-        return stop_arm(self._services.trigger).text
+        return self._services.stop().text
 
     def reset(self) -> str:
         """See `Actions`."""
         stopped = [name for name, status in self._live.safety.items() if status.level == ERROR]
-        return release(stopped, self._services.trigger).text
+        return self._services.release(stopped).text
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import SetParametersAtomically
@@ -24,12 +24,12 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
+from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
-from contact_reach_ros.ros.interfaces import OPERATOR
+from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.ros.stopping import Outcome
 
 PLANNER, CONTROLLER = "planner", "controller"
 
@@ -44,9 +44,19 @@ _SETTLED_S = 1.0
 _JUDGED_S = 8.0
 """Longest time until diagnostics, which come once a second, show whether a goal is taken."""
 _SILENCE_S = 5.0
+_REST_S = 5.0
+"""Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
 
 _FOLLOWED = "plans accepted"
 _REFUSED = (f"refused {topics.REFERENCE_POSE.contents}", "refused plans")
+_NOTHING = "nothing is stopped"
+
+
+class Outcome(NamedTuple):
+    """Whether it was done, and a line for the user."""
+
+    done: bool
+    text: str
 
 
 class Services:
@@ -55,14 +65,11 @@ class Services:
     Parameters
     ----------
     node
-        That calls.
-    spin
-        Serves the node for so many seconds: `time.sleep` for a node that another thread serves.
+        That calls; another thread serves it.
     """
 
-    def __init__(self, node: Node, spin: Callable[[float], None]) -> None:
+    def __init__(self, node: Node) -> None:
         self.node = node
-        self.spin = spin
         self._clients: dict[str, ServiceClient] = {}
         self._lock = threading.Lock()
 
@@ -70,9 +77,33 @@ class Services:
         """Whether a node is known that offers a Trigger service."""
         return bool(self._client(service, Trigger).service_is_ready())
 
-    def trigger(self, service: str) -> Any:
-        """Call a Trigger service and return its answer; raises as `call`."""
-        return self.call(service, Trigger, Trigger.Request(), _SERVICE_S)
+    def trigger(self, name: str, service: str) -> Outcome:
+        """Call a Trigger service of a node; not done where no node offers it, or none answers."""
+        try:
+            answer = self.call(f"{name}/{service}", Trigger, Trigger.Request(), _SERVICE_S)
+        except ContactReachError as error:
+            return Outcome(False, str(error))
+        return Outcome(answer.success, f"{name}: {answer.message or 'done'}")
+
+    def stop(self) -> Outcome:
+        """Stop the arm by the first node that does it: the controller, or another if that fails."""
+        failures = []
+        for name in STOPPABLE:
+            outcome = self.trigger(name, "stop")
+            if outcome.done:
+                return outcome
+            failures.append(outcome.text)
+        return Outcome(False, "NOT stopped: " + "; ".join(failures))
+
+    def release(self, stopped: Collection[str]) -> Outcome:
+        """Release the stops of these nodes, the controller's last: it refuses while the observer is stopped."""
+        answers: list[str] = []
+        for name in [name for name in reversed(STOPPABLE) if name in stopped]:
+            outcome = self.trigger(name, "reset")
+            answers.append(outcome.text)
+            if not outcome.done:
+                return Outcome(False, "; ".join(answers))
+        return Outcome(True, "; ".join(answers) or _NOTHING)
 
     def call(
         self, service: str, kind: Any, request: Any, patience: float = _ANSWER_S, timeout: float = _ANSWER_S
@@ -106,6 +137,10 @@ class Services:
             self.spin(_LOOK_S)
         return True
 
+    def spin(self, seconds: float) -> None:
+        """Let the node be served for a while."""
+        time.sleep(seconds)
+
     def _client(self, service: str, kind: Any) -> ServiceClient:
         with self._lock:
             if service not in self._clients:
@@ -123,7 +158,7 @@ class Client(Services):
     """
 
     def __init__(self, node: Node) -> None:
-        super().__init__(node, self._serve)
+        super().__init__(node)
         # Malformed messages are reported by the nodes that receive them.
         self.inbox = Inbox(node, lambda what, error: None)
         self._executor = SingleThreadedExecutor()
@@ -133,7 +168,13 @@ class Client(Services):
         """Leave the executor."""
         self._executor.shutdown()
 
-    def _serve(self, seconds: float) -> None:
+    def hears(self, name: str, topic: Topic) -> bool:
+        """Whether the node of this name is known to subscribe to a topic."""
+        found = self.node.get_subscriptions_info_by_topic(self.node.resolve_topic_name(topic.name))
+        return any(endpoint.node_name == name for endpoint in found)
+
+    def spin(self, seconds: float) -> None:
+        """Serve the node for a while."""
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
@@ -180,12 +221,12 @@ class StackClient(Client):
         self.inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
 
-    def missing(self, listeners: int = 1) -> list[str]:
-        """Topics on which something is not heard yet that goals need, the planner among `listeners` to goals."""
+    def missing(self) -> list[str]:
+        """Topics on which something is not heard yet that goals need."""
         heard = {
             f"{topics.DIAGNOSTICS.name} of the {PLANNER}": PLANNER in self.diagnostics,
             f"{topics.SETTINGS.name} of the {PLANNER}": PLANNER in self.settings,
-            f"{topics.GOAL_POSE.name} by the {PLANNER}": self._goals.get_subscription_count() >= listeners,
+            f"{topics.GOAL_POSE.name} by the {PLANNER}": self.hears(PLANNER, topics.GOAL_POSE),
             f"{topics.DIAGNOSTICS.name} of the {CONTROLLER}": CONTROLLER in self.diagnostics,
         }
         return [what for what, is_heard in heard.items() if not is_heard]
@@ -225,6 +266,23 @@ class StackClient(Client):
         self.spin(_SETTLED_S)
         self.until(everybody, _FOUND_S)
 
+    def release_all(self, timeout: float = _REST_S) -> Outcome:
+        """Release whoever is stopped, and look again, until nobody is or the time, s, is over.
+
+        Until the arm is at rest a release is refused; and a drive closes its brakes on its own some seconds after the
+        stop of the controller, perhaps just when that is being released.
+        """
+        give_up = time.monotonic() + timeout
+        answers: list[str] = []
+        self.hear_everybody()
+        while self.stops:
+            outcome = self.release(self.stops)
+            answers = [*answers, outcome.text] if outcome.done else answers
+            if time.monotonic() > give_up:
+                return outcome if not outcome.done else Outcome(True, "; ".join(answers))
+            self.hear_everybody()
+        return Outcome(True, "; ".join(answers) or _NOTHING)
+
     def go(self, position: Array, rotation: Array | None) -> Outcome:
         """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
         self.hear_everybody()
@@ -233,13 +291,28 @@ class StackClient(Client):
         before = self.diagnostics[CONTROLLER]
         self.send_goal(position, rotation)
 
-        def judge() -> Outcome | None:
-            if self.stops:
-                return Outcome(False, f"stopped: {self.why_stopped}")
-            return judge_goal(self.goal_state, before, self.diagnostics[CONTROLLER])
+        self.until(lambda: self.judge_goal(before) is not None, _JUDGED_S)
+        return self.judge_goal(before) or Outcome(False, "nothing followed the goal; run contact-reach doctor")
 
-        self.until(lambda: judge() is not None, _JUDGED_S)
-        return judge() or Outcome(False, "nothing followed the goal; run contact-reach doctor")
+    def judge_goal(self, before: Mapping[str, str]) -> Outcome | None:
+        """Judge whether the goal that was sent is taken; `before` are the controller's diagnostics from before it.
+
+        None while that is open.
+        """
+        if self.stops:
+            return Outcome(False, f"stopped: {self.why_stopped}")
+        if self.goal_state is None:
+            return None
+        if self.goal_state.phase.is_over:
+            return Outcome(False, f"the planner did not take the goal: {describe(self.goal_state)}")
+        now = self.diagnostics[CONTROLLER]
+        grown = {key for key in (_FOLLOWED, *_REFUSED) if int(now.get(key, 0)) > int(before.get(key, 0))}
+        if _FOLLOWED in grown:
+            return Outcome(True, "the goal is taken: the controller follows the plans for it")
+        if grown:
+            reasons = [now.get(key.replace("refused", "last refusal of"), "") for key in sorted(grown)]
+            return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
+        return None
 
     def send_goal(self, position: Array, rotation: Array | None = None, stamp_ns: int | None = None) -> None:
         """Publish a goal (3,), m, (3, 3), stamped with the present time by default."""
@@ -300,21 +373,3 @@ def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClien
             yield client
         finally:
             client.close()
-
-
-def judge_goal(state: GoalState | None, before: Mapping[str, str], now: Mapping[str, str]) -> Outcome | None:
-    """Judge whether a goal is taken, by its state and the controller's diagnostics from before it was sent and after.
-
-    None while that is open.
-    """
-    if state is None:
-        return None
-    if state.phase.is_over:
-        return Outcome(False, f"the planner did not take the goal: {describe(state)}")
-    grown = {key for key in (_FOLLOWED, *_REFUSED) if int(now.get(key, 0)) > int(before.get(key, 0))}
-    if _FOLLOWED in grown:
-        return Outcome(True, "the goal is taken: the controller follows the plans for it")
-    if grown:
-        reasons = [now.get(key.replace("refused", "last refusal of"), "") for key in sorted(grown)]
-        return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
-    return None

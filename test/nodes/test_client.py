@@ -17,7 +17,6 @@ from contact_reach_ros.messages.conversions import to_status, to_stop_state
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module
-from contact_reach_ros.ros.client import judge_goal
 
 
 @pytest.fixture
@@ -88,8 +87,7 @@ def test_states_of_other_goals_do_not_count(client):
 
 
 def test_services_that_are_not_there_are_named(client):
-    with pytest.raises(ContactReachError, match="controller/stop: there is no such service"):
-        client.trigger("controller/stop")
+    assert client.trigger("controller", "stop") == (False, "controller/stop: there is no such service")
     assert not client.offers("controller/stop")
 
 
@@ -103,19 +101,24 @@ BEFORE = {"plans accepted": "7"}
 RUNNING = GoalState(GoalPhase.RUNNING)
 
 
-def test_a_goal_is_taken_when_the_controller_follows_plans_for_it():
+def judge(client, state, now):
+    client.goal_state, client.diagnostics["controller"] = state, now
+    return client.judge_goal(BEFORE)
+
+
+def test_a_goal_is_taken_when_the_controller_follows_plans_for_it(client):
     for state in (None, GoalState(GoalPhase.ACCEPTED), RUNNING):
-        assert judge_goal(state, BEFORE, BEFORE) is None
+        assert judge(client, state, BEFORE) is None
     later = {"plans accepted": "8"}
-    assert judge_goal(RUNNING, BEFORE, later).done
-    assert judge_goal(None, BEFORE, later) is None, "these are plans for another goal"
+    assert judge(client, RUNNING, later).done
+    assert judge(client, None, later) is None, "these are plans for another goal"
 
 
-def test_a_goal_that_planner_or_controller_refuse_comes_with_the_reason():
+def test_a_goal_that_planner_or_controller_refuse_comes_with_the_reason(client):
     for phase in (GoalPhase.REFUSED, GoalPhase.WITHDRAWN, GoalPhase.TIMED_OUT):
-        outcome = judge_goal(GoalState(phase, "out of reach"), BEFORE, BEFORE)
+        outcome = judge(client, GoalState(phase, "out of reach"), BEFORE)
         assert not outcome.done and f"{phase.value}: out of reach" in outcome.text
     for what in ("references", "plans"):
         now = {**BEFORE, f"refused {what}": "1", f"last refusal of {what}": "other gains"}
-        outcome = judge_goal(RUNNING, BEFORE, now)
+        outcome = judge(client, RUNNING, now)
         assert not outcome.done and "other gains" in outcome.text

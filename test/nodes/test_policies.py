@@ -4,9 +4,9 @@ from contextlib import contextmanager
 from xml.etree import ElementTree
 
 import pytest
+from policies import policy
 from stack_helpers import ros
 
-from contact_reach_ros.bringup.policies import policy
 from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.adapter import AdapterNode
@@ -99,7 +99,7 @@ def test_every_process_and_every_topic_of_the_stack_is_in_the_table():
 
 @pytest.mark.parametrize("name", INTERFACES)
 def test_the_shipped_file_is_made_from_the_table(name):
-    remake = "run `python -m contact_reach_ros.bringup.policies config/security`"
+    remake = "run `python test/policies.py config/security`"
     assert (FOLDER / f"{name}.policy.xml").read_text() == policy(name, INTERFACES[name]), remake
 
 

@@ -1,21 +1,26 @@
 """Who stops and releases the arm when some nodes do not answer, or refuse."""
 
+import itertools
 from types import SimpleNamespace
 
 import pytest
 
 from contact_reach_ros.errors import ContactReachError
-from contact_reach_ros.ros.stopping import release, release_all, stop_arm
+from contact_reach_ros.ros.client import StackClient
 
 
-class Stack:
-    """Nodes that answer, refuse or are missing; the rest is missing."""
+class Stack(StackClient):
+    """Nodes that answer, refuse or are missing; the rest is missing. `looks`: who is stopped, look by look."""
 
-    def __init__(self, **answers):
+    def __init__(self, looks=(), **answers):
+        self.looks = iter(looks)
         self.answers = answers
         self.called = []
 
-    def __call__(self, service):
+    def hear_everybody(self):
+        self.stops = dict.fromkeys(next(self.looks), "stopped")
+
+    def call(self, service, *_):
         name, _, _ = service.partition("/")
         if name not in self.answers:
             raise ContactReachError(f"{service}: there is no such service")
@@ -32,41 +37,37 @@ class Stack:
     ],
 )
 def test_the_first_node_that_stops_the_arm_is_enough(stack, called):
-    assert stop_arm(stack).done and stack.called == called
+    assert stack.stop().done and stack.called == called
 
 
 def test_an_arm_that_nobody_stops_is_named_as_such():
-    outcome = stop_arm(Stack(observer=False))
+    outcome = Stack(observer=False).stop()
     assert not outcome.done and outcome.text.startswith("NOT stopped: ") and "observer: not now" in outcome.text
 
 
 def test_the_controller_is_released_last_and_only_after_the_others():
     stack = Stack(controller=True, observer=True, driver=True)
-    assert release({"controller", "driver", "observer"}, stack).done
+    assert stack.release({"controller", "driver", "observer"}).done
     assert stack.called == ["driver/reset", "observer/reset", "controller/reset"]
     for refusing in (Stack(controller=True, observer=False), Stack(controller=True)):
-        outcome = release({"controller", "observer"}, refusing)
+        outcome = refusing.release({"controller", "observer"})
         assert not outcome.done and "controller/reset" not in refusing.called
 
 
 def test_nothing_is_released_that_is_not_stopped():
     stack = Stack(controller=True)
-    assert release((), stack) == (True, "nothing is stopped") and not stack.called
+    assert stack.release(()) == (True, "nothing is stopped") and not stack.called
 
 
 def test_brakes_that_close_while_the_controller_is_released_are_opened_too():
-    stack = Stack(controller=True, driver=True)
-    looks = iter([{"controller"}, {"driver"}, ()])
-    outcome = release_all(lambda: next(looks), stack, lambda: False)
-    assert outcome == (True, "controller: done; driver: done")
+    stack = Stack([{"controller"}, {"driver"}, ()], controller=True, driver=True)
+    assert stack.release_all() == (True, "controller: done; driver: done")
     assert stack.called == ["controller/reset", "driver/reset"]
-    looks = iter([(), {"driver"}, ()])
-    assert release_all(lambda: next(looks), stack, lambda: False) == (True, "driver: done")
+    assert Stack([()]).release_all() == (True, "nothing is stopped")
 
 
 def test_a_refused_release_is_tried_again_until_the_time_is_over():
-    stack, ends = Stack(controller=False), iter([False, False, True])
-    assert release_all(lambda: {"controller"}, stack, lambda: next(ends)) == (False, "controller: not now")
-    assert len(stack.called) == 3
-    stack, ends = Stack(controller=True), iter([True])
-    assert release_all(lambda: {"controller"}, stack, lambda: next(ends)) == (True, "controller: done")
+    stack = Stack(itertools.repeat({"controller"}), controller=False)
+    assert stack.release_all(0.01) == (False, "controller: not now")
+    assert len(stack.called) > 1
+    assert Stack([{"controller"}], controller=True).release_all(0.0) == (True, "controller: done")

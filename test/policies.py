@@ -1,6 +1,6 @@
 """SROS 2 policies: each node may use its topics and services, and nothing else.
 
-`python -m contact_reach_ros.bringup.policies config/security` writes the files that the package ships; docs/security.md
+`python test/policies.py config/security` writes the files that the package ships; docs/security.md
 explains how to use them.
 """
 
