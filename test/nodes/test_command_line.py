@@ -40,7 +40,7 @@ def test_help_lists_all_parameters(node, nothing_starts, monkeypatch, capsys):
     assert ("autostart" in page) == (node != "bringup")
 
 
-@pytest.mark.parametrize("arguments", ["--speed 3", "--scene=wall", "seed:=3 --ros-args -p lockstep:=true"])
+@pytest.mark.parametrize("arguments", ["--speed 3", "--scene=wall", "seed:=3 --ros-args -p state_rate:=500"])
 def test_arguments_that_are_not_for_ros_are_refused(arguments, capsys):
     assert run(RecorderNode, ["recorder", *arguments.split()]) == 2
     assert bringup.run_bringup(["bringup", *arguments.split()]) == 2
