@@ -82,7 +82,7 @@ def pieces_between(
     `hold` is in force without a plan.
     """
     # A plan is in force until the next one takes effect.
-    lasts = [*(plan.effect_ns for plan in plans[1:]), end_ns]
+    lasts = [*(plan.effect_ns for plan in plans), end_ns][1:]
     changes: set[int] = set()
     for plan, last in zip(plans, lasts, strict=False):
         changes.update(instant for instant in plan.changes_ns if instant <= last)

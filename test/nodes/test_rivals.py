@@ -234,7 +234,7 @@ def test_the_driver_takes_no_command_from_two_and_says_who_they_are():
         publishers = [other.create_publisher(Float64MultiArray, topics.COMMANDS.name, 1) for _ in range(2)]
         # As after the hand-over.
         drive = driver.robot.drive
-        drive._opened = True
+        drive.is_open = True
         _spin_until(executor, lambda: drive.stop_reason)
         assert drive.stop_reason.startswith("2 publishers on /effort_controller/commands (/intruder, /intruder)")
         hand_in(driver.inbox, topics.COMMANDS, serialize_message(Float64MultiArray(data=[1.0] * 7)))
