@@ -102,7 +102,7 @@ def fell_behind(summary: EpisodeSummary) -> bool:
 
 
 def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
-    """Run the demo once; returns the exit code and the numbers, None if there are none."""
+    """Run the demo once; returns the exit code and the numbers, None without any or after a failure of the stack."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
     bag = options.output.resolve() / name
     bringup = BringupOptions(
@@ -151,7 +151,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
     if interrupted:
         return INTERRUPTED, summary
     code = 0 if summary is not None and summary.success and not failure else 1
-    return code, summary
+    return code, None if failure else summary
 
 
 def _state_period_ns(parameter_file: Path) -> int:
