@@ -62,8 +62,7 @@ def assert_nothing_left(env):
     "victim",
     [
         "controller",
-        "observer",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("planner", "driver", "recorder")),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("observer", "planner", "driver", "recorder")),
     ],
 )
 def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(moving_demo, victim):
