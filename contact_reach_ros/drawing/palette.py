@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 BLACK = "#000000"
-WHITE = "#FFFFFF"
-"""Background of every plot."""
 ORANGE = "#E69F00"
 SKY_BLUE = "#56B4E9"
 GREEN = "#009E73"
