@@ -254,8 +254,6 @@ class Stack:
         """Control, observe and plan from the joint states that have arrived, then advance the robot by one period."""
         torque = self._control()
         report = self._observe()
-        if torque is not None:
-            self.observer.command(torque)
         plan = self._plan()
         for error in self.robot.step(self._clock_ns):
             self._refuse("commands", error)
@@ -376,7 +374,7 @@ class Stack:
                 torque = answer
                 self._send(answer)
             try:
-                self.controller.watch(state, answer, self._clock_ns)
+                self.controller.watch(state, self._clock_ns)
             except InputError as error:
                 # The controller does not look into states that are not new.
                 self._refuse("joint states", error)

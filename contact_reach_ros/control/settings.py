@@ -54,9 +54,6 @@ class LimitSettings(Settings):
         minimum=1.0,
         maximum=20000.0,
     )
-    joint_limit_margin: float = setting(
-        0.1, "distance to a position limit at which repulsion begins", unit="rad", minimum=0.01, maximum=0.5
-    )
 
 
 @dataclass(frozen=True)
@@ -75,9 +72,6 @@ class SupervisionSettings(Settings):
     gravity_compensation: bool = setting(True, "send g(q); false for arms that compensate gravity themselves")
     hold_limit: float = setting(
         5.0, "time from the end of the last plan to the compliant stop", unit="s", minimum=0.1, maximum=3600.0
-    )
-    observer_timeout: float = setting(
-        0.05, "silence of the observer that stops the arm", unit="s", minimum=0.005, maximum=1.0
     )
     watch_itself: bool = setting(
         True, "let the controller have an observer of its own, so that one that is late leaves nothing unwatched"
@@ -115,13 +109,6 @@ class SupervisionSettings(Settings):
     drive_brakes: bool = setting(
         True,
         "the drive brakes the arm when commands end; false: a stop is damped and carried for ever, however it goes",
-    )
-    reset_velocity: float = setting(
-        0.05,
-        "joint speed below which the arm is at rest, and a stop may be reset",
-        unit="rad/s",
-        minimum=0.0,
-        maximum=1.0,
     )
 
     def __post_init__(self) -> None:

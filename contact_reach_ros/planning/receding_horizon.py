@@ -101,7 +101,7 @@ class RecedingHorizonPlanner:
         max_position_error: float = SupervisionSettings().max_position_error,
         solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = HybridSolver,
     ) -> None:
-        configure_jax(cache_directory() / "jax", settings.device)
+        configure_jax(cache_directory() / "jax")
         self.basis = plan_basis(arm, gains, max_position_error)
         self._arm = arm
         self._settings = settings
