@@ -166,6 +166,7 @@ COMMANDS: Mapping[str, str] = {
     "bench bags": "contact-reach bag info counts the lost messages of a recording",
     "bench floor": _MEASURED_ONCE,
     "bench page": "run `make -C benchmarks` in a checkout of the repository",
+    "bench control": "leave control out: bench times the controller in the running stack",
     "bench --ticks": "leave it out: bench times the controller in the running stack",
     "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
     "report --with": "run contact-reach reexecute BAG --with FILE",

@@ -13,8 +13,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.control.agreement import disagreement, plan_basis
 from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.settings import disagreement, plan_basis
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError, Verdict, requested
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport

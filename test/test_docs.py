@@ -192,6 +192,21 @@ def adapted(line: str) -> str:
     return line + " --port 0" * ("contact-reach view" in line)
 
 
+RUN: set[tuple[str, ...]] = set()
+"""Forms of commands that have been run."""
+
+
+def is_new(line: str) -> bool:
+    """Whether no command of this form, with the same words and options of whatever values, has been run yet."""
+    program, *words = shlex.split(line)
+    subcommands = [word for word in words if re.fullmatch("[a-z]+", word)][:1]
+    form = (program, *subcommands, str(len(words)), *sorted(word for word in words if word.startswith("--")))
+    if form in RUN:
+        return False
+    RUN.add(form)
+    return True
+
+
 def test_enough_commands_are_run():
     assert sum(map(is_run, COMMANDS)) >= 30
 
@@ -259,6 +274,8 @@ def test_commands_that_need_no_robot(page, folder, request):
         if command.page != page or not is_run(command):
             continue
         line = adapted(command.line)
+        if not is_new(line):
+            continue
         for bag in (folder / "bags").glob("new_*"):
             shutil.rmtree(bag)
         env = request.getfixturevalue("stack") if re.search(WITH_STACK, line) else environment()

@@ -252,4 +252,4 @@ class SafetyLoop(RuleBasedStateMachine):
 
 
 TestSafetyLoop = SafetyLoop.TestCase
-TestSafetyLoop.settings = hypothesis.settings(max_examples=40, stateful_step_count=25)
+TestSafetyLoop.settings = hypothesis.settings(max_examples=30, stateful_step_count=25)

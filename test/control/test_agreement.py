@@ -6,8 +6,7 @@ import pytest
 from arm_simulation import ARM
 
 from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.control.agreement import differences, disagreement, plan_basis
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, differences, disagreement, plan_basis
 
 GAINS = ImpedanceSettings()
 TOOL = Tool(mass=1.0, center=(0.03, 0.0, 0.06), flange_to_tip=(0.0, 0.0, 0.15, 0.0, 0.3, 0.0))

@@ -23,7 +23,7 @@ def push(motion: FreeMotion, body: str, force: tuple[float, float, float]) -> No
 
 
 def test_free_motion_is_neither_contact_nor_collision():
-    motion = run(FreeMotion(ARM, MISMATCH, 3, BUDGET), 3.5)
+    motion = run(FreeMotion(ARM, MISMATCH, 3, BUDGET), 5.0)
     assert not motion.monitor.stopped
     assert motion.monitor.contacts == 0
     # The arm did move, and was watched.
