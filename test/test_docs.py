@@ -114,22 +114,6 @@ def test_what_up_takes_is_what_bringup_takes():
     assert taken == {entry.name for entry in BringupOptions.declared()}
 
 
-def test_every_command_explains_itself():
-    waiting = [PARSER]
-    while waiting:
-        parser = waiting.pop()
-        assert parser.format_help()
-        for action in parser._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                waiting += action.choices.values()
-
-
-def test_every_ros2_command_has_a_form_without_ros():
-    for page in {command.page for command in COMMANDS if command.page.startswith("msg_docs")}:
-        programs = [command.words[0] for command in COMMANDS if command.page == page]
-        assert any(program in PROGRAM or NODE.fullmatch(program) for program in programs), page
-
-
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
     """To files that are there, and to headings that they have."""

@@ -100,25 +100,21 @@ HALVES = {"reference/pose": (poses, "offer_poses"), "reference/posture": (postur
 
 
 @pytest.mark.parametrize("field", HALVES)
-class TestRefusals:
-    """Each half is checked alike, and refused before it changes anything."""
-
-    def refuse(self, queue: ReferenceQueue, field: str, knots: PoseKnots | PostureKnots, now_ms: float, match: str):
-        offer(queue, 0, 0, value=1.0)
-        with pytest.raises(InputError, match=f"^{field}: .*{match}"):
-            getattr(queue, HALVES[field][1])(knots, int(now_ms * MS))
-        assert queue.accepted == 1
-        assert selected(queue, 0) == 1.0
-
-    def test_stamp_in_the_future(self, queue, field):
-        self.refuse(queue, field, HALVES[field][0](1500), 0, r"header\.stamp.*1\.500 s in the future.*at most 1 s")
-
-    def test_expired(self, queue, field):
-        self.refuse(queue, field, HALVES[field][0](10), 310, r"last knot ended 0\.000 s ago")
-
-    @pytest.mark.parametrize("ends", [(100, 100, 200), (100, 50, 200), (0, 100, 200), (-50, 100, 200)])
-    def test_times_that_do_not_increase(self, queue, field, ends):
-        self.refuse(queue, field, HALVES[field][0](0, ends), 0, "time_from_start.*strictly increasing")
+@pytest.mark.parametrize(
+    ("stamp_ms", "ends_ms", "now_ms", "match"),
+    [
+        (1500, (100, 200), 0, r"header\.stamp.*1\.500 s in the future.*at most 1 s"),
+        (10, (100, 200), 210, r"last knot ended 0\.000 s ago"),
+        (0, (100, 100, 200), 0, "time_from_start.*strictly increasing"),
+        (0, (-50, 100, 200), 0, "time_from_start.*strictly increasing"),
+    ],
+)
+def test_a_half_is_refused_before_it_changes_anything(queue, field, stamp_ms, ends_ms, now_ms, match):
+    offer(queue, 0, 0, value=1.0)
+    make, offer_half = HALVES[field]
+    with pytest.raises(InputError, match=f"^{field}: .*{match}"):
+        getattr(queue, offer_half)(make(stamp_ms, ends_ms), now_ms * MS)
+    assert queue.accepted == 1 and selected(queue, 0) == 1.0
 
 
 def test_values_that_are_not_finite_are_refused(queue):

@@ -34,10 +34,6 @@ class Observed:
         reading = self.plant.read()
         return self.observer.update(reading.q, reading.v, command, self.plant.steps * TICK_NS)
 
-    def push(self, body: str, force: tuple[float, float, float]) -> None:
-        """A force on a link at its centre of mass, base axes, N."""
-        self.plant.data.xfrc_applied[self.plant.model.body(body).id, :3] = force
-
 
 @pytest.mark.parametrize("joint", [0, 3, 6])
 def test_residual_follows_a_torque_step_as_a_first_order_lag(joint):
@@ -51,17 +47,6 @@ def test_residual_follows_a_torque_step_as_a_first_order_lag(joint):
     np.testing.assert_allclose(shares, 1.0 - np.exp(-SETTINGS.gain * ticks * TICK), rtol=0, atol=0.02)
     cross_talk = np.delete(residuals, joint, axis=1)
     assert np.abs(cross_talk).max() < 0.02 * external[joint]
-
-
-@pytest.mark.parametrize("link", [1, 4, 6])
-def test_force_on_a_link_is_not_seen_by_the_joints_beyond(link):
-    observed = Observed(HOME + 0.1 * np.arange(ARM.n))
-    observed.push(ARM.link_names[link - 1], (12.0, -9.0, 15.0))
-    for _ in range(6 * TICKS_PER_LAG):
-        residual = observed.step()
-    assert np.abs(residual[link:]).max(initial=0.0) < 0.02
-    if link > 1:
-        assert np.abs(residual[:link]).max() > 0.5
 
 
 def test_force_at_the_flange_is_given_back_as_a_wrench():
@@ -216,17 +201,6 @@ class TestInterruptions:
         assert observer.gaps == 0
         assert np.isfinite(observer.flange_wrench()).all()
         np.testing.assert_allclose(observer.residual, 0, atol=1e-3)
-
-    def test_gaps_in_motion_bring_no_peak(self):
-        observer = MomentumObserver(SETTINGS, RobotModel(ARM))
-        previous = largest = 0.0
-        stamps = [float(ms) for ms in range(400) if (ms // 40) % 2 == 0 or ms % 10 == 0]
-        for (q, v, stamp_ns), stamp in zip(drifting_states(stamps), stamps, strict=True):
-            residual = observer.update(q, v, driving_torque(0.5 * (previous + stamp)), stamp_ns)
-            largest = max(largest, np.abs(residual).max())
-            previous = stamp
-        assert observer.gaps > 0
-        assert largest < 0.1
 
 
 def filtered_run(cutoff, settings, push=0.0):
