@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import importlib
 import io
+import itertools
 import os
 import re
 import shlex
@@ -183,7 +184,9 @@ RUN: set[tuple[str, ...]] = set()
 def is_new(line: str) -> bool:
     """Whether no command of this form, with the same words and options of whatever values, has been run yet."""
     program, *words = shlex.split(line)
-    subcommands = [word for word in words if re.fullmatch("[a-z]+", word)][:1]
+    if program in SHELL:
+        return True
+    subcommands = itertools.takewhile(str.isalpha, words)
     form = (program, *subcommands, str(len(words)), *sorted(word for word in words if word.startswith("--")))
     if form in RUN:
         return False
