@@ -13,7 +13,7 @@ from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
-from contact_reach_ros.observer.safety import SafetyMonitor
+from contact_reach_ros.observer.safety import HANDOVER_TIME, SafetyMonitor
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.robot import SimulatedRobot
@@ -91,7 +91,7 @@ class FreeMotion:
     @property
     def is_handed_over(self) -> bool:
         """Whether the hand-over is complete, and the arm watched in full."""
-        return self.observer.momentum.known_for >= self.monitor.budget.handover_time
+        return self.observer.momentum.known_for >= HANDOVER_TIME
 
     @property
     def monitor(self) -> SafetyMonitor:
@@ -114,7 +114,6 @@ class FreeMotion:
         torque = self._controller.update(state, now_ns)
         if torque is not None:
             robot.command(torque, now_ns)
-            self.observer.command(torque)
         robot.step(now_ns)
         (self.state,) = robot.read()
 

@@ -184,8 +184,8 @@ def _parser() -> argparse.ArgumentParser:
     repair.add_argument("--output", type=Path, metavar="DIR", help="the new bag (default: BAG_repaired)")
     repair.set_defaults(run=_later("bags.command:repair_bag"))
 
-    bench = add("bench", _bench, "how well this machine keeps the time of the running stack")
-    bench.add_argument("what", nargs="?", default="control", choices=["control"], help=argparse.SUPPRESS)
+    fitness = _later("doctor.fitness:run_fitness")
+    bench = add("bench", fitness, "how well this machine keeps the time of the running stack")
     bench.add_argument("--seconds", type=float, help="time that is measured, s (default: 60)")
     bench.add_argument("--load", type=int, help="programs beside the stack that never sleep (default: 0)")
     _add_json(bench)
@@ -261,12 +261,6 @@ def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) ->
     from contact_reach_ros.nodes.viewer import view
 
     return view(chosen, parameters, namespace)
-
-
-def _bench(what: str, **options: Any) -> None:
-    from contact_reach_ros.doctor.fitness import run_fitness
-
-    run_fitness(**options)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ _FAULTS = (
 )
 _CHECKOUT = "run it in a checkout of the repository: make bench NAME="
 _MEASURED_ONCE = "its results are in benchmarks/README.md"
+_MEASURED = "leave it out: it belonged to torque_source: commanded, which is gone"
 _NOT_TUNED = "leave it out; it is fixed at "
 
 PARAMETERS: Mapping[str, Mapping[str, str]] = {
@@ -24,10 +25,13 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "joints.hold_damping": _NOT_TUNED + "30 Nm s/rad",
         "joints.brake_torque": _NOT_TUNED + "150 Nm",
         "watchdog.open_after": _NOT_TUNED + "0.5 s",
+        "watchdog.hold_after": _NOT_TUNED + "0.02 s",
+        "watchdog.stop_after": _NOT_TUNED + "0.1 s",
     },
     "controller": {
         "impedance.singularity_floor": _NOT_TUNED + "0.03 1/kg",
-        "limits.joint_limit_torque_share": _NOT_TUNED + "0.5; joint_limit_margin says where the repulsion begins",
+        "limits.joint_limit_torque_share": _NOT_TUNED + "0.5",
+        "limits.joint_limit_margin": _NOT_TUNED + "0.1 rad; narrow the position limits in the arm's file instead",
         "limits.joint_limit_damping": _NOT_TUNED + "10 Nm s/rad of the strongest joint",
         "limits.null_velocity_share": _NOT_TUNED + "0.3",
         "limits.velocity_limit_share": _NOT_TUNED + "0.9",
@@ -37,7 +41,9 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "supervision.max_plan_lead": _NOT_TUNED + "1 s",
         "supervision.max_plan_duration": _NOT_TUNED + "1 s",
         "supervision.watch_rate": _NOT_TUNED + "250 Hz; watch_itself: false ends the controller's own watch",
-        "supervision.observer_patience": _NOT_TUNED + "0.5 s; observer_timeout holds without an own watch",
+        "supervision.observer_patience": _NOT_TUNED + "0.5 s",
+        "supervision.observer_timeout": _NOT_TUNED + "0.05 s",
+        "supervision.reset_velocity": _NOT_TUNED + "0.05 rad/s",
         "supervision.correct_stop": _NOT_TUNED + "true",
         "supervision.velocity_share": "lower the velocity limits in the arm's file instead",
         "supervision.velocity_debounce": _NOT_TUNED + "3 ms",
@@ -54,8 +60,13 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "safety.model_error_per_rad": _NOT_TUNED + "1 1/rad; scale model_error of the contact budget instead",
         "safety.model_error_at_rest": _NOT_TUNED + "0.3; scale contact_thresholds of the contact budget instead",
         "safety.reset_share": _NOT_TUNED + "0.5",
+        "safety.reset_velocity": _NOT_TUNED + "0.05 rad/s",
         "plausibility.frozen_time": _NOT_TUNED + "30 ms",
         "plausibility.frozen_torque_time": _NOT_TUNED + "200 ms",
+        "torque_source": "leave it out: joint_states must carry measured torques in effort",
+        "commanded.threshold_factor": _MEASURED,
+        "commanded.handover_time": _MEASURED,
+        "commanded.lost": _MEASURED,
     },
     "planner": {
         "planning.cpus": "leave it out: plans use one core (cpus, the CPUs that the node may run on, stays)",
@@ -83,6 +94,11 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "unexpected_contact.patience": _NOT_TUNED + "0.01 s",
         "unexpected_contact.least_force": _NOT_TUNED + "5 N",
         "unexpected_contact.retreat": _NOT_TUNED + "0.05 m",
+        "planning.device": "set the environment variable JAX_PLATFORMS to cpu or cuda instead",
+        "sphere_damping": _NOT_TUNED + "30 N s/m",
+        "node_damping": _NOT_TUNED + "5 N s/m",
+        "node_stiffness": "leave it out: only edges hold the nodes that can move; see edge_stiffness",
+        "goal_tolerance": _NOT_TUNED + "0.01 m; Goal(tolerance=...) in the library",
         "settle_time": _NOT_TUNED + "0.2 s",
         "goal_angle_tolerance": _NOT_TUNED + "0.05 rad; Goal(angle_tolerance=...) in the library",
         "rest_speed": _NOT_TUNED + "0.01 m/s; Goal(rest_speed=...) in the library",
@@ -133,6 +149,9 @@ SCENE_KEYS: Mapping[str, str] = {
 }
 """Keys of obstacles in scene files."""
 
+BUDGET_KEYS: Mapping[str, str] = {"handover_time": _NOT_TUNED + "0.3 s"}
+"""Keys of the contact budget."""
+
 COMMANDS: Mapping[str, str] = {
     "tool": "a running stack keeps its tool. Stop the arm (contact-reach stop) and let the brakes close, end the "
     "stack, put the section 'tool' under '/**: ros__parameters:' in the parameter file, and start it again with this "
@@ -147,6 +166,7 @@ COMMANDS: Mapping[str, str] = {
     "bench bags": "contact-reach bag info counts the lost messages of a recording",
     "bench floor": _MEASURED_ONCE,
     "bench page": "run `make -C benchmarks` in a checkout of the repository",
+    "bench control": "leave control out: bench times the controller in the running stack",
     "bench --ticks": "leave it out: bench times the controller in the running stack",
     "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
     "report --with": "run contact-reach reexecute BAG --with FILE",
@@ -164,7 +184,9 @@ COMMANDS: Mapping[str, str] = {
 EXECUTABLES: Mapping[str, str] = {"faults": _FAULTS}
 """Executables of `ros2 run`."""
 
-_SENTENCES = {name: sentence for named in (SCENE_KEYS, *PARAMETERS.values()) for name, sentence in named.items()}
+_SENTENCES = {
+    name: sentence for named in (SCENE_KEYS, BUDGET_KEYS, *PARAMETERS.values()) for name, sentence in named.items()
+}
 
 
 def removed_parameter(name: str) -> str:

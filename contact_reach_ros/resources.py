@@ -23,9 +23,6 @@ _PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numba", "numpy", "pi
 """Packages that results depend on; `ros-rclpy` is there where rclpy comes as a wheel."""
 _PATIENCE_S = 5.0
 
-_KEPT = 300
-"""Files in a folder of the cache."""
-
 
 def share_directory() -> Path:
     """Directory that holds `package.xml`, `config/`, `launch/` and `msg_docs/`.
@@ -91,7 +88,7 @@ class KeptFile:
     Parameters
     ----------
     folder
-        Of the cache; the least recently used files go when there are many.
+        Of the cache.
     parts
         What the value depends on.
     """
@@ -103,11 +100,9 @@ class KeptFile:
     def load(self) -> Any:
         """The value; None if it is not there, or the file is damaged."""
         try:
-            value = pickle.loads(self._file.read_bytes())
-            os.utime(self._file)
+            return pickle.loads(self._file.read_bytes())
         except Exception:  # pickle raises whatever the damage leads to
             return None
-        return value
 
     def store(self, value: object) -> None:
         """Keep a value; that it cannot be written is no error."""
@@ -116,9 +111,6 @@ class KeptFile:
             new = self._file.with_suffix(f".{os.getpid()}")
             new.write_bytes(pickle.dumps(value))
             new.replace(self._file)
-            files = sorted(self._file.parent.glob("*.pickle"), key=lambda each: each.stat().st_mtime)
-            for old in files[:-_KEPT]:
-                old.unlink(missing_ok=True)
 
 
 def versions() -> dict[str, str]:

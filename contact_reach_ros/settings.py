@@ -22,6 +22,7 @@ from contact_reach_ros.removed import removed_parameter
 
 Scalar = bool | int | float | str
 Value = Scalar | tuple[Scalar, ...] | None
+_DECLARATION = "declaration"
 
 
 class ArmDefaults(Protocol):
@@ -38,13 +39,13 @@ class Setting:
     name: str
     default: Value
     description: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    choices: tuple[str, ...]
-    optional_length: int | None
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    optional_length: int | None = None
     """Length of a list of numbers that may be missing, which a default of None declares."""
-    per_joint: bool
+    per_joint: bool = False
     """Whether it is a list with one number per joint of the arm; a default of None stands for the arm's own."""
 
     @property
@@ -138,16 +139,8 @@ def setting(
     A list of numbers that may be missing has an `optional_length`; a list with one number per joint of the arm is
     `per_joint`, with a default of None that stands for `Arm.default`.
     """
-    metadata = {
-        "description": description,
-        "unit": unit,
-        "minimum": minimum,
-        "maximum": maximum,
-        "choices": tuple(choices),
-        "optional_length": optional_length,
-        "per_joint": per_joint,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
+    entry = Setting("", default, description, unit, minimum, maximum, tuple(choices), optional_length, per_joint)
+    return dataclasses.field(default=default, metadata={_DECLARATION: entry})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,7 +156,7 @@ class Settings:
     def declared(cls) -> Iterator[Setting]:
         """All values of the class, in the order of their declaration."""
         for field in dataclasses.fields(cls):
-            yield Setting(name=field.name, default=field.default, **field.metadata)  # type: ignore[arg-type]
+            yield dataclasses.replace(field.metadata[_DECLARATION], name=field.name)
 
     def resolve(self, arm: ArmDefaults) -> Self:
         """These settings, with the arm's own values filled in where they have none.
@@ -238,12 +231,12 @@ DEFAULT_PARAMETERS = "default.yaml"
 NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder", "viewer", "bringup")
 """The nodes that have parameters."""
 
-ROBOT = Setting("robot", "iiwa14", "arm: a name, or the path of its file", "", None, None, (), None, False)
+ROBOT = Setting("robot", "iiwa14", "arm: a name, or the path of its file")
 """The parameter of every node that says which arm it has; the lengths of other parameters follow from it."""
-RATE = Setting("state_rate", 1000.0, "nominal rate of joint states", "Hz", 50.0, 1000.0, (), None, False)
+RATE = Setting("state_rate", 1000.0, "nominal rate of joint states", "Hz", 50.0, 1000.0)
 """The parameter of every node from which gaps, debounces and watchdogs follow."""
-AUTOSTART = Setting("autostart", True, "configure and activate itself at its start", "", None, None, (), None, False)
-CPUS = Setting("cpus", "auto", "CPUs to run on: auto, all, or numbers", "", None, None, (), None, False)
+AUTOSTART = Setting("autostart", True, "configure and activate itself at its start")
+CPUS = Setting("cpus", "auto", "CPUs to run on: auto, all, or numbers")
 EVERY_NODE = (ROBOT, RATE, AUTOSTART, CPUS)
 """Parameters of every node but bring-up."""
 

@@ -13,8 +13,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.control.agreement import disagreement, plan_basis
 from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.settings import disagreement, plan_basis
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError, Verdict, requested
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
@@ -254,8 +254,6 @@ class Stack:
         """Control, observe and plan from the joint states that have arrived, then advance the robot by one period."""
         torque = self._control()
         report = self._observe()
-        if torque is not None:
-            self.observer.command(torque)
         plan = self._plan()
         for error in self.robot.step(self._clock_ns):
             self._refuse("commands", error)
@@ -376,7 +374,7 @@ class Stack:
                 torque = answer
                 self._send(answer)
             try:
-                self.controller.watch(state, answer, self._clock_ns)
+                self.controller.watch(state, self._clock_ns)
             except InputError as error:
                 # The controller does not look into states that are not new.
                 self._refuse("joint states", error)

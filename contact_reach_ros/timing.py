@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
+
+import numpy as np
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds per second."""
@@ -74,62 +78,46 @@ class StampOrder:
 
 
 class Histogram:
-    """Histogram of durations in buckets of 1 µs up to 0.1 ms, and of 1.6 % beyond; the longest is kept exactly."""
+    """Histogram of durations in buckets of 1 µs up to 0.1 ms, and of 1.6 % beyond.
+
+    Attributes
+    ----------
+    counts
+        Counts of durations by upper edge, µs.
+    maximum_ns
+        The longest duration, exactly.
+    """
 
     def __init__(self) -> None:
-        self._counts: dict[int, int] = {}
-        self.count = 0
+        self.counts: Counter[int] = Counter()
         self.maximum_ns = 0
 
     def add(self, duration_ns: int) -> None:
         """Count one duration in ns; one below zero, from a clock that was set back, counts as zero."""
         whole_us = max(duration_ns, 0) // 1000
         shift = max(0, whole_us.bit_length() - _BITS)
-        edge = ((whole_us >> shift) + 1) << shift
-        self._counts[edge] = self._counts.get(edge, 0) + 1
-        self.count += 1
-        if duration_ns > self.maximum_ns:
-            self.maximum_ns = duration_ns
-
-    def counts(self) -> dict[int, int]:
-        """Counts of durations by upper edge, µs."""
-        return dict(sorted(self._counts.items()))
-
-    def percentile_us(self, percent: float) -> float:
-        """Upper edge of the bucket that holds the percentile, µs; NaN without durations."""
-        return min(percentile_us(self.counts(), percent), self.maximum_ns / 1000)
+        self.counts[((whole_us >> shift) + 1) << shift] += 1
+        self.maximum_ns = max(duration_ns, self.maximum_ns)
 
     def summary(self) -> Mapping[str, float]:
-        """Percentiles in µs, by the names that reports use."""
-        return {name: self.percentile_us(percent) for name, percent in PERCENTILES.items()}
+        """`percentiles_us`, none longer than the longest duration."""
+        return {name: min(value, self.maximum_ns / 1000) for name, value in percentiles_us(self.counts).items()}
 
 
 def write_counts(counts: Mapping[int, int]) -> str:
     """Counts by upper edge in µs as text, for diagnostics: 'edge:count edge:count ...'."""
-    return " ".join(f"{edge}:{count}" for edge, count in counts.items())
+    return " ".join(f"{edge}:{count}" for edge, count in sorted(counts.items()))
 
 
-def read_counts(text: str) -> dict[int, int]:
+def read_counts(text: str) -> Counter[int]:
     """Parse what `write_counts` wrote."""
-    return {int(edge): int(count) for edge, _, count in (entry.partition(":") for entry in text.split())}
-
-
-def counts_between(first: Mapping[int, int], last: Mapping[int, int]) -> dict[int, int]:
-    """Counts added between `first` and `last`, by upper edge in µs."""
-    grown = {edge: count - first.get(edge, 0) for edge, count in sorted(last.items())}
-    return {edge: count for edge, count in grown.items() if count > 0}
-
-
-def percentile_us(counts: Mapping[int, int], percent: float) -> float:
-    """Upper edge of the bucket that holds the percentile, µs, from counts by upper edge in µs; NaN without any."""
-    wanted, seen = percent / 100.0 * sum(counts.values()), 0
-    for edge, count in sorted(counts.items()):
-        seen += count
-        if seen >= wanted:
-            return float(edge)
-    return float("nan")
+    return Counter({int(edge): int(count) for edge, _, count in (entry.partition(":") for entry in text.split())})
 
 
 def percentiles_us(counts: Mapping[int, int]) -> dict[str, float]:
-    """Percentiles as in `Histogram.summary`, from counts by upper edge in µs; NaN without any."""
-    return {name: percentile_us(counts, percent) for name, percent in PERCENTILES.items()}
+    """Upper edges of the buckets that hold the percentiles, µs, by the names that reports use; NaN without counts."""
+    edges, total = sorted(counts), np.cumsum([counts[edge] for edge in sorted(counts)])
+    if not edges:
+        return dict.fromkeys(PERCENTILES, math.nan)
+    wanted = {name: percent / 100.0 * total[-1] for name, percent in PERCENTILES.items()}
+    return {name: float(edges[int(np.searchsorted(total, count))]) for name, count in wanted.items()}

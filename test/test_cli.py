@@ -11,16 +11,14 @@ from contact_reach_command import contact_reach
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [["reexecute", str(SAMPLE)], ["bag", "info", str(SAMPLE)]],
-    ids=["long text", "table"],
-)
-def test_it_ends_without_a_word_where_nobody_reads_its_output(command: list[str]) -> None:
+def test_it_ends_without_a_word_where_nobody_reads_its_output() -> None:
     reading, writing = os.pipe()
     os.close(reading)
     process = subprocess.Popen(
-        [sys.executable, "-m", "contact_reach_ros.cli", *command], stdout=writing, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "contact_reach_ros.cli", "bag", "info", str(SAMPLE)],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     os.close(writing)
     _, errors = process.communicate(timeout=300)

@@ -74,12 +74,9 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     return Workspace(tmp_path_factory.mktemp("workspace"))
 
 
-def test_executables_are_where_ros2_run_looks(workspace):
+def test_executables_are_where_ros2_run_looks_and_import_the_installed_copy(workspace):
     found = {file.name for file in workspace.executables.iterdir() if os.access(file, os.X_OK)}
     assert found == EXECUTABLES
-
-
-def test_executables_import_the_installed_copy(workspace):
     first_line = (workspace.executables / "driver").read_text().splitlines()[0]
     assert first_line.startswith("#!")
     locate = "from contact_reach_ros import resources as r; print(r.__file__); print(r.share_directory())"
@@ -88,17 +85,12 @@ def test_executables_import_the_installed_copy(workspace):
     assert Path(share) == workspace.share
 
 
-@pytest.mark.parametrize("folder", SHARED_FOLDERS)
-def test_every_shared_file_is_installed(workspace, folder):
-    installed = files_in(workspace.share / folder)
-    assert installed
-    assert installed == files_in(workspace.sources / folder)
-
-
-def test_versions_agree(workspace):
+def test_every_shared_file_is_installed_and_versions_agree(workspace):
+    for folder in SHARED_FOLDERS:
+        installed = files_in(workspace.share / folder)
+        assert installed and installed == files_in(workspace.sources / folder)
     manifest = ElementTree.parse(workspace.share / "package.xml")
-    versions = {manifest.findtext("version"), workspace.distribution.version, contact_reach_ros.__version__}
-    assert len(versions) == 1
+    assert manifest.findtext("version") == workspace.distribution.version == contact_reach_ros.__version__
 
 
 @pytest.fixture
@@ -127,13 +119,10 @@ def test_missing_config_file_names_the_existing_ones(installed_module):
         resources.config_file("scenes/bell.yaml")
 
 
-def test_cache_directory_follows_xdg(tmp_path, monkeypatch):
+def test_the_cache_directory_follows_xdg_and_an_unusable_one_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     assert resources.cache_directory() == tmp_path / "cache" / PACKAGE
     assert resources.cache_directory().is_dir()
-
-
-def test_unusable_cache_directory_says_what_to_do(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(ContactReachError, match="XDG_CACHE_HOME"):

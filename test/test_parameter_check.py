@@ -35,7 +35,7 @@ def test_the_packages_own_file_passes():
         ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
         ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
         ({"/**": {"robot": "r2"}}, "robot: arm 'r2' is unknown; expected one of fr3, iiwa14"),
-        ({"driver": {"watchdog": {"hold_after": 0.5}}}, "driver: .*hold_after = 0.5: expected less than stop_after"),
+        ({"adapter": {"hold_after": 0.5}}, "adapter: .*hold_after = 0.5: expected less than stop_after"),
         (
             {"planner": {"impedance": {"task_damping": 50.0}}},
             "planner: unknown key 'impedance.task_damping'; set it for the controller",

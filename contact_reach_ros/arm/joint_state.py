@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import InputError
+
+REST_SPEED = 0.05
+"""Joint speed up to which an arm is at rest, rad/s: above the noise of velocities, below what a hand does."""
 
 
 class JointState(NamedTuple):
@@ -20,6 +25,13 @@ class JointState(NamedTuple):
     """Velocities (n,), rad/s."""
     torque: Array | None
     """Torques (n,) that have acted since the last state, N m, NaN while unknown; None if the robot reports none."""
+
+
+def check_rest(v: Array) -> None:
+    """Raise `InputError` unless an arm with these joint velocities (n,), rad/s, is at rest, as a reset needs it."""
+    speed = float(np.abs(v).max())
+    if not speed <= REST_SPEED:
+        raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {REST_SPEED:g} rad/s: wait for it")
 
 
 def checked_torque(torque: Array, n: int, topic: str = "effort_controller/commands") -> Array:

@@ -176,15 +176,16 @@ def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue]) -> d
 def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
     """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has.
 
-    The planner has one material for all balls and one for all meshes: the stiffest and most damped, where they differ.
+    The planner has one stiffness for all balls and one for all meshes: the largest, where they differ.
     """
     values: dict[str, float] = {}
     for obstacle in anywhere(scene):
-        prefix, material = "node" if obstacle.is_deformable else "sphere", obstacle.material
-        found = {f"{prefix}_stiffness": material.stiffness, f"{prefix}_damping": material.damping}
+        material = obstacle.material
         if obstacle.is_deformable:
-            found["edge_stiffness"] = material.edge_stiffness
-        values |= {name: max(value, values.get(name, 0.0)) for name, value in found.items()}
+            name, value = "edge_stiffness", material.edge_stiffness
+        else:
+            name, value = "sphere_stiffness", material.stiffness
+        values[name] = max(value, values.get(name, 0.0))
     capacity: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
     chosen = parameters_in(parameter_file, "planner")
     return {name: value for name, value in {**capacity, **values}.items() if name not in chosen}

@@ -9,7 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState, checked_torque
+from contact_reach_ros.arm.joint_state import REST_SPEED, JointState, check_rest, checked_torque
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.constants import make_constants
@@ -64,7 +64,6 @@ class CommandGuard:
         stop = settings.stop
         self._constants = make_constants(arm, limits=settings.limits, supervision=stop, period=period)
         self._damping = self._constants[Constant.STOP_DAMPING].copy()
-        self._rest_speed = stop.reset_velocity
         self._period = period
         self._hold_ns = round(settings.hold_after * NANOSECONDS)
         self._stop_ns = round(settings.stop_after * NANOSECONDS)
@@ -147,7 +146,7 @@ class CommandGuard:
     @property
     def rests(self) -> bool:
         """Whether the arm is at rest by the last joint state; also before the first."""
-        return self._state is None or bool(np.abs(self._state.v).max() <= self._rest_speed)
+        return self._state is None or bool(np.abs(self._state.v).max() <= REST_SPEED)
 
     def stop(self, reason: str) -> None:
         """Pass no more commands on until `reset`; the first reason is kept."""
@@ -162,11 +161,7 @@ class CommandGuard:
         """
         if self._state is None or clock_ns - self._seen_ns > self._stop_ns:
             raise InputError("joint_states are silent: reset needs to see the arm at rest")
-        if not self.rests:
-            speed = float(np.abs(self._state.v).max())
-            raise InputError(
-                f"the arm moves with {speed:.3f} rad/s; reset needs at most {self._rest_speed:g} rad/s: wait for it"
-            )
+        check_rest(self._state.v)
         self.stop_reason = ""
         self._harmless_ns = None
 

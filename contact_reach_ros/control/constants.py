@@ -16,6 +16,8 @@ from contact_reach_ros.control.settings import (
 from contact_reach_ros.control.stability import lightness, stable_damping
 from contact_reach_ros.timing import PERIOD
 
+REPULSION_MARGIN = 0.1
+"""Distance to a position limit at which repulsion begins, rad: a fast joint needs it to come to rest."""
 REPULSION_SHARE = 0.5
 """Repulsion at the position limit, as a share of the joint's torque limit: the other half is left to carry the arm."""
 REPULSION_DAMPING = 10.0
@@ -51,9 +53,9 @@ def make_constants(
         Constant.NULL_STIFFNESS: impedance.null_stiffness,
         Constant.NULL_DAMPING: impedance.null_damping,
         Constant.SINGULARITY_FLOOR: SINGULARITY_FLOOR,
-        Constant.LOWER_THRESHOLD: arm.lower + limits.joint_limit_margin,
-        Constant.UPPER_THRESHOLD: arm.upper - limits.joint_limit_margin,
-        Constant.REPULSION_MARGIN: limits.joint_limit_margin,
+        Constant.LOWER_THRESHOLD: arm.lower + REPULSION_MARGIN,
+        Constant.UPPER_THRESHOLD: arm.upper - REPULSION_MARGIN,
+        Constant.REPULSION_MARGIN: REPULSION_MARGIN,
         Constant.REPULSION_STRENGTH: REPULSION_SHARE * torques,
         Constant.REPULSION_DAMPING: stable_damping(
             REPULSION_DAMPING * torques / torques.max(), lightness(arm).mobility, period

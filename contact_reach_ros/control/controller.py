@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,15 +13,17 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.kernels import Constant, stopping_torque, tracking_torque
-from contact_reach_ros.control.law import blend
-from contact_reach_ros.control.own_watch import OwnWatch, Watcher
+from contact_reach_ros.control.kernels import Constant, between, stopping_torque, tracking_torque, turned
+from contact_reach_ros.control.own_watch import OwnWatch
 from contact_reach_ros.control.references import Reference, ReferenceQueue, References
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import check_gains, lightness, stable_damping
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.timing import NANOSECONDS, PAUSE, StampOrder
+
+if TYPE_CHECKING:
+    from contact_reach_ros.observer.observer import Observer
 
 START_RAMP = 0.5
 """Time in which the laws reach full authority, s: a wrong model or plan shows as a slow motion first."""
@@ -130,7 +133,7 @@ class Controller:
         self._last_clock_ns: int | None = None
         self._had_plan = False
 
-    def watch_with(self, watcher: Watcher) -> None:
+    def watch_with(self, watcher: Observer) -> None:
         """Take an observer for `watch`, which nobody else may use, if the settings want the controller to have one.
 
         Its nominal time between states is `watch_period`. From then on the controller does not start unless it
@@ -202,11 +205,11 @@ class Controller:
         self.state = state
         return torque
 
-    def watch(self, state: JointState, torque: Array | None, clock_ns: int) -> None:
+    def watch(self, state: JointState, clock_ns: int) -> None:
         """Show a state to the controller's own watch, whether new or not; without one nothing happens.
 
-        It may take longer than the torque (n,), N m, that `update` returned for the state: call it when that has been
-        sent. The next tick acts on what it finds.
+        It may take longer than `update`: call it when the torque for the state has been sent. The next tick acts on
+        what it finds.
 
         Raises
         ------
@@ -215,8 +218,6 @@ class Controller:
         """
         if self._watch is not None:
             self._watch.see(state, self._started, clock_ns)
-            if torque is not None:
-                self._watch.command(torque)
 
     def follow(self, references: References) -> None:
         """Take the references of a plan; they take effect at their stamp.
@@ -462,6 +463,15 @@ class Controller:
         if held_for < HOLD_BLEND:
             return blend(self._blend_from, self._hold, held_for / HOLD_BLEND)
         return self._hold
+
+
+def blend(start: Reference, end: Reference, share: float) -> Reference:
+    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
+    return Reference(
+        position=between(start.position, end.position, share),
+        rotation=turned(start.rotation, end.rotation, share),
+        posture=between(start.posture, end.posture, share),
+    )
 
 
 def _beyond(position: Array, limits: SupervisionSettings) -> str:

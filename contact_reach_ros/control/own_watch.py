@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
@@ -12,75 +12,18 @@ from contact_reach_ros.control.supervisor import Supervisor
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
 from contact_reach_ros.timing import GAP_PERIODS, GAPS_IN_A_ROW, NANOSECONDS
 
-
-class Report(Protocol):
-    """What the controller needs of an observer's report."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """What the observer lets the controller do."""
-
-    @property
-    def due(self) -> bool:
-        """Whether it has to be heard."""
-
-
-class Watcher(Protocol):
-    """What the controller needs of an observer; `observer.Observer` is one."""
-
-    def update(self, state: JointState) -> Report | None:
-        """Take a state; None for one that is not new. Raises `InputError` for one that is not finite."""
-
-    def command(self, torque: Array) -> None:
-        """Take a command (n,), N m."""
-
-    def report(self) -> Report:
-        """The conclusions so far."""
-
-    def reset(self) -> None:
-        """Release what is latched; raises `InputError` if the arm moves or is pushed."""
-
-
-class _Mean:
-    """Mean of torques (n,), N m; those that are not known count only while none is.
-
-    Attributes
-    ----------
-    value
-        The mean; None while there is no torque.
-    """
-
-    def __init__(self) -> None:
-        self.value: Array | None = None
-        self._count = 0
-
-    def add(self, torque: Array | None) -> None:
-        """Take one more; None where it is not known."""
-        # A sum is finite exactly when every summand is.
-        if torque is None or not math.isfinite(sum(torque.tolist())):
-            if self._count == 0:
-                self.value = torque
-            return
-        self._count += 1
-        if self._count == 1 or self.value is None:
-            self.value = torque
-        else:
-            # In this form the mean of equal torques is exact: a sensor that is stuck stays recognisable.
-            self.value = self.value + (torque - self.value) / self._count
-
-    def restart(self) -> None:
-        """Forget all torques."""
-        self.value, self._count = None, 0
+if TYPE_CHECKING:
+    from contact_reach_ros.observer.observer import Observer
 
 
 class OwnWatch:
-    """Shows states and commands to an observer of the controller's own, and its verdicts to the supervisor.
+    """Shows states to an observer of the controller's own, and its verdicts to the supervisor.
 
     The observer takes at most one state in each of its periods, with the mean of the torques since the last. States
     that are missing are noticed as at the full rate.
     """
 
-    def __init__(self, watcher: Watcher, supervisor: Supervisor, period: float, watch_period: float) -> None:
+    def __init__(self, watcher: Observer, supervisor: Supervisor, period: float, watch_period: float) -> None:
         """`period`: nominal time between joint states, s; `watch_period`: that of the watcher."""
         self._watcher = watcher
         self._supervisor = supervisor
@@ -94,8 +37,10 @@ class OwnWatch:
         """Stamp of the watcher's last new state; None before the first."""
         self._last_ns = 0
         """Stamp of the last new state."""
-        self._measured = _Mean()
-        self._commanded = _Mean()
+        self._torque: Array | None = None
+        """Mean of the torques (n,), N m, since the watcher's last state; None while there is none."""
+        self._torques = 0
+        """Number of torques in that mean, without those that are not known."""
         supervisor.hear_own(Verdict(doubt="the controller's own watch has seen nothing yet"), 0)
 
     def see(self, state: JointState, started: bool, clock_ns: int) -> None:
@@ -105,12 +50,10 @@ class OwnWatch:
         if shown_ns is None or step_ns > 0:
             self._last_ns = stamp_ns
             self._gaps = self._gaps + 1 if step_ns > self._gap_ns else 0
-            self._measured.add(torque)
+            self._add(torque)
             if shown_ns is not None and stamp_ns < shown_ns + self._step_ns:
                 return
-            state = JointState(stamp_ns, q, v, self._measured.value)
-            if self._commanded.value is not None:
-                self._watcher.command(self._commanded.value)
+            state = JointState(stamp_ns, q, v, self._torque)
         elif step_ns == 0:
             # The watcher counts states that come again, but may not have seen the first one.
             state = JointState(shown_ns, q, v, torque)
@@ -120,18 +63,13 @@ class OwnWatch:
         if step_ns or shown_ns is None:
             # Also when the clock was set back, and the watcher has agreed to that.
             self._shown_ns = self._last_ns = stamp_ns
-            self._measured.restart()
-            self._commanded.restart()
+            self._torque, self._torques = None, 0
         if self._gaps >= GAPS_IN_A_ROW or report.due:
             self._supervisor.hear_own(self._judge(report.verdict), clock_ns)
         if report.due and report.verdict.reason and not started:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
                 self._watcher.reset()
-
-    def command(self, torque: Array) -> None:
-        """Take the command (n,), N m, that acts until the next state."""
-        self._commanded.add(torque)
 
     def reset(self, clock_ns: int) -> None:
         """Release what the watch has latched.
@@ -144,6 +82,20 @@ class OwnWatch:
         self._supervisor.hear_own(self._judge(self._watcher.report().verdict), clock_ns)
         if self._supervisor.own_reason:
             raise InputError(f"the controller's own watch is stopped ({self._supervisor.own_reason})")
+
+    def _add(self, torque: Array | None) -> None:
+        """Take one more torque (n,), N m, into the mean; one that is not known counts only while none is."""
+        # A sum is finite exactly when every summand is.
+        if torque is None or not math.isfinite(sum(torque.tolist())):
+            if self._torques == 0:
+                self._torque = torque
+            return
+        self._torques += 1
+        if self._torques == 1 or self._torque is None:
+            self._torque = torque
+        else:
+            # In this form the mean of equal torques is exact: a sensor that is stuck stays recognisable.
+            self._torque = self._torque + (torque - self._torque) / self._torques
 
     def _judge(self, verdict: Verdict) -> Verdict:
         """The watcher's verdict, with the reason that states were missed unless it has another."""

@@ -1,9 +1,18 @@
-"""Settings of the controller; the planner reads the gains too, because it predicts what the controller will do."""
+"""Settings of the controller, and which of them the planner and the observer have to have, too.
+
+The planner predicts what the controller will do: a plan for another arm, rate or gains is not what the arm does. And
+the controller watches itself with the settings of the observer.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.tool import Tool
+from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Settings, setting
 
@@ -54,9 +63,6 @@ class LimitSettings(Settings):
         minimum=1.0,
         maximum=20000.0,
     )
-    joint_limit_margin: float = setting(
-        0.1, "distance to a position limit at which repulsion begins", unit="rad", minimum=0.01, maximum=0.5
-    )
 
 
 @dataclass(frozen=True)
@@ -75,9 +81,6 @@ class SupervisionSettings(Settings):
     gravity_compensation: bool = setting(True, "send g(q); false for arms that compensate gravity themselves")
     hold_limit: float = setting(
         5.0, "time from the end of the last plan to the compliant stop", unit="s", minimum=0.1, maximum=3600.0
-    )
-    observer_timeout: float = setting(
-        0.05, "silence of the observer that stops the arm", unit="s", minimum=0.005, maximum=1.0
     )
     watch_itself: bool = setting(
         True, "let the controller have an observer of its own, so that one that is late leaves nothing unwatched"
@@ -116,13 +119,6 @@ class SupervisionSettings(Settings):
         True,
         "the drive brakes the arm when commands end; false: a stop is damped and carried for ever, however it goes",
     )
-    reset_velocity: float = setting(
-        0.05,
-        "joint speed below which the arm is at rest, and a stop may be reset",
-        unit="rad/s",
-        minimum=0.0,
-        maximum=1.0,
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -144,3 +140,50 @@ CONTROLLER_SECTIONS: Sections = {
     "supervision": SupervisionSettings,
 }
 """Settings of the controller by parameter prefix."""
+
+SHARED = (ROBOT, *(f"tool.{entry.name}" for entry in Tool.declared()), ROBOT_DIGEST, "state_rate")
+"""Settings of every node that a plan depends on."""
+
+SHARED_SECTION = "impedance."
+"""Prefix of the gains, which the planner has to know to predict what the controller will do."""
+
+MAX_POSITION_ERROR = "supervision.max_position_error"
+"""Setting above which the controller drops a plan, which the planner has to know, too."""
+
+
+def plan_basis(arm: Arm, gains: ImpedanceSettings, max_position_error: float) -> dict[str, Any]:
+    """What plans are made for, by the full names of the settings: the arm, and the controller that follows them."""
+    basis = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest, MAX_POSITION_ERROR: max_position_error}
+    return basis | {SHARED_SECTION + name: value for name, value in asdict(gains).items()}
+
+
+def disagreement(own: Mapping[str, Any], planners: Mapping[str, Any]) -> str:
+    """What the planner plans with and the controller has not, as `differences` has it."""
+    names = [name for name in own if name.startswith(SHARED_SECTION)]
+    return differences(own, planners, "planner", [*names, MAX_POSITION_ERROR])
+
+
+def differences(own: Mapping[str, Any], others: Mapping[str, Any], other: str, names: Iterable[str]) -> str:
+    """What another node has and the controller has not, with both values; empty when they agree.
+
+    Parameters
+    ----------
+    own, others
+        Settings of the controller and of the other node by their full names; what the other one does not report is not
+        compared.
+    other
+        Name of the other node.
+    names
+        Settings to compare besides `SHARED`.
+    """
+    found = [
+        f"{name} = {others[name]} in the {other}, {own[name]} in the controller"
+        for name in (*SHARED, *names)
+        if name in own and name in others and _plain(others[name]) != _plain(own[name])
+    ]
+    return "; ".join(found)
+
+
+def _plain(value: Any) -> Any:
+    """The value as it comes out of JSON."""
+    return list(value) if isinstance(value, tuple) else value

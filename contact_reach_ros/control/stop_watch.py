@@ -6,7 +6,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.arm.joint_state import REST_SPEED
 from contact_reach_ros.timing import NANOSECONDS, states_in
 
 SPEED_DEBOUNCE = 3
@@ -37,10 +37,9 @@ class StopWatch:
         Whether the arm came to rest `BRAKE_AFTER` ago, so that the drive's brakes may have it.
     """
 
-    def __init__(self, arm: Arm, settings: SupervisionSettings, period: float) -> None:
+    def __init__(self, arm: Arm, period: float) -> None:
         """`period`: nominal time between joint states, s."""
         self._names = arm.joint_names
-        self._settings = settings
         self._debounce = states_in(SPEED_DEBOUNCE, period)
         self.begin()
 
@@ -68,7 +67,6 @@ class StopWatch:
         """
         if self._began_ns is None:
             self._began_ns = clock_ns
-        settings = self._settings
         speeds = np.abs(v)
         since = (clock_ns - self._began_ns) / NANOSECONDS
         # Each joint by itself: while one sinks, others slow down.
@@ -82,20 +80,19 @@ class StopWatch:
         speed = float(speeds[joint])
         if self._rest_is_due and since >= REST_WITHIN:
             self._rest_is_due = False
-            if speed > settings.reset_velocity:
+            if speed > REST_SPEED:
                 return f"{self._names[joint]} still moves with {speed:.2f} rad/s {1000 * since:.0f} ms after the stop"
         return self._look_at_rest(q, speed, clock_ns)
 
     def _look_at_rest(self, q: Array, speed: float, clock_ns: int) -> str:
-        settings = self._settings
         if self._rest is not None:
             moved = np.abs(q - self._rest)
             joint = int(moved.argmax())
-            if speed > _BY_HAND * settings.reset_velocity:
+            if speed > _BY_HAND * REST_SPEED:
                 self._rest = None
             elif moved[joint] > CREEP:
                 return f"{self._names[joint]} has crept by {moved[joint]:.3f} rad since it came to rest"
-        elif speed <= settings.reset_velocity:
+        elif speed <= REST_SPEED:
             self._rest = q.copy()
             self._rested_ns = clock_ns if self._rested_ns is None else self._rested_ns
         if self._rested_ns is not None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.joint_state import check_rest
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import SPEED_DEBOUNCE, StopWatch
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, is_missing_states, with_sequel
@@ -63,6 +64,8 @@ TRANSITIONS = {
 }
 """The state that an event leads to; an event that is not listed for a state changes nothing."""
 
+OBSERVER_TIMEOUT = 0.05
+"""Silence of the observer that stops the arm, s: five of its heartbeats."""
 OBSERVER_PATIENCE = 0.5
 """Silence of the observer that stops the arm while the controller watches itself, s: nothing is left unwatched, and it
 may be a machine that is busy for a moment."""
@@ -94,13 +97,13 @@ class Supervisor:
         self.mode = Mode.WAITING
         self._arm = arm
         self._pause_ns = _PAUSE_PERIODS * round(period * NANOSECONDS)
-        self._timeout_ns = max(round(settings.observer_timeout * NANOSECONDS), self._pause_ns)
+        self._timeout_ns = max(round(OBSERVER_TIMEOUT * NANOSECONDS), self._pause_ns)
         self._patience_ns = max(round(OBSERVER_PATIENCE * NANOSECONDS), self._timeout_ns)
         self._velocity_debounce = states_in(SPEED_DEBOUNCE, period)
         self._settings = settings
         self._first_reason = ""
         self._escalation = ""
-        self._stop_watch = StopWatch(arm, settings, period)
+        self._stop_watch = StopWatch(arm, period)
         self._speed_limits = arm.velocity_limits
         self._speed_list = arm.velocity_limits.tolist()
         self._position_limits = list(zip(arm.lower.tolist(), arm.upper.tolist(), strict=True))
@@ -189,9 +192,7 @@ class Supervisor:
         Raises `InputError` if one of these does not hold; the message says which.
         """
         check_start(self._arm, q, v)
-        speed, limit = float(np.abs(v).max()), self._settings.reset_velocity
-        if not speed <= limit:
-            raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {limit:g} rad/s: wait for it")
+        check_rest(v)
         if self._verdict.reason:
             raise InputError(f"the observer is stopped ({self._verdict.reason}): reset the observer first")
         if self._silent_for(clock_ns) > self._timeout_ns:

@@ -128,8 +128,7 @@ def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Fi
     again = "run doctor again when the brakes are open and the arm is at rest (no goal)"
     known: NDArray[np.bool_] = np.isfinite(record.effort.sum(axis=1))
     if not len(known) or not known[-1]:
-        fix = f"{again}; if the driver measures none, set the observer's torque_source: commanded"
-        return graded("not compared: no effort in joint_states, as with closed brakes", fix, warn=True)
+        return graded("not compared: no effort in joint_states, as with closed brakes", again, warn=True)
     q, v, effort = record.position[known], record.velocity[known], record.effort[known]
     if np.abs(v.mean(axis=0)).max() > _REST_SPEED or np.ptp(q, axis=0).max() > _REST_TRAVEL:
         return graded("not compared: the arm moves", again, warn=True)

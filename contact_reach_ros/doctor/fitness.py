@@ -32,7 +32,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE
 from contact_reach_ros.ros.process import initialise
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.timing import counts_between, percentiles_us, read_counts
+from contact_reach_ros.timing import percentiles_us, read_counts
 
 NAME = "fitness"
 DRIVER, CONTROLLER = "driver", "controller"
@@ -151,7 +151,7 @@ def timing_between(first: Counters, last: Counters) -> dict[str, Any]:
 
     def percentiles(node: str, name: str) -> dict[str, float]:
         before, after = (read_counts(counters[node][f"{name} counts"]) for counters in (first, last))
-        found = percentiles_us(counts_between(before, after))
+        found = percentiles_us(after - before)
         return {key: found[key] for key in ("p50", "p99", "p999")}
 
     return {

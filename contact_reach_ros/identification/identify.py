@@ -18,7 +18,8 @@ from contact_reach_ros.identification.parameters import Parameters
 from contact_reach_ros.identification.recording import Recording, make_samples
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
-from contact_reach_ros.observer.settings import MEASURED, MomentumSettings, ObserverSettings
+from contact_reach_ros.observer.safety import HANDOVER_TIME
+from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
 from contact_reach_ros.settings import Setting
 from contact_reach_ros.timing import states_in
 
@@ -109,8 +110,6 @@ def identify(
     links
         Fit the weights of the links, with the tool as the nodes had it; else the tool, with the links as they had them.
     """
-    if settings.torque_source != MEASURED:
-        raise InputError("the observer takes commands for torques: identification needs torque_source: measured")
     momentum = settings.momentum.resolve(arm)
     motions = [make_samples(each, momentum) for each in recordings]
     had = arm.with_tool(tool)
@@ -190,13 +189,13 @@ def watch(arm: Arm, settings: ObserverSettings, budget: ContactBudget, recording
     residuals, sudden, speeds = [], [], []
     for state in recording.states():
         observer.update(state)
-        if observer.momentum.known_for >= budget.handover_time:
+        if observer.momentum.known_for >= HANDOVER_TIME:
             residuals.append(observer.momentum.residual)
             sudden.append(observer.monitor.sudden)
             speeds.append(np.abs(state.v))
     states = states_in(settings.safety.contact_debounce, period)
     if len(residuals) < states:
-        raise InputError(f"the torques are never known for {budget.handover_time:g} s: expected a longer recording")
+        raise InputError(f"the torques are never known for {HANDOVER_TIME:g} s: expected a longer recording")
     limits = np.array(budget.contact_thresholds) + np.array(budget.contact_per_speed) * np.array(speeds)
     shares = np.lib.stride_tricks.sliding_window_view(np.abs(sudden) / limits, states, axis=0).min(axis=-1)
     torques = np.array(residuals)

@@ -37,6 +37,9 @@ _CUBE, _SPHERE, _LINE_LIST, _SPHERE_LIST = 1, 2, 5, 7
 _BALLS = {_SPHERE: "SPHERE", _SPHERE_LIST: "SPHERE_LIST"}
 _TYPES = {OBSTACLES: _BALLS, REST: _BALLS, FIXED: {_SPHERE_LIST: "SPHERE_LIST"}, EDGES: {_LINE_LIST: "LINE_LIST"}}
 
+SPHERE_DAMPING, NODE_DAMPING = 30.0, 5.0
+"""Damping of the motion of a ball, and of a node of a deformable body, N s/m: as the shipped scenes have it."""
+
 _MATCH = 1e-4
 """How far the end of an edge may be from its node, m."""
 _ROUND = 1e-3
@@ -52,14 +55,8 @@ class AssumedMaterial(NamedTuple):
 
     sphere_stiffness: float
     """Spring that holds a sphere to its place, N/m."""
-    sphere_damping: float
-    """N s/m."""
-    node_stiffness: float
-    """Spring that holds a node that can move to its place, N/m."""
-    node_damping: float
-    """N s/m."""
     edge_stiffness: float
-    """N/m."""
+    """Spring between two nodes of a deformable body, N/m; nothing else holds nodes that can move."""
 
     @classmethod
     def of(cls, settings: Any) -> Self:
@@ -167,7 +164,7 @@ class ObstacleMarkerReader:
             )
         material = self._material
         is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
-        stiffness = material.sphere_stiffness if is_ball else material.node_stiffness
+        stiffness = material.sphere_stiffness if is_ball else 0.0
         nodes = np.concatenate([movable, fixed])
         edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
         counts = [len(movable), len(fixed)]
@@ -177,7 +174,7 @@ class ObstacleMarkerReader:
             "rest": np.concatenate([rest, fixed]),
             "radius": np.repeat(radii, counts),
             "stiffness": np.repeat([stiffness, FIXED_STIFFNESS], counts),
-            "damping": np.full(len(nodes), material.sphere_damping if is_ball else material.node_damping),
+            "damping": np.full(len(nodes), SPHERE_DAMPING if is_ball else NODE_DAMPING),
             "edges": edges + first,
             "edge_stiffness": np.full(len(edges), material.edge_stiffness),
         }

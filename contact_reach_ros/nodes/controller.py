@@ -11,9 +11,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from contact_reach_ros.control.agreement import differences, disagreement
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings, differences, disagreement
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.messages import topics
@@ -25,7 +24,7 @@ from contact_reach_ros.messages.serialized import CommandWriter, JointStateReade
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
-from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
@@ -71,8 +70,7 @@ class ControllerNode(StoppableNode):
         """What the planner plans with and this controller has not."""
         self._other_watch = ""
         """What the observer watches with and this controller's own watch has not."""
-        needs_effort = bool(self._watch) and ObserverSettings.from_sections(self._watch).torque_source == MEASURED
-        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, needs_effort)
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=bool(self._watch))
         self._writer = CommandWriter(self.arm.n)
         self._controller = self._make_controller()
         if self._watch:
@@ -133,7 +131,7 @@ class ControllerNode(StoppableNode):
             "joint states repeated": controller.order.repeated,
             "joint states older": controller.order.older,
             **{f"compute {key} us": value for key, value in self._compute.summary().items()},
-            "compute counts": write_counts(self._compute.counts()),
+            "compute counts": write_counts(self._compute.counts),
         }
         return controller.stop_reason or waiting, values
 
@@ -167,7 +165,7 @@ class ControllerNode(StoppableNode):
         clock_ns = self.arrived_ns
         torque = controller.update(state, clock_ns)
         if controller.state is not state:
-            controller.watch(state, None, clock_ns)
+            controller.watch(state, clock_ns)
             return
         while controller.references.dropped:
             self.refuse("plans", InputError(controller.references.dropped.pop()))
@@ -175,7 +173,7 @@ class ControllerNode(StoppableNode):
             self._write_commands(self._writer.write(torque))
             self._intake.outputs += 1
         self._compute.add(time.monotonic_ns() - self.inbox.handled_ns)
-        controller.watch(state, torque, clock_ns)
+        controller.watch(state, clock_ns)
         if (controller.mode, controller.stop_reason) != self._published_mode:
             self._publish_safety()
 

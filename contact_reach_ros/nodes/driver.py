@@ -168,7 +168,7 @@ class DriverNode(ManagedNode):
         }
         for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
-            values[f"{name} counts"] = write_counts(histogram.counts())
+            values[f"{name} counts"] = write_counts(histogram.counts)
         return self.robot.drive.stop_reason or self.rivals, values
 
     def _realtime_tick(self) -> None:

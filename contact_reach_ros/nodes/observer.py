@@ -11,10 +11,10 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_safety_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.safety_state import MONITORING, findings
-from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, WrenchWriter, read_command
+from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, WrenchWriter
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
-from contact_reach_ros.observer.settings import MEASURED, OBSERVER_SECTIONS, ObserverSettings, SourceSettings
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings, SourceSettings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Settings
@@ -36,19 +36,16 @@ class ObserverNode(StoppableNode):
         self._write_torque = self.make_writer(topics.EXTERNAL_TORQUE)
         self._write_wrench = self.make_writer(topics.EXTERNAL_WRENCH)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        source: SourceSettings = self.settings[""]
-        measured = source.torque_source == MEASURED
-        if not measured:
-            self.inbox.add(topics.COMMANDS, self._on_command, self.stream_qos, serialized=True)
         self.follow(topics.JOINT_STATES, self._on_state)
         self._intake = self.log_intake(topics.OBSERVER_INTAKE)
-        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=measured)
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
+        source: SourceSettings = self.settings[""]
         self._budget = load_budget(source.contact_budget).resolve(self.arm)
         self._observer = self._make_observer()
         self._torque_writer = JointStateWriter(self.arm.joint_names, self.arm.base_frame, ["effort"])
         self._wrench_writer = WrenchWriter(self.arm.base_frame)
         # What two arms report in turns is the external torque of neither.
-        self.exclude([topics.JOINT_STATES] if measured else [topics.JOINT_STATES, topics.COMMANDS])
+        self.exclude([topics.JOINT_STATES])
 
     def configure(self) -> None:
         """Warm up all computations."""
@@ -96,9 +93,6 @@ class ObserverNode(StoppableNode):
 
     def _make_observer(self) -> Observer:
         return Observer(self.arm, ObserverSettings.from_sections(self.settings), self._budget, self.period)
-
-    def _on_command(self, data: bytes) -> None:
-        self._observer.command(read_command(data))
 
     def _on_state(self, data: bytes) -> None:
         report = self._observer.update(self._reader.read(data))

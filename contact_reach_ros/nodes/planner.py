@@ -184,11 +184,10 @@ class PlannerNode(ManagedNode):
         try:
             if self._frames.is_foreign(message.header):
                 return self._frames.publish_goal(message)
-            pose, settings = message.pose, self.settings[""]
-            kept = settings.goal_orientation
+            pose, kept = message.pose, self.settings[""].goal_orientation
             orientation = quaternion(pose.orientation) if kept == POSE else kept
             frame = message.header.frame_id
-            goal = Goal(vector(pose.position), orientation, frame=frame, tolerance=settings.goal_tolerance)
+            goal = Goal(vector(pose.position), orientation, frame=frame)
             self._planner.command(goal)
         except InputError as error:
             self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)

@@ -46,13 +46,6 @@ class ContactBudget(Settings):
         "Nm",
         0.5,
     )
-    handover_time: float = setting(
-        0.3,
-        "duration of the hand-over, from the moment the acting torque is known",
-        unit="s",
-        minimum=0.0,
-        maximum=5.0,
-    )
 
 
 DEFAULT_BUDGET_FILE = "contact_budget.yaml"

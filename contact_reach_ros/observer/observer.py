@@ -9,7 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState, checked_torque
+from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import Models, RobotModel
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
@@ -17,7 +17,7 @@ from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver
 from contact_reach_ros.observer.plausibility import PlausibilityCheck, TorqueCheck
 from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor
-from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.observer.sight import Sight
 from contact_reach_ros.timing import NANOSECONDS, StampOrder
 
@@ -119,9 +119,6 @@ class Observer:
             Whether to locate contacts, which takes longer than everything else.
         """
         budget = budget.resolve(arm)
-        self._from_commands = settings.torque_source == COMMANDED
-        if self._from_commands:
-            budget = settings.commanded.widened(budget)
         momentum = settings.momentum.resolve(arm)
         self.arm = arm
         shifted = arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y)
@@ -137,22 +134,8 @@ class Observer:
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(self._models.observed, budget.contact_thresholds)
         self._locates = locates
-        self._commanded: Array | None = None
-        self._patience = settings.commanded.lost
-        self._lost = self._patience
-        """States in a row without a new command, counted up to `_patience`."""
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
         self._reported: tuple[SafetyLevel, str, str, str] | None = None
-
-    def command(self, torque: Array) -> None:
-        """Take a command (n,), N m, which acts on the links until the next state if commands are the torque source.
-
-        Raises
-        ------
-        InputError
-            If it has another size or is not finite.
-        """
-        self._commanded = checked_torque(torque, self.arm.n)
 
     def update(self, state: JointState) -> SafetyReport | None:
         """Take one state; returns the conclusions from it, or None for a state that is not new.
@@ -168,7 +151,7 @@ class Observer:
             raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
         if not self.order.is_new(stamp_ns):
             return self._conclude(stamp_ns, is_heartbeat=True) if self.sight.repeated() else None
-        torque, missing = self._acting_torque(state.torque)
+        torque, missing = self._known_torque(state.torque)
         momentum, monitor = self.momentum, self.monitor
         if missing:
             # The next state is compared with the last good one: this is no hand-over.
@@ -180,7 +163,7 @@ class Observer:
         wrong = self._plausibility.update(q, v, monitor.sudden, stamp_ns)
         if wrong:
             monitor.stop_distrusting(wrong)
-        stuck = "" if self._from_commands else self._torque_check.update(v, torque)
+        stuck = self._torque_check.update(v, torque)
         if stuck:
             monitor.stop(stuck)
         self.updates += 1
@@ -257,18 +240,10 @@ class Observer:
         """Continue from an external torque (n,), N m, for recordings that begin late."""
         self.momentum.residual = residual
 
-    def _acting_torque(self, measured: Array | None) -> tuple[Array | None, str]:
-        """Torque (n,) N m of the last step, None while it is unknown; and why, unless the brakes may be closed."""
-        if self._from_commands:
-            torque, self._commanded = self._commanded, None
-            if torque is not None:
-                self._lost = 0
-            elif self._lost < self._patience:
-                self._lost += 1
-                return None, "commands come too seldom: look at the controller and the network"
-            return torque, ""
+    def _known_torque(self, measured: Array | None) -> tuple[Array | None, str]:
+        """The measured torque (n,), N m, None while it is unknown; and why, unless the brakes may be closed."""
         if measured is None:
-            return None, "joint_states carry no effort: let the driver fill it, or set torque_source to commanded"
+            return None, "joint_states carry no effort: let the driver fill it"
         if math.isfinite(sum(measured.tolist())):
             return measured, ""
         unknown = ~np.isfinite(measured)

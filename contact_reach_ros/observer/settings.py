@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from contact_reach_ros.observer.budget import MAX_THRESHOLD, ContactBudget
 from contact_reach_ros.settings import Sections, Settings, setting
-
-MEASURED, COMMANDED = TORQUE_SOURCES = ("measured", "commanded")
-"""Source of the torque that acts on the links: the joint states' effort, or the command."""
-
-WIDENED = ("sudden_thresholds", "contact_thresholds", "contact_per_speed", "model_error")
-"""What of the contact budget is wider while commands are the torque source."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +59,8 @@ class MomentumSettings(Settings):
     )
     gravity_in_torque: bool = setting(
         True,
-        "the acting torque carries the arm's weight; false for an arm that compensates gravity itself and reports, or "
-        "is commanded, only the torque on top of that",
+        "the acting torque carries the arm's weight; false for an arm that compensates gravity itself and reports only "
+        "the torque on top of that",
     )
     rotors_in_torque: bool = setting(
         True, "the acting torque also accelerates the rotors; false for torque sensors on the link side of the gears"
@@ -92,9 +84,6 @@ class SafetySettings(Settings):
 
     debounce: int = setting(3, "time above a threshold that stops the arm", unit="ms", minimum=1, maximum=100)
     contact_debounce: int = setting(2, "time above a threshold that means contact", unit="ms", minimum=1, maximum=100)
-    reset_velocity: float = setting(
-        0.05, "joint speed below which a stop may be reset", unit="rad/s", minimum=0.0, maximum=1.0
-    )
 
 
 @dataclass(frozen=True)
@@ -111,62 +100,17 @@ class PlausibilitySettings(Settings):
 
 
 @dataclass(frozen=True)
-class CommandedSettings(Settings):
-    """What differs while commands are the torque source: gears and drives are between them and the links."""
-
-    threshold_factor: float = setting(
-        3.0,
-        "factor on the contact budget's thresholds of contact and sudden torque and on `model_error`, with "
-        "`torque_source: commanded`",
-        minimum=1.0,
-        maximum=10.0,
-    )
-    handover_time: float = setting(
-        1.0,
-        "least duration of the hand-over then: the drive opens its brakes within it, unseen",
-        unit="s",
-        minimum=0.0,
-        maximum=5.0,
-    )
-    lost: int = setting(
-        4,
-        "states in a row that may come without a new command, as when one is lost; more mean that the arm is held by "
-        "its drive, and is handed over again",
-        minimum=0,
-        maximum=20,
-    )
-
-    def widened(self, budget: ContactBudget) -> ContactBudget:
-        """The contact budget with these thresholds; `budget` must be resolved."""
-        wider: dict[str, Any] = {
-            name: tuple(min(self.threshold_factor * value, MAX_THRESHOLD) for value in getattr(budget, name))
-            for name in WIDENED
-        }
-        time = max(self.handover_time, budget.handover_time)
-        return dataclasses.replace(budget, handover_time=time, **wider)
-
-
-@dataclass(frozen=True)
 class ObserverSettings:
     """Settings of the observer, by section."""
 
     momentum: MomentumSettings = field(default_factory=MomentumSettings)
     safety: SafetySettings = field(default_factory=SafetySettings)
     plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
-    torque_source: str = MEASURED
-    """One of `TORQUE_SOURCES`."""
-    commanded: CommandedSettings = field(default_factory=CommandedSettings)
 
     @classmethod
     def from_sections(cls, sections: Mapping[str, Any]) -> ObserverSettings:
         """The settings out of those of a node, by parameter prefix as in `OBSERVER_SECTIONS`."""
-        return cls(
-            sections["momentum"],
-            sections["safety"],
-            sections["plausibility"],
-            sections[""].torque_source,
-            sections["commanded"],
-        )
+        return cls(sections["momentum"], sections["safety"], sections["plausibility"])
 
 
 @dataclass(frozen=True)
@@ -174,11 +118,6 @@ class SourceSettings(Settings):
     """Where the observer takes its values from."""
 
     contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
-    torque_source: str = setting(
-        MEASURED,
-        "torque that acts on the links: the effort of joint_states, or the commands",
-        choices=TORQUE_SOURCES,
-    )
 
 
 OBSERVER_SECTIONS: Sections = {
@@ -186,6 +125,5 @@ OBSERVER_SECTIONS: Sections = {
     "momentum": MomentumSettings,
     "safety": SafetySettings,
     "plausibility": PlausibilitySettings,
-    "commanded": CommandedSettings,
 }
 """Settings of the observer's node by parameter prefix."""

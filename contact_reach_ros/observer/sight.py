@@ -8,14 +8,12 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.joint_state import REST_SPEED
 from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.timing import GAPS_IN_A_ROW, NANOSECONDS, PAUSE, states_in
 
 TAKEN_OVER = 100
 """Time for which a moving arm may come without torques, ms: its drive holds it, and either gives it back or brakes."""
-
-REST_SPEED = 0.05
-"""Joint speed, rad/s, up to which torques may be unknown: the brakes are closed."""
 
 
 class RateCheck:
@@ -156,8 +154,8 @@ class Sight:
     def _explain_motion(self, v: Array) -> str:
         joint = int(np.abs(v).argmax())
         return (
-            f"no torque is known while {self._names[joint]} moves with {abs(v[joint]):.2f} rad/s: let the driver "
-            "fill effort, or set torque_source to commanded"
+            f"no torque is known while {self._names[joint]} moves with {abs(v[joint]):.2f} rad/s: let the driver fill "
+            "effort"
         )
 
     def _explain_gaps(self) -> str:

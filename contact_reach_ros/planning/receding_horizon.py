@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.control.agreement import plan_basis
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings, plan_basis
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
@@ -86,7 +85,7 @@ class RecedingHorizonPlanner:
     Attributes
     ----------
     basis
-        What the plans are made for, see `control.agreement`.
+        What the plans are made for, see `control.settings`.
     memory
         What the next plan starts from; None after a reset. It may be set to an earlier value.
     """
@@ -101,7 +100,7 @@ class RecedingHorizonPlanner:
         max_position_error: float = SupervisionSettings().max_position_error,
         solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = HybridSolver,
     ) -> None:
-        configure_jax(cache_directory() / "jax", settings.device)
+        configure_jax(cache_directory() / "jax")
         self.basis = plan_basis(arm, gains, max_position_error)
         self._arm = arm
         self._settings = settings

@@ -6,11 +6,6 @@ import os
 from importlib.util import find_spec
 from pathlib import Path
 
-from contact_reach_ros.errors import SettingsError
-
-DEVICES = ("auto", "cpu", "gpu")
-"""Devices for the computation: 'auto' takes a GPU where JAX has one, else the CPU."""
-
 _GPU_PLUGINS = ("jax_cuda13_plugin", "jax_cuda12_plugin", "jax_rocm7_plugin", "jax_rocm60_plugin")
 
 _OPTIONS = (
@@ -32,7 +27,7 @@ _FLAGS = {
 """By name."""
 
 
-def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
+def configure_jax(cache: Path | None = None) -> None:
     """Start JAX's backend on one thread a core; call it before the first computation.
 
     Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A backend that is already running
@@ -42,13 +37,6 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
     ----------
     cache
         Folder for compiled programs; None leaves JAX's own setting.
-    device
-        One of `DEVICES`; the first call in a process decides.
-
-    Raises
-    ------
-    SettingsError
-        If a GPU is requested and JAX has none.
     """
     import jax
 
@@ -57,18 +45,13 @@ def configure_jax(cache: Path | None = None, device: str = "auto") -> None:
         flags = os.environ.get("XLA_FLAGS", "")
         missing = (flag for name, flag in _FLAGS.items() if name not in flags)
         os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
-    if "JAX_PLATFORMS" not in os.environ and (device == "cpu" or (device == "auto" and not _gpu_support())):
+    if "JAX_PLATFORMS" not in os.environ and not _gpu_support():
         jax.config.update("jax_platforms", "cpu")
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         # The programs are few, and even the quick ones are worth keeping.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     _start_backend_with_one_worker()
-    if device == "gpu" and jax.default_backend() != "gpu":
-        raise SettingsError(
-            f"device = 'gpu': JAX computes on '{jax.default_backend()}' here; expected a GPU and a JAX built for it "
-            "(pip install 'jax[cuda13]'), or device 'cpu' or 'auto'"
-        )
 
 
 def _gpu_support() -> bool:

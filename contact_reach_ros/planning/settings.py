@@ -9,10 +9,9 @@ import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.runtime import DEVICES
 from contact_reach_ros.settings import Sections, Settings, setting
 from contact_reach_ros.timing import NANOSECONDS
-from contact_reach_ros.world.goal import HOLD, ORIENTATIONS, TOLERANCE
+from contact_reach_ros.world.goal import HOLD, ORIENTATIONS
 
 PIPELINES = ("closed_loop", "generalized")
 BOUNDS, PAPER = SAMPLINGS = ("bounds", "paper")
@@ -116,9 +115,6 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=10.0,
     )
-    device: str = setting(
-        "auto", "device that computes plans; 'auto' is a GPU where JAX has one, else the CPU", choices=DEVICES
-    )
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 
     @property
@@ -203,9 +199,6 @@ class PlannerNodeSettings(ReplanningSettings):
         "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
         choices=ORIENTATIONS,
     )
-    goal_tolerance: float = setting(
-        TOLERANCE, "distance from a goal that counts as reached", unit="m", minimum=0.0001, maximum=1.0
-    )
     contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
     max_spheres: int = setting(
         1, "nearest obstacle spheres that a plan takes into account; 0 plans without contact", minimum=0, maximum=64
@@ -213,13 +206,6 @@ class PlannerNodeSettings(ReplanningSettings):
     sphere_stiffness: float = setting(
         100.0, "spring that holds an obstacle sphere in place", unit="N/m", minimum=1.0, maximum=5000.0
     )
-    sphere_damping: float = setting(
-        30.0, "damping of an obstacle sphere's motion", unit="N s/m", minimum=0.1, maximum=500.0
-    )
-    node_stiffness: float = setting(
-        0.0, "spring that holds a movable node of a deformable body in place", unit="N/m", minimum=0.0, maximum=5000.0
-    )
-    node_damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
     edge_stiffness: float = setting(
         60.0, "spring between two nodes joined by an edge", unit="N/m", minimum=1.0, maximum=5000.0
     )

@@ -283,7 +283,7 @@ class _ControllerLoop(_Loop):
             self.in_step = False
         if controller.state is state and torque is not None:
             self.give(row, state.stamp_ns, torque, recorded)
-        controller.watch(state, torque, clock_ns)
+        controller.watch(state, clock_ns)
         at = self.residuals.get(state.stamp_ns)
         self.last_residual = None if at is None else self.inputs.columns[EXTERNAL_TORQUE].values[at]
         self.note_reason(controller.stop_reason)
@@ -323,11 +323,9 @@ class _ObserverLoop(_Loop):
         super().__init__("observer", inputs, changes)
         self.observer = _make_observer(self, self.period)
         self.rows = inputs.by_stamp(self.topic)
-        self.commands = {sent: row for row, sent in enumerate(inputs.columns[COMMANDS].publish_ns.tolist())}
         self.last_recorded: Array | None = None
         self.handlers = {
             Taken.JOINT_STATES: self._update,
-            Taken.COMMANDS: self._command,
             Taken.STOP: self._stop,
             Taken.RESET: lambda _: self.observer.reset(),
         }
@@ -335,13 +333,6 @@ class _ObserverLoop(_Loop):
     def _stop(self, _: Row) -> None:
         self.unpublished = self.next_stop()
         self.observer.stop(self.unpublished)
-
-    def _command(self, row: Row) -> None:
-        at = self.commands.get(row.sent_ns)
-        if at is None:
-            self.lose()
-        else:
-            self.observer.command(self.inputs.columns[COMMANDS].values[at])
 
     def _update(self, row: Row) -> None:
         state = self.inputs.state(row.sent_ns)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from contact_reach_ros.arm.joint_state import REST_SPEED
 from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE, TOOL_PARAMETERS
 from contact_reach_ros.control import constants, controller, stop_watch, supervisor
 from contact_reach_ros.control.settings import (
@@ -15,11 +16,13 @@ from contact_reach_ros.control.settings import (
     SupervisionSettings,
 )
 from contact_reach_ros.errors import BagError, SettingsError
+from contact_reach_ros.messages.obstacle_reader import NODE_DAMPING, SPHERE_DAMPING
 from contact_reach_ros.observer import plausibility, safety
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
 from contact_reach_ros.settings import Sections, check_node_names, full_name, parameters_in, unknown_key
+from contact_reach_ros.world.goal import TOLERANCE
 
 BUDGET = "budget"
 """Prefix of the contact budget, which comes from a file of its own."""
@@ -40,6 +43,7 @@ SECTIONS: Mapping[str, Sections] = {
 
 FIXED: Mapping[str, Any] = {
     "impedance.singularity_floor": SINGULARITY_FLOOR,
+    "limits.joint_limit_margin": constants.REPULSION_MARGIN,
     "limits.joint_limit_torque_share": constants.REPULSION_SHARE,
     "limits.joint_limit_damping": constants.REPULSION_DAMPING,
     "limits.null_velocity_share": constants.BRAKED_SHARE,
@@ -51,6 +55,8 @@ FIXED: Mapping[str, Any] = {
     "supervision.max_plan_duration": controller.MAX_PLAN_DURATION,
     "supervision.watch_rate": controller.WATCH_RATE,
     "supervision.observer_patience": supervisor.OBSERVER_PATIENCE,
+    "supervision.observer_timeout": supervisor.OBSERVER_TIMEOUT,
+    "supervision.reset_velocity": REST_SPEED,
     "supervision.correct_stop": True,
     "supervision.velocity_share": 1.0,
     "supervision.velocity_debounce": stop_watch.SPEED_DEBOUNCE,
@@ -60,13 +66,20 @@ FIXED: Mapping[str, Any] = {
     "supervision.brake_after": stop_watch.BRAKE_AFTER,
     "safety.contact_release": safety.RELEASE_SHARE,
     "safety.release_debounce": safety.RELEASE_DEBOUNCE,
+    f"{BUDGET}.handover_time": safety.HANDOVER_TIME,
     "safety.handover_debounce": safety.HANDOVER_DEBOUNCE,
     "safety.mean_time": safety.MEAN_TIME,
     "safety.model_error_per_rad": safety.MODEL_ERROR_PER_RAD,
     "safety.model_error_at_rest": safety.MODEL_ERROR_AT_REST,
     "safety.reset_share": safety.RESET_SHARE,
+    "safety.reset_velocity": REST_SPEED,
     "plausibility.frozen_time": plausibility.FROZEN_TIME,
     "plausibility.frozen_torque_time": plausibility.FROZEN_TORQUE_TIME,
+    "torque_source": "measured",
+    "goal_tolerance": TOLERANCE,
+    "sphere_damping": SPHERE_DAMPING,
+    "node_damping": NODE_DAMPING,
+    "node_stiffness": 0.0,
 }
 """Settings that version 0.2 recorded and this one has as constants: the only values that it can re-execute."""
 
@@ -75,6 +88,8 @@ MODEL = "model"
 
 _INERTIA_SET = "inertia_set"
 _CONTACT_BUDGET = "contact_budget"
+_WITHOUT_EFFECT = ("commanded.threshold_factor", "commanded.handover_time", "commanded.lost", "planning.device")
+"""Settings that version 0.2 recorded, and that changed nothing with the values of `FIXED` or not the plans."""
 _EVERY_NODE = ("use_sim_time", ROBOT, ROBOT_DIGEST, ROBOT_TABLE, "state_rate", *TOOL_PARAMETERS)
 _OF_PROCESSES = ("use_sim_time", ROBOT, "autostart", "cpus", "state_rate", *TOOL_PARAMETERS)
 """Parameters of every node that do not change what it computes."""
@@ -96,7 +111,7 @@ def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> di
                 "the version that recorded the bag"
             )
     try:
-        values = _by_prefix(node, recorded, (*FIXED, *_EVERY_NODE), source)
+        values = _by_prefix(node, recorded, (*FIXED, *_WITHOUT_EFFECT, *_EVERY_NODE), source)
         return {prefix: kind.from_mapping(values[prefix], source) for prefix, kind in SECTIONS[node].items()}
     except SettingsError as error:
         raise BagError(f"{error}; use the version that recorded the bag") from error

@@ -114,7 +114,7 @@ MANAGED = {
     ),
     "observer": _managed(
         [*_EXTERNAL, topics.SAFETY_STATE, topics.OBSERVER_INTAKE, topics.LOCKSTEP_HORIZON],
-        [*_PACE, topics.COMMANDS],
+        _PACE,
         _STOP,
     ),
     "planner": _managed(

@@ -12,6 +12,10 @@ from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.timing import NANOSECONDS
 
+HOLD_AFTER = 0.02
+"""Time without a command after which the damped hold begins, s."""
+STOP_AFTER = 0.1
+"""Time without a command after which the brakes close and stay closed, s."""
 OPEN_AFTER = 0.5
 """Time of steady commands after which the brakes open, s: a controller that is starting up pauses now and then."""
 
@@ -19,9 +23,9 @@ OPEN_AFTER = 0.5
 class Drive:
     """Passes commands to the plant and watches them.
 
-    The brakes are closed until commands have arrived for `OPEN_AFTER` seconds without a gap of `hold_after`, so that a
-    controller that is still starting up does not get the arm. From then on, `hold_after` seconds without a command
-    trigger the damped hold, and `stop_after` seconds a stop that is latched until `reset`. A joint that is too fast by
+    The brakes are closed until commands have arrived for `OPEN_AFTER` seconds without a gap of `HOLD_AFTER`, so that a
+    controller that is still starting up does not get the arm. From then on, `HOLD_AFTER` seconds without a command
+    trigger the damped hold, and `STOP_AFTER` seconds a stop that is latched until `reset`. A joint that is too fast by
     the drive's own sensors triggers a stop too, even if the joint states that it sends are faulty.
 
     With `enabled: false` it does not watch for silence, and holds the last torque for ever. With `carries: true` it
@@ -43,8 +47,8 @@ class Drive:
         self.stop_reason = ""
         self.rejected = 0
         self._open_ns = int(open_after * NANOSECONDS)
-        self._hold_ns = int(settings.hold_after * NANOSECONDS)
-        self._stop_ns = int(settings.stop_after * NANOSECONDS)
+        self._hold_ns = int(HOLD_AFTER * NANOSECONDS)
+        self._stop_ns = int(STOP_AFTER * NANOSECONDS)
         self._watches_silence = settings.enabled
         self._model = RobotModel(plant.scene.arm) if settings.carries else None
         share = settings.speed_share or math.inf

@@ -61,12 +61,6 @@ class WatchdogSettings(Settings):
     enabled: bool = setting(
         True, "watch for silence; false holds the last torque for ever, as effort controllers of ros2_control do"
     )
-    hold_after: float = setting(
-        0.02, "time without a command after which the damped hold begins", unit="s", minimum=0.002, maximum=1.0
-    )
-    stop_after: float = setting(
-        0.1, "time without a command after which the brakes close and stay closed", unit="s", minimum=0.005, maximum=5.0
-    )
     speed_share: float = setting(
         1.1,
         "joint speed at which the brakes close and stay closed, as a share of the data sheet's limit, 0 for none; "
@@ -77,14 +71,6 @@ class WatchdogSettings(Settings):
     carries: bool = setting(
         False, "the drive carries the arm's weight, as those of KUKA and Franka do: commands are on top of that"
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.hold_after >= self.stop_after:
-            raise SettingsError(
-                f"WatchdogSettings.hold_after = {self.hold_after:g}: expected less than stop_after, "
-                f"{self.stop_after:g} s; the arm is held before it is stopped"
-            )
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from contact_reach_ros.messages.safety_state import ERROR, WARN, is_stopped, rea
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.world.spheres import Spheres
 
-ANY_MATERIAL = AssumedMaterial(1.0, 1.0, 1.0, 1.0, 1.0)
+ANY_MATERIAL = AssumedMaterial(1.0, 1.0)
 """Material of obstacles, of which only positions, radii and edges are shown."""
 
 

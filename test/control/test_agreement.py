@@ -5,10 +5,8 @@ import dataclasses
 import pytest
 from arm_simulation import ARM
 
-import contact_reach_ros as cr
 from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.control.agreement import differences, disagreement, plan_basis
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings, differences, disagreement, plan_basis
 
 GAINS = ImpedanceSettings()
 TOOL = Tool(mass=1.0, center=(0.03, 0.0, 0.06), flange_to_tip=(0.0, 0.0, 0.15, 0.0, 0.3, 0.0))
@@ -42,21 +40,6 @@ def test_planner_and_controller_with_different_tools_disagree_and_the_tool_is_na
     assert disagreement(reported(TOOL), reported(TOOL)) == ""
     differs = disagreement(reported(TOOL), reported(dataclasses.replace(TOOL, mass=2.0)))
     assert differs.startswith("tool.mass = 2.0 in the planner, 1.0 in the controller; robot digest = ")
-
-
-def test_a_stack_refuses_a_planner_for_other_gains():
-    class Core:
-        basis = plan_basis(ARM, ImpedanceSettings(task_damping=50.0), 0.1)
-
-        def plan(self, *_):
-            raise NotImplementedError
-
-        def reset(self):
-            pass
-
-    scene = cr.load_scene("free", arm=ARM, seed=0)
-    with pytest.raises(cr.ContactReachError, match=r"impedance.task_damping = 50.0 in the planner, 100.0 in the contr"):
-        cr.Stack(scene, planner=Core())
 
 
 def test_lists_are_compared_as_messages_carry_them():

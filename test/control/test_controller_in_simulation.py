@@ -22,10 +22,9 @@ from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.stack import Stack
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
+from contact_reach_ros.world.scene import MismatchSettings, Scene
 
 MS = 1_000_000
-SETTINGS = SupervisionSettings()
 REAL = {"sensors": SensorSettings(), "joints": JointSettings()}
 
 
@@ -41,21 +40,12 @@ def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:
     offer_plan(loop.controller, knots, loop.now_ns, ends, loop.now_ns)
 
 
-@pytest.mark.parametrize("period", [0.001, 0.005])
-@pytest.mark.parametrize("arm", [{}, REAL], ids=["ideal", "friction and noise"])
-def test_arm_is_held_where_it_starts(arm, period):
+@pytest.mark.parametrize(("arm", "period"), [({}, 0.001), (REAL, 0.005)], ids=["ideal", "friction and noise at 200 Hz"])
+def test_arm_is_held_then_follows_a_plan_and_comes_softly_to_rest_when_none_follows(arm, period):
     loop = ClosedLoop(ideal_plant(**arm), period=period)
-    loop.finish(1.5)
+    loop.finish(1.0)
     assert loop.controller.mode is Mode.HOLDING
-    assert np.abs(loop.q - HOME).max() < 2e-3
-    assert np.abs(loop.v).max() < 0.01
-
-
-@pytest.mark.parametrize("period", [0.001, 0.005])
-@pytest.mark.parametrize("arm", [{}, REAL], ids=["ideal", "friction and noise"])
-def test_arm_follows_a_plan_and_comes_softly_to_rest_when_none_follows(arm, period):
-    loop = ClosedLoop(ideal_plant(**arm), period=period)
-    loop.finish(0.5)
+    assert np.abs(loop.q - HOME).max() < 2e-3 and np.abs(loop.v).max() < 0.01
     moving_plan(loop, 600)
     loop.finish(0.6)
     at_expiry = loop.reference().position
@@ -71,8 +61,11 @@ PATIENT = ControllerSettings(supervision=SupervisionSettings(drive_brakes=False)
 """To see the compliant stop alone, however long it takes."""
 
 
-@pytest.mark.parametrize("late", [0, 1, 2], ids="{} ticks late".format)
-@pytest.mark.parametrize("arm", [{}, {**REAL, "mismatch": MismatchSettings()}], ids=["ideal", "mismatch"])
+@pytest.mark.parametrize(
+    ("arm", "late"),
+    [({}, 0), ({}, 2), ({**REAL, "mismatch": MismatchSettings()}, 2)],
+    ids=["ideal", "ideal, late", "mismatch, late"],
+)
 def test_compliant_stop_brakes_a_fast_arm_even_when_commands_come_late(arm, late):
     plant = ideal_plant(**arm)
     plant.data.qvel[:] = 0.7 * VELOCITY_LIMITS * np.array([1, -1, 1, -1, 1, -1, 1])
@@ -95,17 +88,16 @@ def test_stopped_arm_gives_way_when_pushed():
     assert loop.reference().position[1] - start[1] > 0.05
 
 
-@pytest.mark.parametrize("correct", [True, False])
-@pytest.mark.parametrize("change", [0.0, 0.4], ids=["home", "elsewhere"])
+@pytest.mark.parametrize(("correct", "change"), [(True, 0.4), (False, 0.0)], ids=["corrected", "not"])
 def test_a_stopped_arm_does_not_sink_with_a_wrong_model_whose_error_the_observer_has_found(correct, change):
-    """It stays within 10 mm and 0.02 rad/s for five seconds."""
+    """It stays within 10 mm and 0.02 rad/s for three seconds."""
     start = HOME + change * np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     robot = SimulatedRobot(Scene("sinking", ARM, 0, start, np.zeros(3), mismatch=MismatchSettings()))
     observer = Observer(ARM, ObserverSettings(), ContactBudget())
     settings = SupervisionSettings(drive_brakes=False)
     controller = Controller(ARM, ControllerSettings(supervision=settings))
     stopped_at, travel, fastest = None, 0.0, 0.0
-    for tick in range(1, 6500):
+    for tick in range(1, 4500):
         (state,) = robot.read()
         report = observer.update(state)
         if report.due:
@@ -126,10 +118,9 @@ def test_a_stopped_arm_does_not_sink_with_a_wrong_model_whose_error_the_observer
     assert stays == correct, (travel, fastest)
 
 
-@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MismatchSettings()], ids=["ideal", "mismatch"])
-def test_a_stopped_arm_ends_in_the_brakes(mismatch):
+def test_a_stopped_arm_ends_in_the_brakes():
     """It is carried by the model for `BRAKE_AFTER`, does not creep meanwhile, and can be released afterwards."""
-    stack = Stack(Scene("stopped", ARM, 0, HOME, np.zeros(3), mismatch=mismatch))
+    stack = Stack(Scene("stopped", ARM, 0, HOME, np.zeros(3), mismatch=MismatchSettings()))
     stack.settle(1.0)
     stack.stop()
     stopped_at, travel, ticks = stack.robot.plant.tip_position, 0.0, 0

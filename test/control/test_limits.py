@@ -16,7 +16,7 @@ from arm_simulation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.constants import REPULSION_SHARE, make_constants, torque_rates
+from contact_reach_ros.control.constants import REPULSION_MARGIN, REPULSION_SHARE, make_constants, torque_rates
 from contact_reach_ros.control.kernels import (
     limit_torque,
     repulsion_torque,
@@ -36,13 +36,13 @@ torques = st.lists(st.floats(-1e4, 1e4), min_size=ARM.n, max_size=ARM.n).map(np.
 def repulsion_at(joint: int, side: float, depth: float, v: np.ndarray = REST) -> np.ndarray:
     """Torque with one joint `depth` rad inside the margin before its limit."""
     q = HOME.copy()
-    q[joint] = side * (POSITION_LIMITS[joint] - SETTINGS.joint_limit_margin + depth)
+    q[joint] = side * (POSITION_LIMITS[joint] - REPULSION_MARGIN + depth)
     return repulsion_torque(CONSTANTS, q, v)
 
 
 @given(st.lists(st.floats(-1, 1), min_size=ARM.n, max_size=ARM.n), st.lists(speeds, min_size=ARM.n, max_size=ARM.n))
 def test_no_repulsion_outside_of_the_margin(shares, v):
-    q = np.array(shares) * (POSITION_LIMITS - SETTINGS.joint_limit_margin)
+    q = np.array(shares) * (POSITION_LIMITS - REPULSION_MARGIN)
     assert not repulsion_torque(CONSTANTS, q, np.array(v)).any()
 
 
@@ -64,10 +64,10 @@ def test_repulsion_is_continuous(joint, side, depth, speed):
 
 @given(joints, sides)
 def test_repulsion_at_the_limit_is_the_declared_share(joint, side):
-    torque = repulsion_at(joint, side, SETTINGS.joint_limit_margin)
+    torque = repulsion_at(joint, side, REPULSION_MARGIN)
     assert -side * torque[joint] == pytest.approx(REPULSION_SHARE * TORQUE_LIMITS[joint])
     # It grows with the square, so that it begins without a kink.
-    halfway = repulsion_at(joint, side, 0.5 * SETTINGS.joint_limit_margin)
+    halfway = repulsion_at(joint, side, 0.5 * REPULSION_MARGIN)
     assert halfway[joint] == pytest.approx(0.25 * torque[joint])
 
 
@@ -110,8 +110,7 @@ def greedy_reference(loop: ClosedLoop, joint: int, side: float) -> Reference:
     return Reference(position + step, target_rotation, posture)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize("joint", range(ARM.n), ids=ARM.joint_names)
+@pytest.mark.parametrize(("joint", "side"), [(joint, (-1.0) ** joint) for joint in range(ARM.n)])
 def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
     start = HOME.copy()
     start[joint] = side * (POSITION_LIMITS[joint] - 0.2)
@@ -127,6 +126,6 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
             offer_plan(loop.controller, [plan], loop.now_ns, (3 * period_ns,), loop.now_ns)
 
     for _ in loop.run(1.5, replan):
-        near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - SETTINGS.joint_limit_margin
+        near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - REPULSION_MARGIN
         assert side * loop.q[joint] < POSITION_LIMITS[joint]
     assert near

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, REST, mobility
+from arm_simulation import ARM
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.law import ImpedanceLaw, pose_error
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import solve_bounded
-from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
 
@@ -35,34 +35,18 @@ seeds = st.integers(0, 1000)
 
 
 @given(eigenvalues, seeds)
-def test_bounded_inverse_is_bounded(values, seed):
-    vectors = orthogonal(seed)
-    inverse = bounded_inverse((vectors * values) @ vectors.T, SINGULARITY_FLOOR)
-    np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=1e-9)
-    assert np.linalg.norm(inverse, 2) <= 2.0 / SINGULARITY_FLOOR * (1 + 1e-9)
-
-
-@given(eigenvalues, seeds)
-def test_bounded_inverse_is_the_inverse_above_the_floor(values, seed):
-    vectors = orthogonal(seed)
-    matrix = (vectors * (values + SINGULARITY_FLOOR)) @ vectors.T
-    np.testing.assert_allclose(bounded_inverse(matrix, SINGULARITY_FLOOR) @ matrix, np.eye(6), rtol=0, atol=1e-10)
-
-
-@given(eigenvalues, seeds)
-def test_bounded_inverse_never_asks_for_more_than_the_inverse(values, seed):
-    # Λ_bounded (J M⁻¹ Jᵀ) has eigenvalues in [0, 1]: an acceleration may fall short, never overshoot.
+def test_the_inverse_is_bounded_and_never_asks_for_more_than_the_true_one(values, seed):
     vectors = orthogonal(seed)
     matrix = (vectors * values) @ vectors.T
-    share = np.linalg.eigvals(bounded_inverse(matrix, SINGULARITY_FLOOR) @ matrix)
+    inverse = bounded_inverse(matrix, SINGULARITY_FLOOR)
+    np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=1e-9)
+    assert np.linalg.norm(inverse, 2) <= 2.0 / SINGULARITY_FLOOR * (1 + 1e-9)
+    # Λ_bounded (J M⁻¹ Jᵀ) has eigenvalues in [0, 1]: an acceleration may fall short, never overshoot.
+    share = np.linalg.eigvals(inverse @ matrix)
     np.testing.assert_allclose(share.imag, 0, atol=1e-9)
-    assert share.real.min() >= -1e-9
-    assert share.real.max() <= 1 + 1e-9
-
-
-def smallest_mobility(model: RobotModel, q: np.ndarray) -> float:
-    model.update(q, REST)
-    return float(np.linalg.eigvalsh(mobility(model))[0])
+    assert share.real.min() >= -1e-9 and share.real.max() <= 1 + 1e-9
+    above = (vectors * (values + SINGULARITY_FLOOR)) @ vectors.T
+    np.testing.assert_allclose(bounded_inverse(above, SINGULARITY_FLOOR) @ above, np.eye(6), rtol=0, atol=1e-10)
 
 
 def torque_at(model: RobotModel, law: ImpedanceLaw, q: np.ndarray, v: np.ndarray, reference: Reference) -> np.ndarray:

@@ -82,8 +82,7 @@ class TestSpeedLimiter:
             assert (after == before).all()
 
     @pytest.mark.parametrize("joint", range(ARM.n))
-    @pytest.mark.parametrize("side", [-1.0, 1.0])
-    @pytest.mark.parametrize("excess", [0.001, 0.1])
+    @pytest.mark.parametrize(("side", "excess"), [(-1.0, 0.001), (1.0, 0.1)])
     def test_a_joint_that_is_too_fast_brakes_by_its_own_torque_as_far_as_its_rate_permits(self, joint, side, excess):
         v, rest, after = np.zeros(ARM.n), np.zeros(ARM.n), np.zeros(ARM.n)
         v[joint] = side * (1.0 + excess) * self.CEILING[joint]
@@ -141,41 +140,27 @@ def test_a_pull_that_would_be_too_fast_does_not_stop_the_arm():
     assert 0.8 < fastest < 0.95
 
 
-def fastest_when_references_jump(loop: ClosedLoop, random: np.random.Generator, pull: float, duration: float) -> float:
-    """Greatest speed of a joint as a share of its limit, until the arm stops.
-
-    Every 40 ms the farthest that a plan may ask for, elsewhere six times a second; `pull`: how far the posture is
-    ahead of each joint, rad.
-    """
-
-    def draw() -> tuple[np.ndarray, np.ndarray]:
-        return np.sign(random.normal(size=6)), pull * (np.sign(random.normal(size=7)) if pull else np.zeros(7))
-
-    wish, ahead = draw()
-
-    def replan() -> None:
-        nonlocal wish, ahead
-        if loop.now_ns % (160 * TICK_NS) == 0:
-            wish, ahead = draw()
-        if loop.now_ns % (40 * TICK_NS) == 0:
-            here = loop.reference()
-            turned = Rotation.from_rotvec(0.2 * wish[3:]).as_matrix() @ here.rotation
-            wanted = Reference(here.position + 0.01 * wish[:3], turned, here.posture + ahead)
-            offer_plan(loop.controller, [wanted], loop.now_ns, (60 * TICK_NS,), loop.now_ns)
-
-    fastest = 0.0
-    for _ in loop.run(duration, replan):
-        if loop.controller.stop_reason:
-            break
-        fastest = max(fastest, float((np.abs(loop.v) / VELOCITY_LIMITS).max()))
-    return fastest
-
-
-@pytest.mark.parametrize("seed", [2, 7, 9, 11, 12, 13])
+@pytest.mark.parametrize("seed", [2, 9, 12])
 def test_references_that_jump_about_near_a_singularity_do_not_make_a_joint_too_fast(seed):
+    """Every 40 ms the farthest that a plan may ask for, elsewhere six times a second."""
     random = np.random.default_rng(seed)
     loop = ClosedLoop(ideal_plant(random.uniform(-0.7, 0.7, 7) * POSITION_LIMITS))
     loop.controller.model.update(loop.q, loop.v)
     assert np.linalg.svd(loop.controller.model.jacobian)[1][-1] < 0.2
-    assert fastest_when_references_jump(loop, random, 0.0, 1.0) < 1.0
+    wish = np.sign(random.normal(size=6))
+
+    def replan() -> None:
+        nonlocal wish
+        if loop.now_ns % (160 * TICK_NS) == 0:
+            wish = np.sign(random.normal(size=6))
+        if loop.now_ns % (40 * TICK_NS) == 0:
+            here = loop.reference()
+            turned = Rotation.from_rotvec(0.2 * wish[3:]).as_matrix() @ here.rotation
+            wanted = Reference(here.position + 0.01 * wish[:3], turned, here.posture)
+            offer_plan(loop.controller, [wanted], loop.now_ns, (60 * TICK_NS,), loop.now_ns)
+
+    for _ in loop.run(1.0, replan):
+        if loop.controller.stop_reason:
+            break
+        assert (np.abs(loop.v) < VELOCITY_LIMITS).all()
     assert "rad/s" not in loop.controller.stop_reason

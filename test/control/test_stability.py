@@ -15,9 +15,9 @@ from contact_reach_ros.errors import SettingsError
 GAINS = ImpedanceSettings()
 
 
-@pytest.mark.parametrize("stiffness", [0.0, 100.0, 880.0, 2500.0])
-@pytest.mark.parametrize("damping", [10.0, 100.0, 300.0])
-@pytest.mark.parametrize("period", [0.001, 0.005, 0.01])
+@pytest.mark.parametrize("stiffness", [0.0, 880.0, 2500.0])
+@pytest.mark.parametrize("damping", [100.0, 300.0])
+@pytest.mark.parametrize("period", [0.001, 0.01])
 def test_the_radius_tells_whether_a_late_spring_and_damper_come_to_rest(stiffness, damping, period):
     position, speed, force = 1.0, 1.0, 0.0
     for _ in range(20000):
@@ -31,7 +31,7 @@ def test_the_radius_tells_whether_a_late_spring_and_damper_come_to_rest(stiffnes
 
 
 @pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=["iiwa14", "six axes"])
-@pytest.mark.parametrize("rate", [125.0, 200.0, 500.0, 1000.0])
+@pytest.mark.parametrize("rate", [125.0, 1000.0])
 def test_the_papers_gains_are_stable_from_125_hz_on(arm, rate):
     check_gains(arm, GAINS, 1.0 / rate)
 
@@ -57,7 +57,7 @@ def test_gains_that_are_not_are_refused_with_the_largest_that_would_be(gains, ra
     check_gains(ARM, ImpedanceSettings(**{**vars(gains), **stable}), 1.0 / rate)
 
 
-@pytest.mark.parametrize("period", [0.001, 0.002, 0.005, 0.01])
+@pytest.mark.parametrize("period", [0.001, 0.01])
 def test_a_compliant_stop_is_damped_in_every_posture_at_every_rate(period):
     wanted, model = stop_damping(ARM, SupervisionSettings()), RobotModel(ARM)
     for q in np.random.default_rng(7).uniform(ARM.lower, ARM.upper, (300, ARM.n)):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
 
+from contact_reach_ros.arm.joint_state import REST_SPEED
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.control.stop_watch import BRAKE_AFTER, CREEP, REST_WITHIN, SPEED_DEBOUNCE, SPEED_GAIN
+from contact_reach_ros.control.stop_watch import CREEP, REST_WITHIN, SPEED_DEBOUNCE, SPEED_GAIN
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor
 from contact_reach_ros.errors import InputError, Verdict
 
@@ -58,7 +59,7 @@ class TestStopThatBringsNoRest:
     """Nothing is commanded any more, and the reason tells both stories."""
 
     MS = 1_000_000
-    SLOW = np.eye(ARM.n)[4] * 2.0 * SETTINGS.reset_velocity
+    SLOW = np.eye(ARM.n)[4] * 2.0 * REST_SPEED
 
     @pytest.fixture
     def stopped(self, supervisor) -> Supervisor:
@@ -97,18 +98,13 @@ class TestStopThatBringsNoRest:
         supervisor.hear_observer(Verdict("too much torque", "encoder stuck"), 1)
         assert supervisor.mode is Mode.SILENT
         assert supervisor.stop_reason.startswith("too much torque; encoder stuck; nothing is commanded")
-        moving = Supervisor(ARM, SETTINGS)
-        moving.happens(Event.START)
-        moving.hear_observer(Verdict("encoder stuck", "encoder stuck"), 0)
-        assert moving.mode is Mode.SILENT
-        assert moving.stop_reason.startswith("encoder stuck; nothing is commanded")
 
 
 class TestRest:
     """A stop ends in the drive's brakes: soon after the arm has come to rest, at once when it creeps."""
 
     MS = 1_000_000
-    RATE = 0.8 * SETTINGS.reset_velocity
+    RATE = 0.8 * REST_SPEED
 
     def stopped(self, **settings) -> Supervisor:
         made = Supervisor(ARM, SupervisionSettings(**settings))
@@ -126,30 +122,15 @@ class TestRest:
                 return moved
         return math.inf
 
-    def test_the_brakes_get_the_arm_once_it_has_rested(self):
-        supervisor, due = self.stopped(), round(1000 * BRAKE_AFTER)
-        for ms in range(300):
-            supervisor.watch_stop(HOME, np.full(ARM.n, 0.3), ms * self.MS)
-        for ms in range(300, 300 + due):
-            supervisor.watch_stop(HOME, REST, ms * self.MS)
-        assert supervisor.mode is Mode.STOPPED
-        supervisor.watch_stop(HOME, REST, (300 + due) * self.MS)
-        assert (supervisor.mode, supervisor.stop_reason) == (Mode.SILENT, "pushed")
-        assert supervisor.happens(Event.RESET)
-        assert supervisor.mode is Mode.HOLDING
-
-    @pytest.mark.parametrize("joint", range(ARM.n))
-    def test_a_joint_that_creeps_has_them_at_once(self, joint):
+    def test_a_joint_that_creeps_has_them_at_once(self):
         supervisor = self.stopped()
-        assert CREEP < self.creep(supervisor, joint, 2000) <= CREEP + 1e-4
+        assert CREEP < self.creep(supervisor, 5, 2000) <= CREEP + 1e-4
         assert supervisor.mode is Mode.SILENT
-        expected = (
-            f"pushed; {ARM.joint_names[joint]} has crept by 0.010 rad since it came to rest; nothing is commanded"
-        )
+        expected = f"pushed; {ARM.joint_names[5]} has crept by 0.010 rad since it came to rest; nothing is commanded"
         assert supervisor.stop_reason.startswith(expected)
 
     def test_an_arm_that_is_moved_by_hand_does_not_creep(self):
-        supervisor, by_hand = self.stopped(), 4 * SETTINGS.reset_velocity
+        supervisor, by_hand = self.stopped(), 4 * REST_SPEED
         for ms in range(1500):
             moves = 600 <= ms < 1000
             moved = by_hand * (min(max(ms, 600), 1000) - 600) / 1000
@@ -168,15 +149,11 @@ class TestRest:
         assert "still moves with 0.30 rad/s" in moving.stop_reason and "support the arm" in moving.stop_reason
 
 
-@pytest.mark.parametrize("joint", range(ARM.n))
-@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(("joint", "side"), [(0, -1.0), (6, 1.0)])
 def test_a_joint_that_is_too_fast_for_some_states_in_a_row_stops_the_arm(supervisor, joint, side):
     fast = np.where(np.arange(ARM.n) == joint, side * 1.01 * LIMITS, 0.0)
-    for _ in range(SPEED_DEBOUNCE - 1):
-        supervisor.watch_joints(HOME, fast)
-    supervisor.watch_joints(HOME, REST)
-    for _ in range(SPEED_DEBOUNCE - 1):
-        supervisor.watch_joints(HOME, fast)
+    for v in (*[fast] * (SPEED_DEBOUNCE - 1), REST, *[fast] * (SPEED_DEBOUNCE - 1)):
+        supervisor.watch_joints(HOME, v)
     assert supervisor.mode is Mode.HOLDING
     supervisor.watch_joints(HOME, fast)
     assert supervisor.mode is Mode.STOPPED
@@ -184,14 +161,12 @@ def test_a_joint_that_is_too_fast_for_some_states_in_a_row_stops_the_arm(supervi
     assert supervisor.stop_reason == f"{name} moves with {speed:.2f} rad/s, permitted {LIMITS[joint]:.2f} rad/s"
 
 
-@pytest.mark.parametrize("joint", range(ARM.n))
+@pytest.mark.parametrize("joint", [0, 6])
 def test_a_joint_beyond_its_position_limit_stops_the_arm_and_keeps_it_stopped(supervisor, joint):
-    limit = ARM.upper[joint]
-    q = HOME.copy()
-    q[joint] = -limit + 1e-6
+    q = np.where(np.arange(ARM.n) == joint, 1e-6 - np.array(ARM.upper), HOME)
     supervisor.watch_joints(q, REST)
     assert supervisor.mode is Mode.HOLDING
-    q[joint] = -limit - 1e-3
+    q[joint] -= 1e-3
     supervisor.watch_joints(q, REST)
     assert f"{ARM.joint_names[joint]} at {q[joint]:.3f} rad is beyond its position limit" in supervisor.stop_reason
     with pytest.raises(InputError, match="beyond the position limit; move the arm back by hand"):

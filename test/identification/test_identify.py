@@ -12,7 +12,7 @@ from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.identification.command import describe, write
 from contact_reach_ros.identification.identify import identify
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
-from contact_reach_ros.observer.settings import COMMANDED, ObserverSettings
+from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import parameters_in
@@ -100,9 +100,6 @@ def test_the_files_are_those_that_nodes_read(found, tmp_path):
 
 
 def test_what_does_not_fit_together_is_refused(tmp_path, found):
-    taken = recording(ARM, 12.0)
-    with pytest.raises(InputError, match="needs torque_source: measured"):
-        identify(ARM, NO_TOOL, ObserverSettings(torque_source=COMMANDED), BUDGET, [taken])
     base = tmp_path / "base.yaml"
     base.write_text("observer: 3\n")
     with pytest.raises(SettingsError, match="'observer' has no ros__parameters"):

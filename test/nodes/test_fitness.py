@@ -17,7 +17,7 @@ def counters(ticks, missed, trips_us):
         histogram = Histogram()
         for trip in trips_us:
             histogram.add(round(1000 * share * trip))
-        counts[name] = write_counts(histogram.counts())
+        counts[name] = write_counts(histogram.counts)
     return {"driver": {"ticks": str(ticks), "missed ticks": str(missed), **counts}, "controller": counts}
 
 

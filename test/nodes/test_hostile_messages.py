@@ -201,7 +201,7 @@ ATTACKS = {
         topics.CLOCK,
     ),
     DriverNode: (topics.COMMANDS, topics.LOCKSTEP_HORIZON),
-    ObserverNode: (topics.JOINT_STATES, topics.COMMANDS, topics.CLOCK),
+    ObserverNode: (topics.JOINT_STATES, topics.CLOCK),
     PlannerNode: (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.CLOCK),
     ViewerNode: HEARD_BY_VIEWER,
     AdapterNode: (topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.SETTINGS),
@@ -211,7 +211,7 @@ ATTACKS = {
 PARAMETERS = {
     ControllerNode: ("use_sim_time:=true", "supervision.require_observer:=false"),
     DriverNode: ("lockstep:=true", "scene:=free"),
-    ObserverNode: ("use_sim_time:=true", "torque_source:=commanded"),
+    ObserverNode: ("use_sim_time:=true",),
     PlannerNode: ("use_sim_time:=true",),
     ViewerNode: ("port:=0",),
     AdapterNode: ("kind:=effort",),

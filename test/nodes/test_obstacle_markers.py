@@ -22,9 +22,6 @@ from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 MATERIAL = AssumedMaterial(
     sphere_stiffness=100.0,
-    sphere_damping=30.0,
-    node_stiffness=0.0,
-    node_damping=5.0,
     edge_stiffness=WallSettings().edge_stiffness,
 )
 STAMP_NS = 1_795_233_693_122_143_135

@@ -28,9 +28,8 @@ NODES = {
     "recorder": RecorderNode,
     "viewer": ViewerNode,
 }
-REAL_TIME = ("-p", "torque_source:=measured")
 FREE_PORT = ("-p", "port:=0")
-LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true", "-p", "torque_source:=commanded")
+LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true")
 SHADOW = ("-p", "supervision.shadow:=true")
 ADAPTED = ("-p", "supervision.adapter:=true")
 
@@ -73,7 +72,7 @@ def interface(name, *parameters):
 
 @pytest.mark.parametrize("name", NODES)
 def test_the_table_says_what_a_node_does_in_all_its_modes(name):
-    modes = ((*REAL_TIME, *FREE_PORT), (*LOCKSTEP, *SHADOW, *FREE_PORT), (*REAL_TIME, *ADAPTED, *FREE_PORT))
+    modes = (FREE_PORT, (*LOCKSTEP, *SHADOW, *FREE_PORT), (*ADAPTED, *FREE_PORT))
     publishes, subscribes, serves, calls = (
         set().union(*parts) for parts in zip(*(interface(name, *mode) for mode in modes), strict=True)
     )

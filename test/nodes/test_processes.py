@@ -25,8 +25,7 @@ def test_the_planner_looks_at_as_many_spheres_as_the_scene_needs(scene, spheres)
 def test_the_planner_is_told_what_obstacles_are_made_of(tmp_path):
     """Where materials differ, the stiffest."""
     (wall,), given = read_scene("wall").obstacles, planner_parameters(scene="wall")
-    materials = (given["edge_stiffness"], given["node_damping"], given["node_stiffness"])
-    assert materials == (wall.edge_stiffness, wall.damping, 0.0)
+    assert given["edge_stiffness"] == wall.edge_stiffness
     file = tmp_path / "own.yaml"
     balls = [f"  - {{kind: ball, center: [0.7, {y}, 0.5], stiffness: {k}}}\n" for y, k in ((0.3, 400.0), (-0.3, 60.0))]
     file.write_text(f"obstacles:\n{''.join(balls)}")
@@ -42,7 +41,7 @@ def test_what_the_parameter_file_says_holds(tmp_path):
 def test_a_real_arms_planner_is_told_nothing_of_the_simulated_scene():
     assert planner_parameters(scene="free", driver=False) == planner_parameters(scene="wall", driver=False)
     given = planner_parameters(scene="free", driver=False)
-    assert not {"max_spheres", "sphere_stiffness", "sphere_damping"} & set(given)
+    assert not {"max_spheres", "sphere_stiffness"} & set(given)
 
 
 @pytest.mark.parametrize("driver", [True, False])

@@ -1,13 +1,12 @@
 """Observer and monitor on the arm that the real controller moves, in lockstep, with friction, noise and mismatch."""
 
 import numpy as np
-import pytest
 from arm_simulation import ARM
 
 from benchmarks.free_motion import FreeMotion
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.safety import SafetyLevel
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.scene import MismatchSettings
 
 BUDGET = ContactBudget()
 MISMATCH = MismatchSettings()
@@ -23,9 +22,8 @@ def push(motion: FreeMotion, body: str, force: tuple[float, float, float]) -> No
     motion.plant.data.xfrc_applied[motion.plant.model.body(body).id, :3] = force
 
 
-@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MISMATCH], ids=["matching", "mismatch"])
-def test_free_motion_is_neither_contact_nor_collision(mismatch):
-    motion = run(FreeMotion(ARM, mismatch, 3, BUDGET), 5.0)
+def test_free_motion_is_neither_contact_nor_collision():
+    motion = run(FreeMotion(ARM, MISMATCH, 3, BUDGET), 5.0)
     assert not motion.monitor.stopped
     assert motion.monitor.contacts == 0
     # The arm did move, and was watched.
@@ -33,7 +31,7 @@ def test_free_motion_is_neither_contact_nor_collision(mismatch):
     assert np.linalg.norm(motion.state.q - motion.plant.scene.start) > 0.3
 
 
-def test_push_is_a_contact_that_ends_with_it():
+def test_push_is_a_contact_that_ends_with_it_and_a_hard_one_stops_the_arm():
     motion = run(FreeMotion(ARM, MISMATCH, 0, BUDGET), 2.0)
     push(motion, "lbr_link_4", (0.0, 0.0, -15.0))
     run(motion, 2.06)
@@ -41,12 +39,8 @@ def test_push_is_a_contact_that_ends_with_it():
     push(motion, "lbr_link_4", (0.0, 0.0, 0.0))
     run(motion, 2.6)
     assert motion.monitor.level is SafetyLevel.FREE
-
-
-def test_hard_push_stops_the_arm():
-    motion = run(FreeMotion(ARM, MISMATCH, 0, BUDGET), 2.0)
     push(motion, "lbr_link_5", (0.0, 0.0, -80.0))
-    run(motion, 2.1)
+    run(motion, 2.7)
     assert motion.monitor.level is SafetyLevel.COLLISION
     assert "torque on lbr_A" in motion.monitor.stop_reason
-    assert motion.plant.time < 2.03
+    assert motion.plant.time < 2.63

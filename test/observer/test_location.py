@@ -48,22 +48,20 @@ class Pushes:
         return q, link, point, force, torque
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.25])
-def test_link_of_most_pushes_at_mid_arm_is_right(locator, noise):
+def test_link_of_most_pushes_at_mid_arm_is_right(locator):
     pushes, random, right, errors = Pushes(MID_ARM), np.random.default_rng(1), [], []
     for _ in range(400):
         q, link, _, force, torque = pushes.draw()
-        contact = locator.locate(q, torque + noise * np.array(SCALES) * random.standard_normal(ARM.n))
+        contact = locator.locate(q, torque + 0.25 * np.array(SCALES) * random.standard_normal(ARM.n))
         right.append(contact.link == link)
         errors.append(np.linalg.norm(contact.force - force) / np.linalg.norm(force))
     assert np.mean(right) > 0.8
     assert np.median(errors) < 0.2
 
 
-@pytest.mark.parametrize("link", range(2, 8))
-def test_no_link_before_the_last_joint_that_feels_it_is_named(locator, link):
-    pushes = Pushes((link,), seed=link)
-    for _ in range(50):
+def test_no_link_before_the_last_joint_that_feels_it_is_named(locator):
+    pushes = Pushes(tuple(range(2, 8)))
+    for _ in range(300):
         q, _, _, _, torque = pushes.draw()
         felt = np.flatnonzero(np.abs(torque) > 3.0 * np.array(SCALES))
         if felt.size:
@@ -73,6 +71,4 @@ def test_no_link_before_the_last_joint_that_feels_it_is_named(locator, link):
 
 def test_estimate_is_finite_where_the_arm_is_singular(locator):
     contact = locator.locate(np.zeros(ARM.n), np.full(ARM.n, 5.0))
-    assert np.isfinite(contact.force).all()
-    assert np.isfinite(contact.position).all()
-    assert np.isfinite(contact.misfit)
+    assert np.isfinite([*contact.force, *contact.position, contact.misfit]).all()

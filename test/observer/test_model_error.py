@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from contact_reach_ros.observer.model_error import ModelError
+from contact_reach_ros.observer.safety import ModelError
 
 BOUND, PER_RAD, AT_REST = 8.0, 6.0, 0.5
 STATES = 100
@@ -49,14 +49,10 @@ def test_in_motion_it_changes_with_the_distance(error, travelled):
     assert follow(error, 50.0) == pytest.approx(HANDED_OVER + AT_REST + gained, abs=PER_RAD * 0.02)
 
 
-def test_a_restart_forgets_what_was_before_within_the_bounds(error):
+def test_a_restart_forgets_what_was_before_within_the_bounds_and_what_is_no_number_leaves_no_trace(error):
     error.restart([100.0, -1.0], [3.0, 0.0])
+    error.follow([math.nan, 1.0], [1.0, 0.0], STATES)
     assert error.mean == [BOUND, -1.0]
     for _ in range(20 * STATES):
         error.follow([0.0, 0.0], [3.0, 0.0], STATES)
     assert error.mean == pytest.approx([BOUND - AT_REST, -1.0 + AT_REST])
-
-
-def test_torques_that_are_not_numbers_leave_no_trace(error):
-    error.follow([math.nan, 1.0], [1.0, 0.0], STATES)
-    assert error.mean == [HANDED_OVER, 0.0]

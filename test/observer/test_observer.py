@@ -8,18 +8,18 @@ from arm_simulation import ARM, HOME, REST, TICK_NS
 
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import InputError, StopCode
+from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
-from contact_reach_ros.observer.safety import SafetyLevel
-from contact_reach_ros.observer.settings import COMMANDED, CommandedSettings, MomentumSettings, ObserverSettings
+from contact_reach_ros.observer.safety import HANDOVER_TIME, SafetyLevel
+from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
 from contact_reach_ros.observer.sight import TAKEN_OVER
 from contact_reach_ros.timing import GAPS_IN_A_ROW
 
 BUDGET = ContactBudget().resolve(ARM)
 GRAVITY = RobotModel(ARM).gravity_at(HOME)
 UNKNOWN = np.full(ARM.n, math.nan)
-HANDED_OVER = round(1000 * BUDGET.handover_time) + 10
+HANDED_OVER = round(1000 * HANDOVER_TIME) + 10
 HARD = np.where(np.arange(ARM.n) == 1, 60.0, 0.0)
 SOFT = np.where(np.arange(ARM.n) == 3, 6.0, 0.0)
 
@@ -61,12 +61,6 @@ class TestOrder:
         assert (observer.updates, observer.momentum.gaps) == (HANDED_OVER, 0)
         assert (observer.order.repeated, observer.order.older) == (repeated, older)
 
-    def test_after_a_clock_was_set_back_states_are_taken_again(self, watched):
-        watched.tick -= 3_600_000
-        reports = watched.run(20)
-        missed = [number for number, report in enumerate(reports) if report is None]
-        assert missed == list(range(len(missed))) and 0 < len(missed) < 10
-
 
 class TestDue:
     def test_the_first_report_is_news_and_the_first_that_vouches_for_the_arm(self):
@@ -75,7 +69,7 @@ class TestDue:
         assert second.due and not second.doubt and second.age == 0.0
         assert not third.due
 
-    @pytest.mark.parametrize("period_ms", [1, 2, 5, 10, 20])
+    @pytest.mark.parametrize("period_ms", [1, 5, 20])
     def test_a_sign_of_life_is_due_every_ten_milliseconds(self, period_ms):
         watched = Watched(period_ms)
         reports = watched.run(100)
@@ -99,8 +93,7 @@ class TestDue:
 class TestTorque:
     """Either all joints' torques are known, or none."""
 
-    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-    @pytest.mark.parametrize("joint", range(ARM.n))
+    @pytest.mark.parametrize(("joint", "value"), [(0, math.nan), (3, math.inf), (6, -math.inf)])
     def test_torques_of_some_joints_only_leave_the_residual_and_soon_make_it_blind(self, watched, joint, value):
         torque = np.where(np.arange(ARM.n) == joint, value, GRAVITY)
         momentum = watched.observer.momentum
@@ -116,10 +109,10 @@ class TestTorque:
         assert reports[-1].age == pytest.approx(0.001 * GAPS_IN_A_ROW)
         assert watched.run(2)[-1].level is SafetyLevel.FREE
 
-    def test_joint_states_without_efforts_make_it_blind_and_the_message_says_what_to_do(self, watched):
+    def test_joint_states_without_efforts_make_it_blind(self, watched):
         for _ in range(GAPS_IN_A_ROW):
             report = watched.observer.update(watched.state(torque=None))
-        assert "blind: joint_states carry no effort: let the driver fill it, or set torque_source" in report.reason
+        assert "blind: joint_states carry no effort" in report.reason
 
     def test_brakes_may_hide_the_torques_of_an_arm_at_rest_for_ever(self, watched):
         for _ in range(1000):
@@ -137,72 +130,15 @@ class TestTorque:
         assert f"no torque is known while {ARM.joint_names[2]} moves with 0.30 rad/s" in reports[-1].reason
 
 
-class TestCommandedSource:
-    """What acts is the command since the last state, whatever joint states report."""
-
-    def run(self, watched: Watched, count: int, command: np.ndarray | None, torque: np.ndarray | None) -> SafetyReport:
-        for _ in range(count):
-            if command is not None:
-                watched.observer.command(command)
-            report = watched.observer.update(watched.state(torque=torque))
-        return report
-
-    @pytest.mark.parametrize("reported", [None, UNKNOWN, GRAVITY + 100.0], ids=["nothing", "unknown", "nonsense"])
-    def test_reported_torques_are_not_looked_at(self, reported):
-        watched = Watched(torque_source=COMMANDED)
-        report = self.run(watched, 500, GRAVITY - SOFT, reported)
-        np.testing.assert_allclose(report.residual, SOFT, atol=0.1)
-        assert report.known_for == pytest.approx(0.499)
-
-    def test_a_lost_command_is_no_hand_over_but_several_in_a_row_are(self):
-        watched = Watched(torque_source=COMMANDED)
-        known_for = self.run(watched, 100, GRAVITY - SOFT, None).known_for
-        residual = watched.observer.momentum.residual.copy()
-        report = self.run(watched, CommandedSettings().lost, None, None)
-        assert report.known_for == known_for
-        np.testing.assert_array_equal(report.residual, residual)
-        assert self.run(watched, 1, GRAVITY - SOFT, None).known_for > known_for
-        for _ in range(20):
-            self.run(watched, 1, None, None)
-            report = self.run(watched, 1, GRAVITY - SOFT, None)
-        np.testing.assert_allclose(report.residual, SOFT, atol=0.2)
-        assert self.run(watched, CommandedSettings().lost + 1, None, None).known_for == 0.0
-
-    def test_thresholds_are_wider_and_the_hand_over_lasts_until_the_brakes_are_open(self):
-        settings = CommandedSettings(threshold_factor=2.0, handover_time=1.0)
-        watched = Watched(torque_source=COMMANDED, commanded=settings)
-        budget = watched.observer.monitor.budget
-        assert budget.contact_thresholds == tuple(2.0 * np.array(BUDGET.contact_thresholds))
-        assert budget.torque_thresholds == BUDGET.torque_thresholds
-        weight = np.where(np.arange(ARM.n) == 1, 7.0, 0.0)
-        self.run(watched, 500, GRAVITY, None)
-        # The brakes open, and what the model lacks shows.
-        assert self.run(watched, 700, GRAVITY - weight, None).level is SafetyLevel.FREE
-        touch = 1.5 * budget.contact_thresholds[3] * np.eye(ARM.n)[3]
-        assert self.run(watched, 100, GRAVITY - weight - 0.5 * touch, None).level is SafetyLevel.FREE
-        assert self.run(watched, 100, GRAVITY - weight - touch, None).level is SafetyLevel.CONTACT
-
-    @pytest.mark.parametrize("command", [np.zeros(ARM.n - 1), UNKNOWN], ids=["too few", "unknown"])
-    def test_commands_that_cannot_act_are_refused(self, command):
-        watched = Watched(torque_source=COMMANDED)
-        watched.observer.command(GRAVITY)
-        with pytest.raises(InputError, match="effort_controller/commands: "):
-            watched.observer.command(command)
-        watched.observer.update(watched.state(torque=None))
-        self.run(watched, 1, GRAVITY, None)
-        assert watched.observer.momentum.known_for == pytest.approx(0.001)
+def test_a_push_within_the_budget_is_a_contact_and_a_hard_one_a_stop_at_another_rate():
+    watched = Watched(5)
+    watched.run(HANDED_OVER // 5 + 1)
+    assert watched.run(20, SOFT)[-1].level is SafetyLevel.CONTACT
+    assert watched.run(100)[-1].level is SafetyLevel.FREE
+    assert watched.run(20, HARD)[-1].level is SafetyLevel.COLLISION
 
 
-@pytest.mark.parametrize("period_ms", [1, 5])
-def test_a_push_within_the_budget_is_a_contact_and_a_hard_one_a_stop_at_every_rate(period_ms):
-    watched = Watched(period_ms)
-    watched.run(HANDED_OVER // period_ms + 1)
-    assert watched.run(100 // period_ms, SOFT)[-1].level is SafetyLevel.CONTACT
-    assert watched.run(500 // period_ms)[-1].level is SafetyLevel.FREE
-    assert watched.run(100 // period_ms, HARD)[-1].level is SafetyLevel.COLLISION
-
-
-@pytest.mark.parametrize("period_ms", [4, 5, 20, 50])
+@pytest.mark.parametrize("period_ms", [4, 50])
 def test_states_that_come_too_seldom_make_it_blind_and_the_rate_is_named(period_ms):
     """Three periods of the nominal rate are the longest step over which an external torque can be had."""
     watched = Watched()

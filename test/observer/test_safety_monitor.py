@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.safety import (
+    HANDOVER_TIME,
     MEAN_TIME,
     RELEASE_DEBOUNCE,
     SafetyLevel,
@@ -48,11 +49,9 @@ def test_contact_within_the_budget_does_not_stop_the_arm(shares):
     assert not monitor.stopped
 
 
-@pytest.mark.parametrize("side", [-1.01, 1.01])
-@pytest.mark.parametrize("joint", range(ARM.n))
+@pytest.mark.parametrize(("joint", "side"), [(joint, 1.01 * (-1.0) ** joint) for joint in range(ARM.n)])
 def test_each_joint_has_its_threshold(monitor, joint, side):
     push(monitor, residual(joint, side))
-    assert monitor.stopped
     assert monitor.stop_reason.startswith(f"external torque on lbr_A{joint + 1} is ")
     assert monitor.stop_reason.endswith(f"permitted {THRESHOLDS[joint]:g} Nm")
     assert monitor.stops == 1
@@ -71,29 +70,26 @@ def test_stop_is_latched_and_the_first_reason_kept(monitor):
     push(monitor, residual(2, 2.0))
     reason = monitor.stop_reason
     push(monitor, residual(5, 9.0), 50)
-    push(monitor, REST, 50)
     monitor.stop("another")
-    assert monitor.stop_reason == reason
-    assert monitor.stops == 1
+    assert monitor.stop_reason == reason and monitor.stops == 1
 
 
-def test_reset_of_a_moving_arm_is_refused(monitor):
+@pytest.mark.parametrize(
+    ("torque", "speed", "message"),
+    [
+        (0.0, -0.2, r"0\.200 rad/s; reset needs at most 0\.05 rad/s"),
+        (-0.8, 0.0, r"lbr_A6 is -8\.0 Nm; reset needs at most 5 Nm: free the arm"),
+    ],
+)
+def test_reset_of_a_moving_or_pushed_arm_is_refused(monitor, torque, speed, message):
     monitor.stop("test")
-    push(monitor, REST, 1, v=np.array([0, 0, 0, -0.2, 0, 0, 0]))
-    with pytest.raises(InputError, match=r"0\.200 rad/s; reset needs at most 0\.05 rad/s"):
+    push(monitor, residual(5, torque), 1, v=speed * np.eye(ARM.n)[3])
+    with pytest.raises(InputError, match=message):
         monitor.reset()
     assert monitor.stop_reason == "test"
 
 
-def test_reset_of_a_pushed_arm_is_refused_and_the_joint_named(monitor):
-    monitor.stop("test")
-    push(monitor, residual(5, -0.8), 1)
-    with pytest.raises(InputError, match=r"lbr_A6 is -8\.0 Nm; reset needs at most 5 Nm: free the arm"):
-        monitor.reset()
-    assert monitor.stop_reason == "test"
-
-
-@pytest.mark.parametrize("joint", range(ARM.n))
+@pytest.mark.parametrize("joint", [1, 6])
 def test_an_arm_that_was_reset_is_not_stopped_again_by_the_same_torque(joint):
     budget = ContactBudget().resolve(ARM)
     for torque in np.linspace(0.0, 30.0, 61):
@@ -110,7 +106,7 @@ def test_an_arm_that_was_reset_is_not_stopped_again_by_the_same_torque(joint):
     assert 4.0 <= torque <= 15.5
 
 
-@pytest.mark.parametrize("joint", range(ARM.n))
+@pytest.mark.parametrize("joint", [1, 6])
 def test_threshold_of_a_stop_grows_with_the_joints_speed(joint):
     speed = -0.8 * np.eye(ARM.n)[joint]
     allowed = THRESHOLDS + BUDGET.torque_per_speed[joint] * 0.8
@@ -133,8 +129,7 @@ class TestContact:
     def monitor(self) -> SafetyMonitor:
         return SafetyMonitor(ARM, SETTINGS, self.budget)
 
-    @pytest.mark.parametrize("side", [-1.0, 1.0])
-    @pytest.mark.parametrize("joint", range(ARM.n))
+    @pytest.mark.parametrize(("joint", "side"), [(joint, (-1.0) ** joint) for joint in range(ARM.n)])
     def test_each_joint_has_its_threshold(self, monitor, joint, side):
         push(monitor, 0.95 * side * self.thresholds * np.eye(ARM.n)[joint], 50)
         assert monitor.level is SafetyLevel.FREE
@@ -176,33 +171,17 @@ class TestContact:
         assert not slow.stopped
 
 
-class TestHandOver:
-    """While the arm is handed over, weight that the model does not know stops it, and nothing else is told."""
-
+def test_weight_that_the_model_does_not_know_stops_the_arm_at_hand_over_and_is_named():
     budget = ContactBudget().resolve(ARM)
-    weight = 1.1 * np.array(budget.handover_thresholds)[1] * np.eye(ARM.n)[1]
-
-    def hand_over(self, torque: np.ndarray, seconds: float, begin: float = 0.0) -> SafetyMonitor:
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
-        for tick in range(round(seconds * 1000)):
-            monitor.update(torque, HOME, REST, begin + 1e-3 * tick)
-        return monitor
-
-    def test_unknown_weight_stops_the_arm_and_is_named(self):
-        monitor = self.hand_over(self.weight, self.budget.handover_time)
-        assert monitor.stop_reason.startswith(
-            "at hand-over the external torque on lbr_A2 is 11.0 Nm, permitted 10 Nm: "
-        )
-        assert "gravity or payload" in monitor.stop_reason
-        assert monitor.stops == 1
-        # No compliant stop: the model that is wrong would have to carry the arm.
-        assert monitor.distrust == monitor.stop_reason
+    monitor = SafetyMonitor(ARM, SETTINGS, budget)
+    for tick in range(round(HANDOVER_TIME * 1000)):
+        monitor.update(1.1 * np.array(budget.handover_thresholds)[1] * np.eye(ARM.n)[1], HOME, REST, 1e-3 * tick)
+    assert monitor.stop_reason.startswith("at hand-over the external torque on lbr_A2 is 11.0 Nm, permitted 10 Nm: ")
+    # No compliant stop: the model that is wrong would have to carry the arm.
+    assert monitor.distrust == monitor.stop_reason and monitor.stops == 1
 
 
-PERIODS = (0.001, 0.002, 0.005, 0.01)
-
-
-@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("period", (0.001, 0.005, 0.01))
 class TestOtherRates:
     """Debounces last as long at every rate, and at least two states; means follow as fast."""
 
@@ -221,7 +200,7 @@ class TestOtherRates:
         assert states >= least
         assert states == least or abs(1000 * period * states - milliseconds) <= 1000 * period / 2
 
-    @pytest.mark.parametrize("debounce", [1, 3, 20, 100])
+    @pytest.mark.parametrize("debounce", [1, 3, 100])
     def test_of_a_stop(self, period, debounce):
         monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
         self.check(self.states(monitor, 1.1 * THRESHOLDS, "stopped"), debounce, period)

@@ -12,13 +12,13 @@ from arm_simulation import ARM
 from planning_helpers import PERMITTED_FORCE, SMALL
 from six_axis import SIX_AXIS
 
+from benchmarks.law import ImpedanceLaw, pose_error
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames, tip_positions
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.law import ImpedanceLaw, pose_error
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace

@@ -7,9 +7,10 @@ import pytest
 from arm_simulation import ARM, HOME
 from planning_helpers import FAR_BALL, LANES, ball, make_problem
 
+from benchmarks.law import ImpedanceLaw, pose_error
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
+from contact_reach_ros.control.controller import blend
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 

@@ -1,4 +1,4 @@
-"""The control laws (1)-(3) and (6): operational-space impedance with null-space compliance."""
+"""The control laws (1)-(3) and (6) alone, as the paper has them: what the controller does without its limits."""
 
 from __future__ import annotations
 
@@ -20,15 +20,6 @@ def pose_error(position: Array, rotation: Array, reference: Reference, task: str
     zero.
     """
     return kernels.pose_error(position, rotation, reference.position, reference.rotation, TASK_ROWS[task])
-
-
-def blend(start: Reference, end: Reference, share: float) -> Reference:
-    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
-    return Reference(
-        position=kernels.between(start.position, end.position, share),
-        rotation=kernels.turned(start.rotation, end.rotation, share),
-        posture=kernels.between(start.posture, end.posture, share),
-    )
 
 
 class ImpedanceLaw:
