@@ -15,8 +15,7 @@ from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import TOOL as TOOL_SECTION
 from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.recorded_arm import arm_of_bag
-from contact_reach_ros.bags.signals import read_signals
+from contact_reach_ros.bags.signals import arm_of_bag, read_signals
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.identification.fit import CONFIDENCE
 from contact_reach_ros.identification.identify import Identification, identify
@@ -98,7 +97,7 @@ def run_identification(
 def _read(bag: Path) -> RecordedMotion:
     """The joint states of a bag, and the settings of its nodes."""
     reader = BagReader(bag, of_stack=True)
-    signals = read_signals(reader, arm_of_bag(reader).joint_names)
+    signals = read_signals(reader, arm_of_bag(reader))
     contacts = sum(event.name == _OBSERVER and event.level > 0 for event in signals.safety)
     if contacts:
         print(f"{bag}: the observer reported contact {contacts} times; what touched the arm spoils the fit", flush=True)

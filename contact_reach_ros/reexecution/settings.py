@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, ROBOT_TABLE, TOOL_PARAMETERS
-from contact_reach_ros.control import constants, controller, stop_watch, supervisor
-from contact_reach_ros.control.settings import (
-    CONTROLLER_SECTIONS,
-    SINGULARITY_FLOOR,
-    ImpedanceSettings,
-    SupervisionSettings,
-)
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.observer import plausibility, safety
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
+from contact_reach_ros.removed import removed_parameter
 from contact_reach_ros.settings import Sections, check_node_names, full_name, parameters_in, unknown_key
 
 BUDGET = "budget"
@@ -38,50 +32,19 @@ SECTIONS: Mapping[str, Sections] = {
 }
 """What the nodes that are re-executed record, by parameter prefix."""
 
-FIXED: Mapping[str, Any] = {
-    "impedance.singularity_floor": SINGULARITY_FLOOR,
-    "limits.joint_limit_torque_share": constants.REPULSION_SHARE,
-    "limits.joint_limit_damping": constants.REPULSION_DAMPING,
-    "limits.null_velocity_share": constants.BRAKED_SHARE,
-    "limits.velocity_limit_share": constants.CEILING_SHARE,
-    "limits.velocity_limit_rate": constants.CEILING_RATE,
-    "supervision.start_ramp": controller.START_RAMP,
-    "supervision.hold_blend": controller.HOLD_BLEND,
-    "supervision.max_plan_lead": controller.MAX_PLAN_LEAD,
-    "supervision.max_plan_duration": controller.MAX_PLAN_DURATION,
-    "supervision.watch_rate": controller.WATCH_RATE,
-    "supervision.observer_patience": supervisor.OBSERVER_PATIENCE,
-    "supervision.correct_stop": True,
-    "supervision.velocity_share": 1.0,
-    "supervision.velocity_debounce": stop_watch.SPEED_DEBOUNCE,
-    "supervision.stop_speed_gain": stop_watch.SPEED_GAIN,
-    "supervision.stop_creep": stop_watch.CREEP,
-    "supervision.rest_within": stop_watch.REST_WITHIN,
-    "supervision.brake_after": stop_watch.BRAKE_AFTER,
-    "safety.contact_release": safety.RELEASE_SHARE,
-    "safety.release_debounce": safety.RELEASE_DEBOUNCE,
-    "safety.handover_debounce": safety.HANDOVER_DEBOUNCE,
-    "safety.mean_time": safety.MEAN_TIME,
-    "safety.model_error_per_rad": safety.MODEL_ERROR_PER_RAD,
-    "safety.model_error_at_rest": safety.MODEL_ERROR_AT_REST,
-    "safety.reset_share": safety.RESET_SHARE,
-    "plausibility.frozen_time": plausibility.FROZEN_TIME,
-    "plausibility.frozen_torque_time": plausibility.FROZEN_TORQUE_TIME,
-}
-"""Settings that version 0.2 recorded and this one has as constants: the only values that it can re-execute."""
-
 MODEL = "model"
 """Stands for a node in a parameter file: its parameter inertia_set is the model that controller and observer have."""
 
 _INERTIA_SET = "inertia_set"
 _CONTACT_BUDGET = "contact_budget"
-_EVERY_NODE = ("use_sim_time", ROBOT, ROBOT_DIGEST, ROBOT_TABLE, "state_rate", *TOOL_PARAMETERS)
-_OF_PROCESSES = ("use_sim_time", ROBOT, "autostart", "cpus", "state_rate", *TOOL_PARAMETERS)
+_OF_PROCESSES = ("use_sim_time", ROBOT, ROBOT_DIGEST, ROBOT_TABLE, "autostart", "cpus", "state_rate", *TOOL_PARAMETERS)
 """Parameters of every node that do not change what it computes."""
 
 
 def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> dict[str, Any]:
     """The settings objects of a node by prefix; `recorded` are its values by full name.
+
+    Settings that version 0.2 had and this one has as constants are left out: re-execution shows whether they differed.
 
     Raises
     ------
@@ -89,14 +52,9 @@ def recorded_sections(node: str, recorded: Mapping[str, Any], bag: object) -> di
         If a name or a value is none of this version's: the node may have worked in another way. `bag` is named.
     """
     source = f"bag '{bag}', settings of the {node}"
-    for name in FIXED.keys() & recorded.keys():
-        if recorded[name] != FIXED[name]:
-            raise BagError(
-                f"{source}: {name} = {recorded[name]}; expected {FIXED[name]}, which is fixed since version 0.3.0; use "
-                "the version that recorded the bag"
-            )
+    kept = {name: value for name, value in recorded.items() if not removed_parameter(name)}
     try:
-        values = _by_prefix(node, recorded, (*FIXED, *_EVERY_NODE), source)
+        values = _by_prefix(node, kept, source)
         return {prefix: kind.from_mapping(values[prefix], source) for prefix, kind in SECTIONS[node].items()}
     except SettingsError as error:
         raise BagError(f"{error}; use the version that recorded the bag") from error
@@ -126,9 +84,7 @@ class ChangedSettings:
         self.inertia_set = str(model.pop(_INERTIA_SET, "nominal"))
         for name in model:
             raise SettingsError(unknown_key(name, [_INERTIA_SET], f"{file}: {MODEL}"))
-        self._changes = {
-            node: _by_prefix(node, values, _OF_PROCESSES, f"{file}: {node}") for node, values in found.items()
-        }
+        self._changes = {node: _by_prefix(node, values, f"{file}: {node}") for node, values in found.items()}
         # The planner plans for the controller's gains and supervision.
         for prefix in (GAINS, SUPERVISION):
             self._changes["planner"][prefix] = self._changes["controller"][prefix] | self._changes["planner"][prefix]
@@ -154,9 +110,7 @@ class ChangedSettings:
         return made
 
 
-def _by_prefix(
-    node: str, values: Mapping[str, Any], ignored: Collection[str], source: str
-) -> dict[str, dict[str, Any]]:
+def _by_prefix(node: str, values: Mapping[str, Any], source: str) -> dict[str, dict[str, Any]]:
     """The settings of a node by prefix and own name; raises `SettingsError` if it has none of that full name."""
     known = {
         full_name(prefix, entry.name): (prefix, entry.name)
@@ -168,6 +122,6 @@ def _by_prefix(
         if name in known:
             prefix, own = known[name]
             found[prefix][own] = value
-        elif name not in ignored:
+        elif name not in _OF_PROCESSES:
             raise SettingsError(unknown_key(name, known, source))
     return found

@@ -179,7 +179,7 @@ def test_custom_data_of_an_unfinished_bag_is_the_newest(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag", [TEXT], custom_data={"seed": "3"})
     writer.set_custom_data("parameters", "planner: {}")
     writer.flush()
-    assert BagReader(tmp_path / "bag").summary.custom_data == {"seed": "3", "parameters": "planner: {}"}
+    assert BagReader(tmp_path / "bag").custom_data == {"seed": "3", "parameters": "planner: {}"}
     writer.close()
 
 

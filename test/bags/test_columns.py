@@ -12,7 +12,7 @@ NAMES = ("a", "b", "c")
 
 
 def raw(number: int, data: bytes) -> RawMessage:
-    return RawMessage("/topic", "", 1000 + number, 500 + number, data, number)
+    return RawMessage("/topic", 1000 + number, 500 + number, data, number)
 
 
 def state(number: int) -> JointState:

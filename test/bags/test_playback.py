@@ -13,7 +13,7 @@ MS = 1_000_000
 
 
 def message(at_ms: float) -> RawMessage:
-    return RawMessage("/a", "std_msgs/msg/String", START + int(at_ms * MS), 0, b"", 0)
+    return RawMessage("/a", START + int(at_ms * MS), 0, b"", 0)
 
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])

@@ -144,9 +144,9 @@ def test_everything_published_is_in_the_bag(recorder: Recorder) -> None:
     assert re.search(r"recorded 1[23]\d\d messages \(0 lost\)", output)
 
     reader = BagReader(recorder.directory)
-    assert reader.summary.notes == ()
+    assert reader.notes == ()
     # What a stack that has just ended in this domain offered is still known to the middleware for a while.
-    counts = {name: topic.message_count for name, topic in reader.topics().items() if topic.message_count}
+    counts = {name: topic.message_count for name, topic in reader.topics.items() if topic.message_count}
     counts.pop("/diagnostics", None)
     assert counts == {
         "/robot_description": 1,
@@ -163,7 +163,7 @@ def test_everything_published_is_in_the_bag(recorder: Recorder) -> None:
     for raw in reader.raw_messages():
         assert 0 < raw.publish_time_ns <= raw.log_time_ns
     kept = custom_data(recorder.directory)
-    (profile,) = reader.topics()["/robot_description"].offered_qos
+    (profile,) = reader.topics["/robot_description"].offered_qos
     assert (profile.reliability, profile.durability) == ("reliable", "transient_local")
     assert {key: kept[key] for key in ("scene", "note", "messages_lost", "parameter_file")} == {
         "scene": "ball",
@@ -198,7 +198,7 @@ def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
 
     def flushed() -> int:
         try:
-            return BagReader(recorder.directory).summary.message_count
+            return BagReader(recorder.directory).message_count
         except BagError:
             return 0
 
@@ -206,8 +206,8 @@ def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
     recorder.end(signal.SIGKILL)
     reader = BagReader(recorder.directory)
     assert [item.message.data for item in reader.messages()] == [str(count) for count in range(50)]
-    assert reader.summary.custom_data["seed"] == "5"
-    assert len(reader.summary.notes) == 2
+    assert reader.custom_data["seed"] == "5"
+    assert len(reader.notes) == 2
     repair_bag(recorder.directory)
     repaired = BagReader(recorder.directory.with_name(f"{recorder.directory.name}_repaired"))
     assert [item.message.data for item in repaired.messages()] == [str(count) for count in range(50)]
@@ -277,4 +277,4 @@ def test_topic_of_two_types_is_not_recorded(recorder: Recorder, capfd: pytest.Ca
     finally:
         rclpy.shutdown(context=context)
     assert "'/state' has the types sensor_msgs/msg/JointState, std_msgs/msg/String" in capfd.readouterr().err
-    assert BagReader(recorder.directory).topics() == {}
+    assert BagReader(recorder.directory).topics == {}

@@ -26,10 +26,10 @@ def test_repaired_bag_has_all_that_was_written_and_is_complete(sample: SampleBag
     assert sample.file.read_bytes() == before
     whole = BagReader(repaired)
     assert whole.notes == ()
-    assert whole.summary.custom_data == {"scene": "ball", "seed": "7", "repaired_from": "sample"}
+    assert whole.custom_data == {"scene": "ball", "seed": "7", "repaired_from": "sample"}
     read = [(raw.topic, raw.log_time_ns, raw.publish_time_ns, raw.data, raw.sequence) for raw in whole.raw_messages()]
     assert read == [(topic, log, sent, data, n) for n, (topic, log, sent, _, data) in enumerate(sample.written)]
-    assert whole.topics()["/goal_pose"].offered_qos[0].durability == "transient_local"
+    assert whole.topics["/goal_pose"].offered_qos[0].durability == "transient_local"
     with Reader(repaired) as reader:
         assert {topic: about.msgtype for topic, about in reader.topics.items()} == sample.topics
         assert len(list(reader.messages())) == len(sample.written)

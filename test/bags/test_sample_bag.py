@@ -38,4 +38,4 @@ def test_it_has_every_tick_of_every_topic_of_a_lockstep_run(reader: BagReader) -
     # Nobody made things go wrong, no controller ran in the shadow, and there was no adapter.
     # The sample is of an earlier version, without goal/state and plan/request.
     absent = {topics.SHADOW_COMMANDS, topics.ADAPTER_COMMANDS, topics.GOAL_STATE, topics.PLAN_REQUEST}
-    assert {name.lstrip("/") for name in reader.topics()} >= {topic.name for topic in topics.ALL if topic not in absent}
+    assert {name.lstrip("/") for name in reader.topics} >= {topic.name for topic in topics.ALL if topic not in absent}

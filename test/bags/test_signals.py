@@ -88,7 +88,7 @@ def write_episode(directory: Path) -> None:
 def signals(tmp_path_factory: pytest.TempPathFactory) -> EpisodeSignals:
     directory = tmp_path_factory.mktemp("episode") / "bag"
     write_episode(directory)
-    return read_signals(BagReader(directory), ARM.joint_names)
+    return read_signals(BagReader(directory), ARM)
 
 
 def test_joint_states_are_mapped_by_name(signals: EpisodeSignals) -> None:
@@ -127,7 +127,7 @@ def test_topics_of_other_types_are_left_out_with_a_note(tmp_path: Path) -> None:
     topics = [RecordedTopic("/goal_pose", "std_msgs/msg/Float64MultiArray")]
     with BagWriter(tmp_path / "bag", topics) as writer:
         writer.write("/goal_pose", serialize_message(Float64MultiArray(data=[1.0])), RECEIVED_0)
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM)
     assert not len(signals.goals.time)
     assert any("goal_pose: is std_msgs/msg/Float64MultiArray, expected geometry" in note for note in signals.notes)
 
@@ -149,7 +149,7 @@ def test_refused_goals_are_left_out_and_the_others_at_their_stamp_in_lockstep(tm
         ]
         plan = DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)])
         writer.write("/plan/statistics", serialize_message(plan), received_ns(0.03))
-    goals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names).goals
+    goals = read_signals(BagReader(tmp_path / "bag"), ARM).goals
     np.testing.assert_array_equal(goals.values, [[0.5, 0.0, 0.0]])
     assert goals.time.tolist() == [0.02]
 
@@ -170,5 +170,5 @@ def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
                 data = serialize_message(Float64MultiArray(data=q))
                 writer.write("/effort_controller/commands", data, sent_ns + 300_000, sequence=log.outputs)
         log.flush()
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM)
     np.testing.assert_array_equal(signals.answers_ns, np.full(100, 300_000))
