@@ -80,8 +80,8 @@ def run_identification(
     own = settings.get(_OBSERVER)
     if own is None:
         raise InputError(f"{source}: has no settings of the observer: record topic 'settings', too")
-    sections = recorded_sections(_OBSERVER, own, source)
     arm = arm_in({name: value for name, value in own.items() if name not in TOOL_PARAMETERS}, source)
+    sections = recorded_sections(_OBSERVER, own, arm, source)
     names = {entry.name: full_name(TOOL_SECTION, entry.name) for entry in Tool.declared()}
     tool = Tool.from_mapping({name: own[full] for name, full in names.items() if full in own}, source)
     budget = sections[BUDGET].resolve(arm)

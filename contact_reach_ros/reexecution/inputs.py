@@ -170,7 +170,7 @@ class RecordedInputs:
         """
         if node not in self.settings:
             raise BagError(f"bag '{self.bag.path}' lacks the settings of the {node} on topic '{SETTINGS}'")
-        return recorded_sections(node, self.settings[node], self.bag.path)
+        return recorded_sections(node, self.settings[node], self.arm, self.bag.path)
 
 
 def _join(messages: Iterable[Any]) -> Intake:

@@ -127,7 +127,7 @@ class _Loop:
             raise BagError(f"bag '{inputs.bag.path}' lacks intake/{node}: what the {node} took in is not known")
         recorded = inputs.sections(node)
         self.node, self.inputs, self.changes = node, inputs, changes
-        self.settings: dict[str, Any] = changes.apply(node, recorded)
+        self.settings: dict[str, Any] = changes.apply(node, inputs.settings[node], inputs.arm) if changes else recorded
         self.period = 1.0 / float(inputs.settings[node].get("state_rate", 1.0 / PERIOD))
         self.topic = EXTERNAL_TORQUE
         if node == "controller":

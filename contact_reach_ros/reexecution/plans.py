@@ -153,7 +153,9 @@ class RecordedPlans:
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
         memory = read_memory(parts, request, knot_duration_s, ramp_s)
         if changes:
-            planner = self._make_planner(changes.apply("planner", self._settings), HybridSolver)
+            inputs = self._inputs
+            settings = changes.apply("planner", inputs.settings["planner"], inputs.arm)
+            planner = self._make_planner(settings, HybridSolver)
         else:
             planner = self._evaluator
         self._solution.best = parts["found"]
