@@ -7,7 +7,6 @@ layout are decoded together, and one whose messages differ is halved until they 
 from __future__ import annotations
 
 import dataclasses
-import gc
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -97,8 +96,8 @@ class Collector(ABC):
         decoding raises for bytes that are no message.
         """
 
-    def add(self, message: RawMessage) -> None:
-        """Add a message."""
+    def __call__(self, message: RawMessage) -> None:
+        """Collect a message."""
         self._waiting.append(message)
         if len(self._waiting) == _BATCH:
             self._read_waiting()
@@ -205,19 +204,7 @@ class Arrays(Collector):
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
 
 
-def read_raw(bag: BagReader, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]) -> None:
+def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[RawMessage], None]]) -> None:
     """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks."""
-    calls = {
-        topic: handler.add if isinstance(handler, Collector) else handler
-        for topic, handler in handlers.items()
-        if topic in bag.topics
-    }
-    collects = gc.isenabled()
-    # Millions of messages come and go, none of them in a cycle: looking for cycles took as long as all the rest.
-    gc.disable()
-    try:
-        for message in bag.raw_messages(calls):
-            calls[message.topic](message)
-    finally:
-        if collects:
-            gc.enable()
+    for message in bag.raw_messages(handlers.keys() & bag.topics.keys()):
+        handlers[message.topic](message)

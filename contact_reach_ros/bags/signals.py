@@ -249,8 +249,8 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
     sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
     types = {name: bag.topics[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics}
     other = {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
-    handlers = columns | {name: messages.append for name, messages in sparse.items() if name not in other}
-    read_raw(bag, {f"/{name}": handler for name, handler in handlers.items()})
+    few = {f"/{name}": messages.append for name, messages in sparse.items() if name not in other}
+    read_raw(bag, {f"/{name}": column for name, column in columns.items()} | few)
     state, command, torque, contact = (column.column() for column in columns.values())
     clock = Clock(state)
 
@@ -333,8 +333,7 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
 
 
 def _plans(clock: Clock, array: Any) -> Iterator[PlanStatistics]:
-    stamp = array.header.stamp
-    time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
+    time = (nanoseconds(array.header.stamp) - clock.origin_ns) / NANOSECONDS
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
         yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(numbers(status)))

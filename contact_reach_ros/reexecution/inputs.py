@@ -92,8 +92,7 @@ class RecordedInputs:
         }
         self._plain: defaultdict[str, dict[int, RawMessage]] = defaultdict(dict)
         batches: dict[str, list[RawMessage]] = {node: [] for node in ("controller", "observer")}
-        handlers: dict[str, Collector | Callable[[RawMessage], None]] = {}
-        handlers |= {f"/{name}": column for name, column in columns.items()}
+        handlers: dict[str, Callable[[RawMessage], None]] = {f"/{name}": column for name, column in columns.items()}
         handlers |= {f"/{name}": partial(_keep, self._plain[name]) for name in _PLAIN}
         handlers |= {f"/intake/{node}": batch.append for node, batch in batches.items()}
         read_raw(bag, handlers)

@@ -32,7 +32,7 @@ def test_messages_of_several_layouts_come_in_their_order_without_those_that_are_
     }
     collector = JointStates(("effort",), NAMES)
     for number in range(200):
-        collector.add(raw(number, bad.get(number, serialize_message(state(number)))))
+        collector(raw(number, bad.get(number, serialize_message(state(number)))))
     column = collector.column()
     assert column.refused == len(bad)
     good = np.array([number for number in range(200) if number not in bad])
@@ -47,7 +47,7 @@ def test_messages_of_several_layouts_come_in_their_order_without_those_that_are_
 def test_arrays_of_another_size_become_nan() -> None:
     collector = Arrays(2)
     for number, size in enumerate((2, 3, 2, 0, 2)):
-        collector.add(raw(number, serialize_message(Float64MultiArray(data=[float(number)] * size))))
+        collector(raw(number, serialize_message(Float64MultiArray(data=[float(number)] * size))))
     column = collector.column()
     assert column.refused == 0
     np.testing.assert_array_equal(column.values[:, 0], [0.0, np.nan, 2.0, np.nan, 4.0])
