@@ -162,7 +162,7 @@ class _Loop:
             float(np.max(differences)) if compared else float("nan"),
             self._first_difference(compared, differences),
             tuple(self.reasons),
-            tuple(self._notes()),
+            self._notes(),
         )
 
     def make_observer(self, period: float, locates: bool = True) -> Observer:
@@ -196,15 +196,13 @@ class _Loop:
         recorded = self.recorded_reasons
         return recorded[min(len(self.reasons), len(recorded) - 1)] if recorded else requested()
 
-    def _notes(self) -> list[str]:
-        notes = []
-        if self.intake.lost:
-            notes.append(f"{self.intake.lost} notes of intake/{self.node} come after a gap and are left out")
-        if self.missing:
-            notes.append(f"{self.missing} messages that the {self.node} took in are not in the bag")
-        if self.uncompared:
-            notes.append(f"{self.uncompared} outputs are not compared: the {self.node}'s state is not known there")
-        return notes
+    def _notes(self) -> tuple[str, ...]:
+        counts = {
+            f"notes of intake/{self.node} come after a gap and are left out": self.intake.lost,
+            f"messages that the {self.node} took in are not in the bag": self.missing,
+            f"outputs are not compared: the {self.node}'s state is not known there": self.uncompared,
+        }
+        return tuple(f"{count} {text}" for text, count in counts.items() if count)
 
     def _first_difference(self, compared: list[_Output], differences: list[Array]) -> Difference | None:
         for output, difference in zip(compared, differences, strict=True):

@@ -78,16 +78,16 @@ def test_metadata(shared_sample: SampleBag) -> None:
     assert file.items() <= {**information, "path": information["relative_file_paths"][0]}.items()
 
 
-def test_topics_can_be_added_late(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", [TEXT]) as writer:
+def test_topics_and_text_can_be_added_late(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", [TEXT], custom_data={"seed": "3"}) as writer:
         writer.write("/text", text(), 1)
+        writer.set_custom_data("parameters", "planner: {}")
         writer.flush()
-        writer.add_topic(RecordedTopic("/more", "std_msgs/msg/String"))
+        assert BagReader(tmp_path / "bag").custom_data == {"seed": "3", "parameters": "planner: {}"}
         writer.add_topic(RecordedTopic("/state", "sensor_msgs/msg/JointState"))
-        writer.write("/more", text(), 2)
         writer.write("/state", serialize_message(JointState()), 3)
     with Reader(tmp_path / "bag") as reader:
-        assert [connection.topic for connection, _, _ in reader.messages()] == ["/text", "/more", "/state"]
+        assert [connection.topic for connection, _, _ in reader.messages()] == ["/text", "/state"]
 
 
 def test_misuse_is_named(tmp_path: Path) -> None:
@@ -120,14 +120,6 @@ def test_disk_that_fails_later_is_reported(tmp_path: Path, monkeypatch: pytest.M
     writer.flush(durable=True)
     with pytest.raises(BagError, match="Input/output error"):
         writer.close()
-
-
-def test_custom_data_of_an_unfinished_bag_is_the_newest(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag", [TEXT], custom_data={"seed": "3"})
-    writer.set_custom_data("parameters", "planner: {}")
-    writer.flush()
-    assert BagReader(tmp_path / "bag").custom_data == {"seed": "3", "parameters": "planner: {}"}
-    writer.close()
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:
