@@ -7,7 +7,6 @@ layout are decoded together, and one whose messages differ is halved until they 
 from __future__ import annotations
 
 import dataclasses
-import gc
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -97,8 +96,8 @@ class Collector(ABC):
         decoding raises for bytes that are no message.
         """
 
-    def add(self, message: RawMessage) -> None:
-        """Add a message."""
+    def __call__(self, message: RawMessage) -> None:
+        """Collect a message."""
         self._waiting.append(message)
         if len(self._waiting) == _BATCH:
             self._read_waiting()
@@ -106,10 +105,8 @@ class Collector(ABC):
     def column(self) -> Column:
         """Return the messages so far as a column; the collector is empty afterwards."""
         self._read_waiting()
-        width = len(self.names)
-        padded = [np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=np.nan) for part in self._values]
         times = np.concatenate([np.empty((4, 0), np.int64), *self._times], axis=1)
-        values = np.concatenate([np.empty((0, width)), *padded])
+        values = np.concatenate([np.empty((0, len(self.names))), *self._values])
         self._times, self._values = [], []
         if (np.diff(times[0]) < 0).any():
             order = np.argsort(times[0], kind="stable")
@@ -162,15 +159,13 @@ class JointStates(Collector):
     fields :
         Which of position, velocity and effort; the values of a field stand side by side in a row.
     joints :
-        Names in the order of the columns; when None, all joints in the order of their appearance.
+        Names in the order of the columns.
     """
 
-    def __init__(self, fields: Sequence[str], joints: Sequence[str] | None = None) -> None:
-        super().__init__(tuple(joints or ()) * len(fields), stamped=True)
+    def __init__(self, fields: Sequence[str], joints: Sequence[str]) -> None:
+        super().__init__(tuple(joints) * len(fields), stamped=True)
+        self._joints = tuple(joints)
         self._fields = [JOINT_STATE_FIELDS.index(field) for field in fields]
-        self._open = joints is None
-        if self._open and len(fields) > 1:
-            raise ValueError("several fields need the names of the joints, since columns cannot be inserted later")
 
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""
@@ -181,19 +176,16 @@ class JointStates(Collector):
         fixed = [slice(STAMP_END, counts[0]), *(slice(at, at + 4) for at in counts[:-1])]
         if not all((rows[:, part] == rows[0, part]).all() for part in fixed):
             return None
-        if self._open:
-            self.names += tuple(name for name in dict.fromkeys(names) if name not in self.names)
-        joints = self.names[: len(self.names) // len(self._fields)]
-        shared = [name for name in joints if name in names]
-        sources, into = [names.index(name) for name in shared], [joints.index(name) for name in shared]
-        values = np.full((len(rows), len(self.names)), np.nan)
+        shared = [name for name in self._joints if name in names]
+        sources, into = [names.index(name) for name in shared], [self._joints.index(name) for name in shared]
+        values = np.full((len(rows), len(self._fields), len(self._joints)), np.nan)
         for index, field in enumerate(self._fields):
             at = counts[field]
             start = aligned(at + COUNT.size)
             if COUNT.unpack_from(first, at)[0] == len(names):
                 numbers = np.ascontiguousarray(rows[:, start : start + 8 * len(names)]).view("<f8")
-                values[:, [index * len(joints) + column for column in into]] = numbers[:, sources]
-        return values
+                values[:, index, into] = numbers[:, sources]
+        return values.reshape(len(rows), -1)
 
 
 class Arrays(Collector):
@@ -212,19 +204,7 @@ class Arrays(Collector):
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
 
 
-def read_raw(bag: BagReader, handlers: Mapping[str, Collector | Callable[[RawMessage], None]]) -> None:
+def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[RawMessage], None]]) -> None:
     """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks."""
-    calls = {
-        topic: handler.add if isinstance(handler, Collector) else handler
-        for topic, handler in handlers.items()
-        if topic in bag.topics()
-    }
-    collects = gc.isenabled()
-    # Millions of messages come and go, none of them in a cycle: looking for cycles took as long as all the rest.
-    gc.disable()
-    try:
-        for message in bag.raw_messages(calls):
-            calls[message.topic](message)
-    finally:
-        if collects:
-            gc.enable()
+    for message in bag.raw_messages(handlers.keys() & bag.topics.keys()):
+        handlers[message.topic](message)

@@ -23,8 +23,6 @@ from contact_reach_ros.timing import NANOSECONDS
 REPAIRED_FROM = "repaired_from"
 """Key of the custom data that names the bag which was repaired."""
 
-_LOCKSTEP = "/clock"
-"""A topic of which there are messages in lockstep only."""
 _WIDE = 150
 """Width of the table where the output is no terminal, characters."""
 
@@ -33,56 +31,43 @@ def read_info(path: Path) -> dict[str, Any]:
     """Summarise a bag: size in bytes, start in ns since the epoch, duration in s, topics, custom data and notes.
 
     Of a topic, rate_hz is the mean from the first to the last message, longest_gap_s the longest time between two; both
-    are None for fewer than two messages, lost is None if unknown. In lockstep, rates and gaps show the pace of the
-    machine that computed, not that of the robot. Raises `BagError` if nothing of the bag can be read.
+    are None for fewer than two messages, lost is None if unknown. Raises `BagError` if nothing of the bag can be read.
     """
     reader = BagReader(path)
-    summary = reader.summary
     times_ns: defaultdict[str, list[int]] = defaultdict(list)
     for raw in reader.raw_messages():
         times_ns[raw.topic].append(raw.log_time_ns)
-    topics = [
-        _topic_info(topic, np.array(times_ns[name], np.int64), summary.custom_data)
-        for name, topic in sorted(summary.topics.items())
-    ]
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return {
         "path": str(path),
         "size": sum(file.stat().st_size for file in files),
-        "start_ns": summary.start_ns,
-        "duration_s": summary.duration,
-        "message_count": summary.message_count,
-        "in_lockstep": _LOCKSTEP in summary.topics,
-        "topics": topics,
-        "custom_data": dict(summary.custom_data),
+        "start_ns": reader.start_ns,
+        "duration_s": reader.duration,
+        "message_count": reader.message_count,
+        "topics": [
+            _topic_info(topic, np.array(times_ns[name], np.int64), reader.custom_data)
+            for name, topic in sorted(reader.topics.items())
+        ],
+        "custom_data": reader.custom_data,
         "notes": reader.notes,
     }
 
 
 def _topic_info(topic: RecordedTopic, times_ns: NDArray[np.int64], custom_data: Mapping[str, str]) -> dict[str, Any]:
     steps = np.diff(np.sort(times_ns)) / NANOSECONDS
-    rate = gap = None
-    if len(steps):
-        gap = float(steps.max())
-        rate = len(steps) / float(steps.sum()) if gap > 0.0 else None
+    gap = float(steps.max()) if len(steps) else None
     lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
+    words = {profile.reliability.replace("_", " ") for profile in topic.offered_qos}
+    latched = any(profile.durability == "transient_local" for profile in topic.offered_qos)
     return {
         "name": topic.name,
         "type": topic.type,
         "message_count": topic.message_count,
-        "qos": _qos(topic),
-        "rate_hz": rate,
+        "qos": ", ".join([*sorted(words, reverse=True), *(["latched"] if latched else [])]) or "not known",
+        "rate_hz": len(steps) / float(steps.sum()) if gap else None,
         "longest_gap_s": gap,
         "lost": int(lost) if lost.isdigit() else None,
     }
-
-
-def _qos(topic: RecordedTopic) -> str:
-    if not topic.offered_qos:
-        return "not known"
-    words = sorted({profile.reliability.replace("_", " ") for profile in topic.offered_qos}, reverse=True)
-    latched = any(profile.durability == "transient_local" for profile in topic.offered_qos)
-    return ", ".join([*words, *(["latched"] if latched else [])])
 
 
 def bag_info(path: Path, file: Path | None, console: Console | None = None) -> None:
@@ -106,8 +91,6 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
         f" {info['size'] / 1e6:.1f} MB",
         highlight=False,
     )
-    if info["in_lockstep"]:
-        console.print("lockstep: rates and gaps show the pace of the machine that computed, not that of the robot")
     console.print(_table(info["topics"]))
     for key, value in sorted(info["custom_data"].items()):
         if not key.startswith(f"{LOST}/"):
@@ -133,20 +116,19 @@ def repair_bag(bag: Path, output: Path | None = None) -> None:
     reader = BagReader(bag)
     whole = bag.resolve()
     output = output or whole.with_name(f"{whole.name if bag.is_dir() else whole.stem}_repaired")
-    left_out = []
-    with BagWriter(output, custom_data={**reader.summary.custom_data, REPAIRED_FROM: whole.name}) as writer:
-        kept = []
-        for topic in reader.topics().values():
+    topics, left_out = [], []
+    with BagWriter(output, custom_data={**reader.custom_data, REPAIRED_FROM: whole.name}) as writer:
+        for topic in reader.topics.values():
             try:
                 writer.add_topic(topic, reader.definition(topic.type))
-                kept.append(topic.name)
+                topics.append(topic.name)
             except BagError as error:
                 left_out.append(f"topic '{topic.name}' is left out: {error}")
-        for raw in reader.raw_messages(kept):
+        for raw in reader.raw_messages(topics):
             writer.write(raw.topic, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
     for note in (*reader.notes, *left_out):
         print(f"note: {note}")
-    print(f"{writer.message_count} messages of {len(kept)} topics are in {writer.directory}")
+    print(f"{writer.message_count} messages of {len(topics)} topics are in {writer.directory}")
 
 
 def _table(topics: Sequence[Mapping[str, Any]]) -> Table:

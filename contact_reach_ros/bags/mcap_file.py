@@ -31,15 +31,15 @@ _DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueErro
 impossible length."""
 _HEAD_BYTES = 9
 """Bytes of opcode and length before the content of a record."""
-_RECEPTION = attrgetter("log_time")
 
 
 class _Chunk(NamedTuple):
+    """Place in the file, reception of the first and last message, ns, and channels; these are empty if not known."""
+
     start: int
     first_ns: int
     last_ns: int
     channels: Set[int]
-    """Empty if not known."""
 
 
 class McapFile:
@@ -83,10 +83,10 @@ class McapFile:
             )
         if not self._open_by_index():
             self._scan()
+        self._chunks.sort(key=attrgetter("first_ns", "start"))
         self.span_ns: tuple[int, int] | None = None
         if self._chunks:
-            first_ns = min(chunk.first_ns for chunk in self._chunks)
-            self.span_ns = first_ns, max(chunk.last_ns for chunk in self._chunks)
+            self.span_ns = self._chunks[0].first_ns, max(chunk.last_ns for chunk in self._chunks)
         # The next request often lies close by: the viewer reads topic by topic and moment by moment.
         self._read_cached = lru_cache(4)(self._read)
 
@@ -105,15 +105,15 @@ class McapFile:
         """
         names = {number: channel.topic for number, channel in self.channels.items() if channel.topic in topics}
         waiting: list[Message] = []
-        for chunk in sorted(self._chunks, key=attrgetter("first_ns", "start")):
+        for chunk in self._chunks:
             if chunk.last_ns < start_ns or (chunk.channels and names.keys().isdisjoint(chunk.channels)):
                 continue
-            ready = bisect_left(waiting, chunk.first_ns, key=_RECEPTION)
+            ready = bisect_left(waiting, chunk.first_ns, key=attrgetter("log_time"))
             yield from ((names[message.channel_id], message) for message in waiting[:ready])
             read = self._read_cached(chunk.start)
             found = [message for message in read if message.channel_id in names and message.log_time >= start_ns]
             # Stable: messages of the same time stay in the order of the file.
-            waiting = sorted(waiting[ready:] + found, key=_RECEPTION)
+            waiting = sorted(waiting[ready:] + found, key=attrgetter("log_time"))
         yield from ((names[message.channel_id], message) for message in waiting)
 
     def _open_by_index(self) -> bool:
@@ -127,10 +127,9 @@ class McapFile:
                 metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         except _DAMAGE:
             return False
-        counts = summary.statistics.channel_message_counts
-        types = [channel.schema_id for channel in summary.channels.values()]
-        chunks = summary.chunk_indexes
-        complete = counts.keys() <= summary.channels.keys() and summary.schemas.keys() >= set(types)
+        counts, chunks = summary.statistics.channel_message_counts, summary.chunk_indexes
+        types = {channel.schema_id for channel in summary.channels.values()}
+        complete = counts.keys() <= summary.channels.keys() and types <= summary.schemas.keys()
         if not complete or len(chunks) != summary.statistics.chunk_count or not chunks:
             return False
         self.schemas, self.channels, self.metadata = summary.schemas, summary.channels, metadata
@@ -149,47 +148,47 @@ class McapFile:
             try:
                 for record in StreamReader(stream, emit_chunks=True, record_size_limit=self._size).records:
                     start, end = end, stream.tell()
-                    if isinstance(record, Chunk):
-                        self._add_chunk(record, start)
-                    elif isinstance(record, Metadata):
-                        self.metadata[record.name] = record.metadata
-                    elif isinstance(record, Message):
+                    if isinstance(record, Message):
                         raise BagError(
                             f"{self.path}: has messages outside of chunks; `ros2 bag convert` can store them"
                         )
+                    if isinstance(record, Metadata):
+                        self.metadata[record.name] = record.metadata
+                    elif isinstance(record, Chunk):
+                        found = Counter(message.channel_id for message in self._break_up(record, start))
+                        self.message_counts += found
+                        if found:
+                            span_ns = record.message_start_time, record.message_end_time
+                            self._chunks.append(_Chunk(start, *span_ns, found.keys()))
                     else:
-                        self._add_definition(record)
+                        self._define(record)
             except _DAMAGE:
                 self._cut_at = end
-
-    def _add_chunk(self, chunk: Chunk, start: int) -> None:
-        try:
-            records = breakup_chunk(chunk, validate_crc=True)
-        except _DAMAGE:
-            self._damaged.add(start)
-            return
-        for record in records:
-            self._add_definition(record)
-        found = [record for record in records if isinstance(record, Message) and record.channel_id in self.channels]
-        if not found:
-            return
-        counts = Counter(message.channel_id for message in found)
-        self.message_counts += counts
-        self._chunks.append(_Chunk(start, chunk.message_start_time, chunk.message_end_time, set(counts)))
-
-    def _add_definition(self, record: object) -> None:
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels[record.id] = record
 
     def _read(self, start: int) -> list[Message]:
         """Read the messages of the chunk at byte `start` in the order of the file; a damaged one has none."""
         try:
             with self.path.open("rb") as stream:
                 stream.seek(start + _HEAD_BYTES)
-                records = breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)
+                chunk = Chunk.read(ReadDataStream(stream))
         except _DAMAGE:
             self._damaged.add(start)
             return []
+        return self._break_up(chunk, start)
+
+    def _break_up(self, chunk: Chunk, start: int) -> list[Message]:
+        """Take the definitions in a chunk and return its messages in the order of the file; a damaged one has none."""
+        try:
+            records = breakup_chunk(chunk, validate_crc=True)
+        except _DAMAGE:
+            self._damaged.add(start)
+            return []
+        for record in records:
+            self._define(record)
         return [record for record in records if isinstance(record, Message) and record.channel_id in self.channels]
+
+    def _define(self, record: object) -> None:
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self.channels.setdefault(record.id, record)

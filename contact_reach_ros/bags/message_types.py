@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.interfaces.typing import FieldDesc
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
@@ -41,24 +41,23 @@ class MessageTypes:
 
         Raises `BagError` if the type is neither a standard type nor in a sourced workspace.
         """
-        if check_type_name(name) not in self._store.fielddefs:
-            self._store.register(self._read_with_dependencies(name))
+        self._register(name)
         text, _ = self._store.generate_msgdef(name, ros_version=2)
         return TypeDefinition(ROS2MSG, text.encode(), self._store.hash_rihs01(name))
 
-    def _read_with_dependencies(self, name: str) -> Typesdict:
-        found: Typesdict = {}
-        missing = [name]
-        while missing:
-            current = missing.pop()
-            path = _definition_path(current)
-            try:
-                found.update(get_types_from_msg(path.read_text(encoding="utf-8"), current))
-            except TypesysError as error:
-                raise BagError(f"{path}: not a message definition that can be read: {error}") from error
-            nested = (name for _, description in found[current][1] for name in _nested_types(description))
-            missing.extend(name for name in nested if name not in found and name not in self._store.fielddefs)
-        return found
+    def _register(self, name: str) -> None:
+        """Read the type and its dependencies from the sourced workspaces, unless they are known."""
+        if check_type_name(name) in self._store.fielddefs:
+            return
+        path = _definition_path(name)
+        try:
+            found = get_types_from_msg(path.read_text(encoding="utf-8"), name)
+        except TypesysError as error:
+            raise BagError(f"{path}: not a message definition that can be read: {error}") from error
+        for _, description in found[name][1]:
+            for nested in _nested_types(description):
+                self._register(nested)
+        self._store.register(found)
 
 
 class Decoder:

@@ -1,8 +1,8 @@
-"""Time series of an episode, read from a bag, as reports, the viewer and identification use them.
+"""Arm and time series of an episode, read from a bag, as reports, the viewer and identification use them.
 
 Times are seconds of the robot's own clock since its first joint state. Joint states, torques and contacts carry stamps
-of that clock. `Clock` translates the reception times of messages without a stamp, also in lockstep, where the robot's
-clock runs at another rate than the wall clock.
+of that clock. `Clock` translates the reception times of messages without a stamp, also where the robot's clock runs at
+another rate than the wall clock.
 """
 
 from __future__ import annotations
@@ -12,23 +12,28 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
-from contact_reach_ros.bags.goals import goal_in
 from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.values import nanoseconds, numbers, read_settings
+from contact_reach_ros.messages.values import goal_in, nanoseconds, numbers, read_settings
 from contact_reach_ros.timing import NANOSECONDS
 
+SETTINGS = "settings"
+
+_ONLOOKERS = ("recorder", "viewer")
+"""Nodes that may have been started apart from the stack, with another arm."""
 _SPARSE = {
     "goal_pose": "geometry_msgs/msg/PoseStamped",
     "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
-    "settings": "diagnostic_msgs/msg/DiagnosticStatus",
+    SETTINGS: "diagnostic_msgs/msg/DiagnosticStatus",
     "intake/controller": "std_msgs/msg/Int64MultiArray",
     "reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
 }
@@ -59,16 +64,15 @@ class Clock:
         self._received = (received - self._received_0) / NANOSECONDS
         self._stamps = (stamps - self.origin_ns) / NANOSECONDS
 
-    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether stamps, ns, lie between those of the first joint state and of the last one."""
-        return np.asarray((stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns))
-
     def of_stamps(self, column: Column) -> np.ndarray:
         """By the stamps in the headers, or by reception where they are zero."""
         times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
-        unstamped = column.stamp_ns == 0
-        times[unstamped] = self.of_receptions(column.log_ns[unstamped])
-        return times
+        return np.where(column.stamp_ns == 0, self.of_receptions(column.log_ns), times)
+
+    def of_goals(self, received: np.ndarray, stamps_ns: np.ndarray) -> np.ndarray:
+        """By stamps, ns, or by reception, s, where no joint state was at that time: by when they were sent."""
+        known = (stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns)
+        return np.where(known, (stamps_ns - self.origin_ns) / NANOSECONDS, received)
 
     def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
         """By times of reception, ns."""
@@ -154,8 +158,7 @@ class EpisodeSignals:
     safety_states :
         All safety states: time, s, and decoded message.
     goals :
-        Positions of the goals that the planner accepted, m: the columns x, y and z. In lockstep at the joint state that
-        their stamp names, else at their reception.
+        Positions of the goals that the planner accepted, m: the columns x, y and z.
     refused_goals :
         Positions of the goals that the planner refused, likewise.
     missed_ticks :
@@ -170,8 +173,6 @@ class EpisodeSignals:
         (n,) from the sending of a joint state to the sending of its command, ns.
     settings :
         Settings by node.
-    in_lockstep :
-        Whether simulated time waited for the nodes.
     notes :
         Irregularities of the messages, one sentence each.
     """
@@ -193,7 +194,6 @@ class EpisodeSignals:
     state_sent_ns: np.ndarray
     answers_ns: np.ndarray
     settings: Mapping[str, Mapping[str, Any]]
-    in_lockstep: bool
     notes: tuple[str, ...]
 
     @property
@@ -208,21 +208,49 @@ class EpisodeSignals:
         return np.asarray(times - effects[rows])
 
 
-def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
-    """Read an episode; messages are mapped by name to the order of the joints."""
-    joints = tuple(joint_names)
-    count = len(joints)
+def arm_of_bag(bag: BagReader) -> Arm:
+    """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
+    statuses = (item.message for item in bag.messages({f"/{SETTINGS}"} & bag.topics.keys()))
+    return recorded_arm({status.name: read_settings(status) for status in statuses})
+
+
+def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
+    """The arm that nodes had, with its tool; `settings` are the recorded ones by node.
+
+    Raises `BagError` if this version does not have it, or has another one of that name.
+    """
+    found: Arm | None = None
+    for node, values in settings.items():
+        try:
+            arm = arm_in(values, f"settings of the {node}")
+        except SettingsError as error:
+            raise BagError(str(error)) from error
+        digest = values.get(ROBOT_DIGEST, arm.digest)
+        # A table is the arm itself.
+        if digest not in (arm.digest, *EARLIER_DIGESTS.get(arm.digest, ())) and ROBOT_TABLE not in values:
+            raise BagError(
+                f"settings of the {node}: the arm '{arm.name}' had digest {digest}, this version's has {arm.digest}; "
+                "use the version that recorded the bag"
+            )
+        if node not in _ONLOOKERS:
+            found = found or arm
+    return found or load_arm()
+
+
+def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
+    """Read an episode; joints and contact links are mapped by name to those of the arm."""
+    joints, count = arm.joint_names, arm.n
     columns: dict[str, Collector] = {
         "joint_states": JointStates(("position", "velocity", "effort"), joints),
         "effort_controller/commands": Arrays(count),
         "external_torque": JointStates(("effort",), joints),
-        "sim/contacts": JointStates(("effort",)),
+        "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
     sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
-    types = {name: bag.topics()[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics()}
+    types = {name: bag.topics[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics}
     other = {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
-    handlers = columns | {name: messages.append for name, messages in sparse.items() if name not in other}
-    read_raw(bag, {f"/{name}": handler for name, handler in handlers.items()})
+    few = {f"/{name}": messages.append for name, messages in sparse.items() if name not in other}
+    read_raw(bag, {f"/{name}": column for name, column in columns.items()} | few)
     state, command, torque, contact = (column.column() for column in columns.values())
     clock = Clock(state)
 
@@ -234,10 +262,10 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
 
     state_times = clock.of_stamps(state)
     safety_states = received("safety_state")
-    settings = {status.name: read_settings(status) for _, status in received("settings")}
+    settings = {status.name: read_settings(status) for _, status in received(SETTINGS)}
     plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
     effects = np.array([stamp_in(raw.data) for raw in sparse["reference/pose"]], np.int64)
-    in_lockstep = any(values.get("use_sim_time") is True for values in settings.values()) or "/clock" in bag.topics()
+    goals, refused_goals = _goals(received("goal_pose"), plans, clock)
     return EpisodeSignals(
         clock,
         Series(state_times, joints, state.values[:, :count]),
@@ -248,14 +276,14 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         Series(clock.of_stamps(contact), contact.names, contact.values),
         tuple(_changes(safety_states)),
         safety_states,
-        *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
+        goals,
+        refused_goals,
         _missed_ticks(received("diagnostics")),
         (np.sort(effects[effects > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
         _answers(command, [message.data for _, message in received("intake/controller")]),
         settings,
-        in_lockstep,
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
             *_oddities({"joint_states": state, "external_torque": torque, "sim/contacts": contact}, command),
@@ -305,8 +333,7 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
 
 
 def _plans(clock: Clock, array: Any) -> Iterator[PlanStatistics]:
-    stamp = array.header.stamp
-    time = (stamp.sec * NANOSECONDS + stamp.nanosec - clock.origin_ns) / NANOSECONDS
+    time = (nanoseconds(array.header.stamp) - clock.origin_ns) / NANOSECONDS
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
         yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(numbers(status)))
@@ -344,23 +371,20 @@ def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
-def _goals(
-    messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock | None
-) -> tuple[Series, Series]:
-    """The goals that were not refused, and the others; by their stamps on a clock, or without one by reception."""
+def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock) -> Iterator[Series]:
+    """Yield the goals that were not refused, and the others."""
     places = [message.pose.position for _, message in messages]
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
-    times = np.array([time for time, _ in messages])
-    if clock is not None:
-        stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
-        times = np.where(clock.covers(stamps), (stamps - clock.origin_ns) / NANOSECONDS, times)
+    stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
+    times = clock.of_goals(np.array([time for time, _ in messages]), stamps)
     planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
     kept = np.isfinite(positions).all(axis=1)
     # Bags of earlier versions do not name the goals of plans.
     if planned:
         away = np.abs(positions[:, None] - np.unique(np.stack(planned), axis=0)).max(axis=2)
         kept &= (away < _SAME_GOAL).any(axis=1)
-    return tuple(Series(times[some], ("x", "y", "z"), positions[some]) for some in (kept, ~kept))  # type: ignore[return-value]
+    for some in (kept, ~kept):
+        yield Series(times[some], ("x", "y", "z"), positions[some])
 
 
 def _missed_ticks(arrays: Sequence[tuple[float, Any]]) -> Series:

@@ -1,4 +1,4 @@
-"""Topics of a bag: their names, types and quality of service."""
+"""The format of bags: topics, their types and quality of service, and where rosbag2 keeps the metadata."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ LOST = "messages_lost"
 """Key of a bag's custom data for the number of lost messages; with a topic's name appended, those of that topic."""
 CDR = "cdr"
 """Serialisation of ROS 2 messages."""
+METADATA, INFORMATION = "metadata.yaml", "rosbag2_bagfile_information"
+"""File of a bag, and its key."""
+MCAP_NAME, MCAP_KEY = "rosbag2", "serialized_metadata"
+"""Record and key under which rosbag2 keeps a copy of the metadata inside the mcap file."""
 
 _UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 """ROS's value for a duration without limit, as rosbag2 writes it."""
@@ -33,17 +37,14 @@ class OfferedQos:
 
 
 def read_offered_qos(text: str) -> tuple[OfferedQos, ...]:
-    """Read the profiles that an mcap channel holds as YAML; empty if there are none.
-
-    Raises `BagError` if the text is something else.
-    """
+    """Read the profiles that an mcap channel holds as YAML; empty if there are none, or none that can be read."""
     try:
         return tuple(
             OfferedQos(qos.history.name.lower(), qos.depth, qos.reliability.name.lower(), qos.durability.name.lower())
             for qos in parse_qos(text)
         )
-    except (ReaderError, KeyError, TypeError, AttributeError) as error:
-        raise BagError(f"quality of service {text!r}: expected profiles as in a rosbag2 file ({error!r})") from error
+    except (ReaderError, KeyError, TypeError, AttributeError):
+        return ()
 
 
 def written_qos(offered: Iterable[OfferedQos]) -> list[dict[str, Any]]:

@@ -9,16 +9,26 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
 
+import yaml
 from mcap.writer import CompressionType, Writer
 
-from contact_reach_ros.bags import metadata as bag_metadata
 from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import RecordedTopic, TypeDefinition, written_qos
+from contact_reach_ros.bags.topics import (
+    INFORMATION,
+    MCAP_KEY,
+    MCAP_NAME,
+    METADATA,
+    RecordedTopic,
+    TypeDefinition,
+    written_qos,
+)
 from contact_reach_ros.errors import BagError
 
 CHUNK_BYTES = 2 * 1024 * 1024
 """More than a second of the stack, so that only `flush` ends a chunk. mcap keeps an index entry of about 1.5 kB for
 each chunk in memory until the file is closed: with two chunks a second, 2 MB in ten minutes."""
+VERSION, ROS_DISTRO = 9, "jazzy"
+"""Of the metadata."""
 
 
 @dataclasses.dataclass
@@ -43,6 +53,11 @@ class BagWriter:
         Topics known from the start; more can be added at any time.
     custom_data :
         Text to store in the bag, such as scene and seed.
+
+    Attributes
+    ----------
+    directory :
+        The bag.
     """
 
     def __init__(
@@ -51,21 +66,22 @@ class BagWriter:
         topics: Iterable[RecordedTopic] = (),
         custom_data: Mapping[str, str] | None = None,
     ) -> None:
-        self._directory = Path(directory)
+        self.directory = Path(directory)
         self._custom_data = dict(custom_data or {})
         self._custom_data_written = True
         self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
-        self._file = bag_metadata.FileSpan(f"{self._directory.resolve().name}_0.mcap")
+        self._file = f"{self.directory.resolve().name}_0.mcap"
+        self._span_ns: tuple[int, int] | None = None
         self._closed = False
         # One thread, since a disk may keep a caller waiting for long.
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
         self._syncing: Future[None] | None = None
         try:
-            self._directory.mkdir(parents=True)
-            self._stream = (self._directory / self._file.path).open("xb")
-            bag_metadata.sync_directory(self._directory)
+            self.directory.mkdir(parents=True)
+            self._stream = (self.directory / self._file).open("xb")
+            _sync_directory(self.directory)
             # Half the size for a tenth more work.
             self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
             self._writer.start(profile="ros2", library="contact_reach_ros")
@@ -73,18 +89,13 @@ class BagWriter:
             self._add_information()
         except FileExistsError as error:
             raise BagError(
-                f"bag '{self._directory}' exists and is not overwritten; choose another name or remove it"
+                f"bag '{self.directory}' exists and is not overwritten; choose another name or remove it"
             ) from error
         except OSError as error:
-            raise BagError(f"bag '{self._directory}' cannot be created: {error.strerror}") from error
+            raise BagError(f"bag '{self.directory}' cannot be created: {error.strerror}") from error
         for topic in topics:
             self.add_topic(topic)
         self.flush()
-
-    @property
-    def directory(self) -> Path:
-        """The bag."""
-        return self._directory
 
     @property
     def message_count(self) -> int:
@@ -110,14 +121,14 @@ class BagWriter:
             Definition of its type; looked up among the standard types and the sourced workspaces when None.
         """
         if self._closed:
-            raise BagError(f"bag '{self._directory}' is closed: topic '{topic.name}' cannot be added")
+            raise BagError(f"bag '{self.directory}' is closed: topic '{topic.name}' cannot be added")
         if topic.name in self._channels:
-            raise BagError(f"bag '{self._directory}': topic '{topic.name}' is added twice")
+            raise BagError(f"bag '{self.directory}': topic '{topic.name}' is added twice")
         definition = definition or self._types.definition(topic.type)
         if topic.type not in self._schema_ids:
             schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
             self._schema_ids[topic.type] = schema_id
-        profiles = bag_metadata.dump_yaml(written_qos(topic.offered_qos))
+        profiles = _dump_yaml(written_qos(topic.offered_qos))
         about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
         number = self._writer.register_channel(topic.name, topic.encoding, self._schema_ids[topic.type], about)
         self._channels[topic.name] = _Channel(topic, definition.type_hash, number)
@@ -142,7 +153,7 @@ class BagWriter:
         sequence &= 0xFFFFFFFF
         if channel is None or self._closed:
             reason = "it is closed" if self._closed else "add the topic first"
-            raise BagError(f"bag '{self._directory}' cannot take a message of '{topic}': {reason}")
+            raise BagError(f"bag '{self.directory}' cannot take a message of '{topic}': {reason}")
         if publish_time_ns is None:
             publish_time_ns = log_time_ns
         try:
@@ -150,7 +161,8 @@ class BagWriter:
         except OSError as error:
             raise self._refused(error) from error
         channel.message_count += 1
-        self._file.add(log_time_ns)
+        first_ns, last_ns = self._span_ns or (log_time_ns, log_time_ns)
+        self._span_ns = min(first_ns, log_time_ns), max(last_ns, log_time_ns)
 
     def flush(self, durable: bool = False) -> None:
         """Pass everything written so far to the operating system, so that it survives if the process is killed.
@@ -189,7 +201,11 @@ class BagWriter:
                 self._writer.finish()
                 self._stream.flush()
                 os.fdatasync(self._stream.fileno())
-            bag_metadata.write(self._directory, self._information())
+            with (self.directory / METADATA).open("w", encoding="utf-8") as metadata:
+                metadata.write(_dump_yaml({INFORMATION: self._information()}))
+                metadata.flush()
+                os.fsync(metadata.fileno())
+            _sync_directory(self.directory)
         except OSError as error:
             raise self._refused(error) from error
         finally:
@@ -208,16 +224,62 @@ class BagWriter:
             syncing.result()
 
     def _refused(self, error: OSError) -> BagError:
-        return BagError(f"bag '{self._directory}' cannot be written: {error.strerror or error}")
+        return BagError(f"bag '{self.directory}' cannot be written: {error.strerror or error}")
 
     def _add_information(self) -> None:
-        text = bag_metadata.dump_yaml(self._information())
-        self._writer.add_metadata(bag_metadata.MCAP_NAME, {bag_metadata.MCAP_KEY: text})
+        self._writer.add_metadata(MCAP_NAME, {MCAP_KEY: _dump_yaml(self._information())})
         self._custom_data_written = True
 
     def _information(self) -> dict[str, Any]:
-        topics = [
-            (dataclasses.replace(channel.topic, message_count=channel.message_count), channel.type_hash)
-            for channel in self._channels.values()
-        ]
-        return bag_metadata.information(self._file, topics, self._custom_data)
+        """What rosbag2 keeps about a bag of one mcap file."""
+        first_ns, last_ns = self._span_ns or (0, 0)
+        span = {
+            "duration": {"nanoseconds": last_ns - first_ns},
+            "starting_time": {"nanoseconds_since_epoch": first_ns},
+            "message_count": self.message_count,
+        }
+        return {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            **span,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": channel.topic.name,
+                        "type": channel.topic.type,
+                        "serialization_format": channel.topic.encoding,
+                        "offered_qos_profiles": written_qos(channel.topic.offered_qos),
+                        "type_description_hash": channel.type_hash,
+                    },
+                    "message_count": channel.message_count,
+                }
+                for channel in self._channels.values()
+            ],
+            # These two concern whole messages or files, not chunks inside an mcap file.
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self._file],
+            "files": [{"path": self._file, **span}],
+            "custom_data": self._custom_data or None,
+            "ros_distro": ROS_DISTRO,
+        }
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes no anchors, which not every reader of bags understands."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _dump_yaml(content: Any) -> str:
+    return yaml.dump(content, Dumper=_PlainDumper, sort_keys=False)
+
+
+def _sync_directory(directory: Path) -> None:
+    """Flush the names in a directory to the disk, so that they survive a power cut."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -206,7 +206,7 @@ def _stay_up(stack: StackProcesses) -> None:
 def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
     """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
     try:
-        signals = read_signals(BagReader(bag), model.arm.joint_names)
+        signals = read_signals(BagReader(bag), model.arm)
         end = None if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
         episode = Episode(signals, model.arm, end, options.timeout, _SETTLE_S)
     except BagError as error:

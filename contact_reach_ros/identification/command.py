@@ -15,8 +15,7 @@ from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import TOOL as TOOL_SECTION
 from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.recorded_arm import arm_of_bag
-from contact_reach_ros.bags.signals import read_signals
+from contact_reach_ros.bags.signals import arm_of_bag, read_signals
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.identification.fit import CONFIDENCE
 from contact_reach_ros.identification.identify import Identification, identify
@@ -81,8 +80,8 @@ def run_identification(
     own = settings.get(_OBSERVER)
     if own is None:
         raise InputError(f"{source}: has no settings of the observer: record topic 'settings', too")
-    sections = recorded_sections(_OBSERVER, own, source)
     arm = arm_in({name: value for name, value in own.items() if name not in TOOL_PARAMETERS}, source)
+    sections = recorded_sections(_OBSERVER, own, arm, source)
     names = {entry.name: full_name(TOOL_SECTION, entry.name) for entry in Tool.declared()}
     tool = Tool.from_mapping({name: own[full] for name, full in names.items() if full in own}, source)
     budget = sections[BUDGET].resolve(arm)
@@ -98,7 +97,7 @@ def run_identification(
 def _read(bag: Path) -> RecordedMotion:
     """The joint states of a bag, and the settings of its nodes."""
     reader = BagReader(bag, of_stack=True)
-    signals = read_signals(reader, arm_of_bag(reader).joint_names)
+    signals = read_signals(reader, arm_of_bag(reader))
     contacts = sum(event.name == _OBSERVER and event.level > 0 for event in signals.safety)
     if contacts:
         print(f"{bag}: the observer reported contact {contacts} times; what touched the arm spoils the fit", flush=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,9 @@ LATEST_S = 2**31 - 3600
 
 FARTHEST = 1e3
 """Of what is drawn, m."""
+
+_GOAL = ("goal x m", "goal y m", "goal z m")
+"""Keys of a plan's goal in plan/statistics."""
 
 
 def checked_stamp(seconds: int, nanosec: int, topic: str) -> int:
@@ -65,6 +68,16 @@ def numbers(status: Any) -> Iterator[tuple[str, float]]:
             yield item.key, float(item.value)
         except ValueError:
             continue
+
+
+def goal_values(position: Array) -> dict[str, float]:
+    """The goal of a plan, at `position` (3,), m, for plan/statistics."""
+    return dict(zip(_GOAL, position.tolist(), strict=True))
+
+
+def goal_in(values: Mapping[str, float]) -> Array | None:
+    """The goal (3,), m, among the numbers of a plan; None in bags of earlier versions."""
+    return np.array([values[key] for key in _GOAL]) if all(key in values for key in _GOAL) else None
 
 
 def places_of(joints: Sequence[str], names: Sequence[str], topic: str) -> NDArray[np.intp]:

@@ -46,10 +46,10 @@ class BagPublisher:
     """
 
     def __init__(self, node: Node, reader: BagReader, chosen: dict[str, type], rate: float) -> None:
-        self._reader = reader
+        self._reader, self._known_notes = reader, reader.notes
         self._rate = rate
         self._stopped = threading.Event()
-        known = reader.topics()
+        known = reader.topics
         self._profiles = {name: publisher_qos(name, known[name].offered_qos) for name in chosen}
         self._publishers: dict[str, Publisher] = {
             name: node.create_publisher(kind, published_name(name), self._profiles[name])
@@ -81,7 +81,7 @@ class BagPublisher:
         seconds = time.monotonic() - began
         print(f"{REPLAY}: {count} messages of {len(self._publishers)} topics in {seconds:.1f} s, {rounds} times")
         for note in self._reader.notes:
-            if note not in self._reader.summary.notes:
+            if note not in self._known_notes:
                 print(f"{REPLAY}: {note}", file=sys.stderr)
 
     def _publish(self, message: RawMessage) -> None:
@@ -94,7 +94,7 @@ class BagPublisher:
             for name, profile in self._profiles.items()
             if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         }
-        if start_ns > self._reader.summary.start_ns:
+        if start_ns > self._reader.start_ns:
             for message in self._reader.raw_messages(list(kept)):
                 if message.log_time_ns >= start_ns:
                     break

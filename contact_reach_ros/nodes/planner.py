@@ -15,14 +15,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader, decode
-from contact_reach_ros.messages.values import nanoseconds, quaternion, vector
+from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.planner_output import PlannerOutput
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState

@@ -63,9 +63,9 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     for note in reader.notes:
         print(f"{REPLAY}: {note}", file=sys.stderr)
     chosen = choose_topics(reader, options.topics)
-    start_ns = reader.summary.start_ns + int(options.start * NANOSECONDS)
-    if not 0.0 <= options.start <= reader.summary.duration:
-        raise InputError(f"--start {options.start:g}: expected 0 to {reader.summary.duration:.3f} s, which the bag has")
+    start_ns = reader.start_ns + int(options.start * NANOSECONDS)
+    if not 0.0 <= options.start <= reader.duration:
+        raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
     initialise(arguments, options.discovery)
     node = Node(REPLAY)
     try:
@@ -90,7 +90,7 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
     wanted
         Recorded names, with or without the leading slash; None for all topics.
     """
-    known = reader.topics()
+    known = reader.topics
     names = list(known) if wanted is None else [f"/{name.removeprefix('/')}" for name in wanted]
     chosen = {}
     for name in names:
@@ -103,7 +103,7 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
         except BagError as error:
             print(f"{REPLAY}: {name} is left out: {error}", file=sys.stderr)
     if not chosen:
-        raise InputError(f"{reader.summary.path}: there is no topic that can be published")
+        raise InputError(f"{reader.path}: there is no topic that can be published")
     return chosen
 
 

@@ -31,21 +31,20 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     report: dict[str, Any] = {"bag": str(bag)}
     differs = False
     if plan is None:
-        found: list[Reexecution] = []
         missing: list[BagError] = []
         for node in ("controller", "observer"):
             try:
-                found.append(reexecute(node, inputs, changes))
+                found = reexecute(node, inputs, changes)
             except BagError as error:
                 missing.append(error)
-        if not found:
+                continue
+            differs |= found.first_difference is not None
+            _print(found, inputs, changes)
+            report[node] = _as_json(found, inputs, changes)
+        if "controller" not in report and "observer" not in report:
             raise missing[0]
         for lacking in missing:
             print(f"note: {lacking}")
-        for one in found:
-            differs |= one.first_difference is not None
-            _print(one, inputs, changes)
-            report[one.node] = _as_json(one, inputs, changes)
     else:
         report["plan"], differs = _reexecute_plan(inputs, plan, changes)
     if file is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -10,13 +9,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
-from contact_reach_ros.bags.recorded_arm import SETTINGS, recorded_arm
+from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
@@ -44,36 +42,18 @@ class Row(NamedTuple):
     gave_output: bool
     """Whether the node published something for it."""
     output: int
-    """The number of that, counted from 1 at the start of the node."""
+    """The number of that, counted from 1 at the start of the node; of its last one if it gave none."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Intake:
-    """What one node took in.
+class Intake(NamedTuple):
+    """What one node took in."""
 
-    Attributes
-    ----------
-    rows :
-        (n, 4), columns `intake.COLUMNS`, without gaps.
-    starts_late :
-        Whether the node had taken in something before.
-    lost :
-        Rows after a gap, which cannot be used: what came in between is not known.
-    """
-
-    rows: NDArray[np.int64]
+    rows: list[Row]
+    """In their order, without gaps."""
     starts_late: bool
+    """Whether the node had taken in something before."""
     lost: int
-
-    def __iter__(self) -> Iterator[Row]:
-        # Whether the last one gave something is not known; only a joint state can.
-        for (what, sent, clock, outputs), (*_, after) in zip(
-            self.rows[:-1].tolist(), self.rows[1:].tolist(), strict=True
-        ):
-            yield Row(Taken(what), sent, clock, after > outputs, after)
-        for what, sent, clock, outputs in self.rows[-1:].tolist():
-            if what != Taken.JOINT_STATES:
-                yield Row(Taken(what), sent, clock, False, outputs)
+    """Rows after a gap, which cannot be used: what came in between is not known."""
 
 
 class RecordedInputs:
@@ -100,10 +80,7 @@ class RecordedInputs:
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
-        self._reports: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
-        for status in self.messages(SETTINGS):
-            self._reports[status.name].append(read_settings(status))
-        self.settings = {node: values[-1] for node, values in self._reports.items()}
+        self.settings = {status.name: read_settings(status) for status in self.messages(SETTINGS)}
         self.arm = recorded_arm(self.settings)
         joints = self.arm.n
         columns: dict[str, Collector] = {
@@ -115,18 +92,17 @@ class RecordedInputs:
         }
         self._plain: defaultdict[str, dict[int, RawMessage]] = defaultdict(dict)
         batches: dict[str, list[RawMessage]] = {node: [] for node in ("controller", "observer")}
-        handlers: dict[str, Collector | Callable[[RawMessage], None]] = {}
-        handlers |= {f"/{name}": column for name, column in columns.items()}
+        handlers: dict[str, Callable[[RawMessage], None]] = {f"/{name}": column for name, column in columns.items()}
         handlers |= {f"/{name}": partial(_keep, self._plain[name]) for name in _PLAIN}
         handlers |= {f"/intake/{node}": batch.append for node, batch in batches.items()}
         read_raw(bag, handlers)
         self.columns = {name: column.column() for name, column in columns.items()}
         self.intakes = {node: _join(map(bag.decode, batch)) for node, batch in batches.items() if batch}
         if not len(self.columns[JOINT_STATES]):
-            raise BagError(f"bag '{bag.summary.path}' has no joint states: nothing can be re-executed")
+            raise BagError(f"bag '{bag.path}' has no joint states: nothing can be re-executed")
         if not self.intakes:
             raise BagError(
-                f"bag '{bag.summary.path}' lacks what the nodes took in, on intake/controller and intake/observer: "
+                f"bag '{bag.path}' lacks what the nodes took in, on intake/controller and intake/observer: "
                 "record it with a stack that publishes them"
             )
         self._rows = {sent: row for row, sent in enumerate(self.columns[JOINT_STATES].publish_ns.tolist())}
@@ -163,7 +139,7 @@ class RecordedInputs:
     def messages(self, name: str) -> Iterator[Any]:
         """The decoded messages of a topic, which the bag may lack."""
         topic = f"/{name}"
-        if topic in self.bag.topics():
+        if topic in self.bag.topics:
             for item in self.bag.messages([topic]):
                 yield item.message
 
@@ -174,57 +150,52 @@ class RecordedInputs:
         # A reason is published again when something else changes.
         return [reason for reason, _ in itertools.groupby(filter(None, reasons))]
 
-    def by_output(self, topic: str) -> dict[int, int]:
-        """Row of each message of a column by the number that its publisher gave it."""
-        sequence = self.columns[topic].sequence
-        if not sequence.any():
-            # A middleware without numbers: losses cannot be seen, so none are assumed.
-            sequence = np.arange(1, len(sequence) + 1)
-        return {number: row for row, number in enumerate(sequence.tolist())}
+    def by_output(self, topic: str) -> dict[int, Array]:
+        """The values of each message of a column by the number that its publisher gave it."""
+        column = self.columns[topic]
+        # A middleware may give no numbers: losses cannot be seen then, so none are assumed.
+        numbers = column.sequence if column.sequence.any() else np.arange(1, len(column) + 1)
+        return dict(zip(numbers.tolist(), column.values, strict=True))
 
-    def by_stamp(self, topic: str) -> dict[int, int]:
-        """Row of each message of a column by its stamp, ns."""
-        return {stamp: row for row, stamp in enumerate(self.columns[topic].stamp_ns.tolist())}
+    def by_stamp(self, topic: str) -> dict[int, Array]:
+        """The values of each message of a column by its stamp, ns."""
+        column = self.columns[topic]
+        return dict(zip(column.stamp_ns.tolist(), column.values, strict=True))
 
     def sections(self, node: str) -> dict[str, Any]:
         """The settings objects of a node by prefix, as they were.
 
         Raises `BagError` if the bag lacks them, or they are not those of this version.
         """
-        path = self.bag.summary.path
         if node not in self.settings:
-            raise BagError(f"bag '{path}' lacks the settings of the {node} on topic '{SETTINGS}'")
-        return recorded_sections(node, self.settings[node], path)
-
-    def arm_of(self, node: str) -> Arm:
-        """The arm that a node had, with its tool; raises `BagError` if its tool changed."""
-        first, *others = (recorded_arm({node: values}) for values in self._reports[node])
-        if any(other != first for other in others):
-            raise BagError(
-                f"bag '{self.bag.summary.path}': the tool of the {node} changes; expected a bag of one tool, which "
-                "alone can be re-executed"
-            )
-        return first
+            raise BagError(f"bag '{self.bag.path}' lacks the settings of the {node} on topic '{SETTINGS}'")
+        return recorded_sections(node, self.settings[node], self.arm, self.bag.path)
 
 
 def _join(messages: Iterable[Any]) -> Intake:
     """Batches in their order, up to the first gap; those that came twice count once."""
-    width = len(COLUMNS)
+    width, known = len(COLUMNS), set(Taken)
     batches = [message.data for message in messages if message is not None]
     by_first = {int(batch[0]): batch[1:] for batch in batches if len(batch) > width and (len(batch) - 1) % width == 0}
-    rows: list[NDArray[np.int64]] = []
-    expected: int | None = None
-    lost = 0
+    taken: list[list[int]] = []
+    lost, begin = 0, min(by_first, default=0)
+    expected = begin
     for first in sorted(by_first):
-        batch = by_first[first].reshape(-1, width)
-        if expected is not None and first != expected:
+        batch = by_first[first].reshape(-1, width).tolist()
+        if first == expected:
+            taken += (row for row in batch if row[0] in known)
+            expected += len(batch)
+        else:
             lost += len(batch)
-            continue
-        rows.append(batch)
-        expected = first + len(batch)
-    joined = np.concatenate(rows) if rows else np.zeros((0, width), np.int64)
-    known = np.isin(joined[:, 0], [int(what) for what in Taken])
-    return Intake(joined[known], bool(by_first) and min(by_first) > 0, lost)
+    rows = [
+        Row(Taken(what), sent, clock, after > outputs, after)
+        for (what, sent, clock, outputs), (*_, after) in itertools.pairwise(taken)
+    ]
+    # Whether the last one gave something is not known; only a joint state can.
+    for what, sent, clock, outputs in taken[-1:]:
+        if what != Taken.JOINT_STATES:
+            rows.append(Row(Taken(what), sent, clock, False, outputs))
+    return Intake(rows, begin > 0, lost)
 
 
 def _keep(kept: dict[int, RawMessage], message: RawMessage) -> None:

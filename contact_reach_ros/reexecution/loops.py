@@ -124,10 +124,10 @@ class _Loop:
 
     def __init__(self, node: str, inputs: RecordedInputs, changes: ChangedSettings) -> None:
         if node not in inputs.intakes:
-            raise BagError(f"bag '{inputs.bag.summary.path}' lacks intake/{node}: what the {node} took in is not known")
+            raise BagError(f"bag '{inputs.bag.path}' lacks intake/{node}: what the {node} took in is not known")
         recorded = inputs.sections(node)
         self.node, self.inputs, self.changes = node, inputs, changes
-        self.settings: dict[str, Any] = changes.apply(node, recorded)
+        self.settings: dict[str, Any] = changes.apply(node, inputs.settings[node], inputs.arm) if changes else recorded
         self.period = 1.0 / float(inputs.settings[node].get("state_rate", 1.0 / PERIOD))
         self.topic = EXTERNAL_TORQUE
         if node == "controller":
@@ -135,7 +135,6 @@ class _Loop:
             self.topic = ADAPTER_COMMANDS if supervision.adapter else COMMANDS
             if supervision.shadow:
                 self.topic = SHADOW_COMMANDS
-        self.recorded = inputs.columns[self.topic].values
         self.intake = inputs.intakes[node]
         self.in_step = not self.intake.starts_late
         self.missing = self.uncompared = 0
@@ -144,12 +143,11 @@ class _Loop:
         self.unpublished = ""
         """Reason of a stop after which no joint state was executed."""
         self.recorded_reasons = inputs.safety_reasons(node)
-        self.arm = inputs.arm_of(node)
         self.handlers: dict[Taken, Callable[[Row], None]] = {}
 
     def run(self) -> Reexecution:
         """Go through all rows."""
-        for row in self.intake:
+        for row in self.intake.rows:
             if row.what in self.handlers:
                 with contextlib.suppress(InputError):  # as the node refused it
                     self.handlers[row.what](row)
@@ -164,8 +162,13 @@ class _Loop:
             float(np.max(differences)) if compared else float("nan"),
             self._first_difference(compared, differences),
             tuple(self.reasons),
-            tuple(self._notes()),
+            self._notes(),
         )
+
+    def make_observer(self, period: float, locates: bool = True) -> Observer:
+        """The observer of the node's settings, for states every `period` seconds."""
+        settings = ObserverSettings.from_sections(self.settings)
+        return Observer(self.inputs.arm, settings, self.settings[BUDGET], period, self.changes.inertia_set, locates)
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
         """Keep an output, beside the recorded one unless the bag lacks it."""
@@ -193,15 +196,13 @@ class _Loop:
         recorded = self.recorded_reasons
         return recorded[min(len(self.reasons), len(recorded) - 1)] if recorded else requested()
 
-    def _notes(self) -> list[str]:
-        notes = []
-        if self.intake.lost:
-            notes.append(f"{self.intake.lost} notes of intake/{self.node} come after a gap and are left out")
-        if self.missing:
-            notes.append(f"{self.missing} messages that the {self.node} took in are not in the bag")
-        if self.uncompared:
-            notes.append(f"{self.uncompared} outputs are not compared: the {self.node}'s state is not known there")
-        return notes
+    def _notes(self) -> tuple[str, ...]:
+        counts = {
+            f"notes of intake/{self.node} come after a gap and are left out": self.intake.lost,
+            f"messages that the {self.node} took in are not in the bag": self.missing,
+            f"outputs are not compared: the {self.node}'s state is not known there": self.uncompared,
+        }
+        return tuple(f"{count} {text}" for text, count in counts.items() if count)
 
     def _first_difference(self, compared: list[_Output], differences: list[Array]) -> Difference | None:
         for output, difference in zip(compared, differences, strict=True):
@@ -220,24 +221,17 @@ class _Loop:
         return Difference(len(self.outputs), stamp_ns, "stop reasons", str(recorded), str(self.reasons))
 
 
-def _make_observer(loop: _Loop, period: float, locates: bool = True) -> Observer:
-    """The observer of a node's settings, for states every `period` seconds."""
-    settings = ObserverSettings.from_sections(loop.settings)
-    inertias = loop.changes.inertia_set
-    return Observer(loop.arm, settings, loop.settings[BUDGET], period, inertias, locates)
-
-
 class _ControllerLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
         super().__init__("controller", inputs, changes)
         sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
-        self.controller = Controller(self.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
-        self.watch = _make_observer(self, self.controller.watch_period, locates=False)
+        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
+        self.watch = self.make_observer(self.controller.watch_period, locates=False)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
         self.last_residual: Array | None = None
-        self.lockstep = bool(inputs.settings["controller"].get("use_sim_time", False))
-        self.rows = inputs.by_output(self.topic)
+        self.simulated = bool(inputs.settings["controller"].get("use_sim_time", False))
+        self.recorded = inputs.by_output(self.topic)
         self._is_stopped = False
         self.handlers = {
             Taken.ACTIVATE: lambda _: self.controller.activate(),
@@ -254,11 +248,8 @@ class _ControllerLoop(_Loop):
         self.unpublished = self.controller.stop_reason
 
     def _clock_ns(self, row: Row) -> int:
-        return self.controller.stamp_ns if self.lockstep else row.clock_ns
-
-    def _answer(self, output: int) -> Array | None:
-        """The recorded torque of that number."""
-        return self.recorded[self.rows[output]] if output in self.rows else None
+        """Time of the watchdogs' clock, ns; rows have the steady clock also where time is simulated."""
+        return self.controller.stamp_ns if self.simulated else row.clock_ns
 
     def _tick(self, row: Row) -> None:
         state = self.inputs.state(row.sent_ns)
@@ -266,12 +257,12 @@ class _ControllerLoop(_Loop):
             self.lose()
             return
         controller = self.controller
-        recorded = self._answer(row.output) if row.gave_output else None
+        recorded = self.recorded.get(row.output) if row.gave_output else None
         if not self.in_step and recorded is not None:
             self._get_into_step(state, row.output)
         # A state that did not start the controller was refused: because of other publishers, or for its values.
         controller.not_yet = "" if row.gave_output else "refused then"
-        clock_ns = state.stamp_ns if self.lockstep else row.clock_ns
+        clock_ns = state.stamp_ns if self.simulated else row.clock_ns
         try:
             torque = controller.update(state, clock_ns)
         finally:
@@ -284,15 +275,14 @@ class _ControllerLoop(_Loop):
         if controller.state is state and torque is not None:
             self.give(row, state.stamp_ns, torque, recorded)
         controller.watch(state, clock_ns)
-        at = self.residuals.get(state.stamp_ns)
-        self.last_residual = None if at is None else self.inputs.columns[EXTERNAL_TORQUE].values[at]
+        self.last_residual = self.residuals.get(state.stamp_ns)
         self.note_reason(controller.stop_reason)
 
     def _get_into_step(self, state: JointState, output: int) -> None:
         """Continue from the last recorded torque; a controller that was started before, was so long ago."""
         if not self.controller.started:
             self.controller.start(state.q, state.v, state.stamp_ns - _LONG_AGO_NS)
-        before = self._answer(output - 1)
+        before = self.recorded.get(output - 1)
         if before is not None:
             self.controller.resume(before)
         if self.last_residual is not None:
@@ -321,8 +311,8 @@ class _ControllerLoop(_Loop):
 class _ObserverLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
         super().__init__("observer", inputs, changes)
-        self.observer = _make_observer(self, self.period)
-        self.rows = inputs.by_stamp(self.topic)
+        self.observer = self.make_observer(self.period)
+        self.recorded = inputs.by_stamp(self.topic)
         self.last_recorded: Array | None = None
         self.handlers = {
             Taken.JOINT_STATES: self._update,
@@ -343,7 +333,6 @@ class _ObserverLoop(_Loop):
             self.observer.resume(self.last_recorded)
         report = self.observer.update(state)
         if report is not None:
-            at = self.rows.get(state.stamp_ns)
-            self.last_recorded = None if at is None else self.recorded[at]
+            self.last_recorded = self.recorded.get(state.stamp_ns)
             self.note_reason(report.reason)
             self.give(row, state.stamp_ns, report.residual, self.last_recorded)

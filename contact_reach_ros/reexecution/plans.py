@@ -106,7 +106,7 @@ class RecordedPlans:
 
     def __init__(self, inputs: RecordedInputs) -> None:
         self._inputs = inputs
-        self._path = inputs.bag.summary.path
+        self._path = inputs.bag.path
         self.statistics: dict[int, dict[str, str]] = {}
         self._effects: dict[int, int] = {}
         for message in inputs.messages("plan/statistics"):
@@ -123,7 +123,6 @@ class RecordedPlans:
                 + (earlier if self.statistics else "record a run in which the planner made plans")
             )
         self._settings = inputs.sections("planner")
-        self._arm = inputs.arm_of("planner")
         self._solution = _RecordedSolution()
 
     @property
@@ -154,7 +153,9 @@ class RecordedPlans:
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
         memory = read_memory(parts, request, knot_duration_s, ramp_s)
         if changes:
-            planner = self._make_planner(changes.apply("planner", self._settings), HybridSolver)
+            inputs = self._inputs
+            settings = changes.apply("planner", inputs.settings["planner"], inputs.arm)
+            planner = self._make_planner(settings, HybridSolver)
         else:
             planner = self._evaluator
         self._solution.best = parts["found"]
@@ -172,13 +173,13 @@ class RecordedPlans:
         planning = dataclasses.replace(settings["planning"], deadline=0.0)
         force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres
         reach = settings["supervision"].max_position_error
-        return RecedingHorizonPlanner(self._arm, planning, settings["impedance"], force, capacity, reach, solver)
+        return RecedingHorizonPlanner(self._inputs.arm, planning, settings["impedance"], force, capacity, reach, solver)
 
     def _obstacles(self, number: int, sent_ns: int) -> Spheres:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""
         if not sent_ns:
             return Spheres.none()
-        reader = ObstacleMarkerReader(self._arm.base_frame, AssumedMaterial.of(self._settings[""]))
+        reader = ObstacleMarkerReader(self._inputs.arm.base_frame, AssumedMaterial.of(self._settings[""]))
         spheres = None
         # Obstacles may rest where they were seen first.
         for data in self._inputs.data_until(OBSTACLES, sent_ns):
@@ -199,7 +200,7 @@ class RecordedPlans:
                 found["rotations"] = _largest(poses.rotations - plan.rotations)
         for message in self._inputs.messages("reference/posture"):
             if nanoseconds(message.header.stamp) == effect_ns:
-                knots = posture_knots(message, self._arm.joint_names)
+                knots = posture_knots(message, self._inputs.arm.joint_names)
                 found["postures"] = _largest(knots.postures - plan.postures)
         return found
 

@@ -15,8 +15,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.recorded_arm import arm_of_bag
-from contact_reach_ros.bags.signals import EpisodeSignals, read_signals
+from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, read_signals
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -87,7 +86,7 @@ class ReportBag:
     @property
     def path(self) -> Path:
         """Path of the bag."""
-        return self.reader.summary.path
+        return self.reader.path
 
     @property
     def quoted_path(self) -> str:
@@ -97,10 +96,10 @@ class ReportBag:
     @property
     def origin(self) -> str:
         """Where the bag comes from, in a few words: scene, seed, kind of time and number of messages."""
-        kept = self.reader.summary.custom_data
+        kept = self.reader.custom_data
         words = [f"{key} {kept[key]}" for key in ("scene", "seed") if key in kept]
-        words.append("lockstep" if self.signals.in_lockstep else "real time")
-        words.append(f"{self.reader.summary.message_count} messages")
+        words.append("lockstep" if "/clock" in self.reader.topics else "real time")
+        words.append(f"{self.reader.message_count} messages")
         words += [f"{kept['messages_lost']} lost"] if "messages_lost" in kept else []
         return ", ".join(words)
 
@@ -125,13 +124,13 @@ def read_report_bag(path: Path, label: str) -> ReportBag:
     except BagError as error:
         arm = load_arm()
         notes.append(str(error))
-    signals = read_signals(reader, arm.joint_names)
-    if not reader.summary.message_count:
+    signals = read_signals(reader, arm)
+    if not reader.message_count:
         notes.append("the bag has no messages")
-    lost = reader.summary.custom_data.get("messages_lost", "0")
+    lost = reader.custom_data.get("messages_lost", "0")
     if lost.isdigit() and int(lost):
         notes.append(f"{lost} messages were lost while the bag was recorded")
-    missing = [topic for topic in _EXPECTED if f"/{topic}" not in reader.topics()]
+    missing = [topic for topic in _EXPECTED if f"/{topic}" not in reader.topics]
     notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
     notes += signals.notes
     budget = recorded_section(signals, "observer", "budget", load_budget(), notes).resolve(arm)
@@ -216,8 +215,8 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
             for event in bag.signals.safety
         ],
         "plan_stop_reasons": dict(sorted(Counter(plan.stop_reason for plan in bag.signals.plans).items())),
-        "topics": {name: topic.message_count for name, topic in sorted(bag.reader.topics().items())},
-        "custom_data": dict(bag.reader.summary.custom_data),
+        "topics": {name: topic.message_count for name, topic in sorted(bag.reader.topics.items())},
+        "custom_data": dict(bag.reader.custom_data),
         "settings": {node: dict(values) for node, values in bag.signals.settings.items()},
         "notes": list(bag.notes),
     }

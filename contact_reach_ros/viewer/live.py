@@ -10,10 +10,9 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.bags.goals import goal_in
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.plan_reader import PlanPicture
-from contact_reach_ros.messages.values import FARTHEST, numbers
+from contact_reach_ros.messages.values import FARTHEST, goal_in, numbers
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.plots import History

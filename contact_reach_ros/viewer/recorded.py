@@ -14,8 +14,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.bags.reader import BagReader, RawMessage
-from contact_reach_ros.bags.recorded_arm import arm_of_bag
-from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, goal_distance, read_signals
+from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, arm_of_bag, goal_distance, read_signals
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
@@ -77,7 +76,7 @@ class Recording:
         if self.arm.name != arm.name:
             raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
-        self._signals = signals = read_signals(self._reader, self.arm.joint_names)
+        self._signals = signals = read_signals(self._reader, self.arm)
         position = signals.position
         # States with unknown joints, and repeated states, are not moments to look at.
         good = np.asarray(np.isfinite(position.values).all(axis=1))
@@ -133,9 +132,9 @@ class Recording:
 
     def _reception_times(self, topic: str) -> np.ndarray:
         """Times (n,), ns, in order: the files of a bag may overlap."""
-        if topic not in self._reader.topics():
+        if topic not in self._reader.topics:
             return np.zeros(0, np.int64)
-        return np.sort(self._reader.reception_times(topic))
+        return np.sort(np.array([raw.log_time_ns for raw in self._reader.raw_messages([topic])], np.int64))
 
     def _newest(self, topic: str, time: float, read: Callable[[RawMessage], T | None]) -> T | None:
         """Read the last message of a topic up to a time, s, and keep it; None without any, or for an invalid one."""

@@ -54,10 +54,7 @@ class SampleBag:
 
     def __init__(self, directory: Path, count: int = 200) -> None:
         self.directory = directory
-        self.topics = {
-            name: f"{message_class.__module__.split('.')[0]}/msg/{message_class.__name__}"
-            for name, message_class in TYPES.items()
-        }
+        self.topics = {name: f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}" for name, kind in TYPES.items()}
         latched = OfferedQos(depth=1, durability="transient_local")
         known = [RecordedTopic(name, type_name, (latched,)) for name, type_name in self.topics.items()]
         self.written: list[tuple[str, int, int, Any, bytes]] = []

@@ -1,3 +1,4 @@
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,29 +27,25 @@ def test_publishers_that_interleave_lose_nothing(data: st.DataObject) -> None:
     assert counter.lost == 0
 
 
-def test_gap_among_several_publishers() -> None:
+@pytest.mark.parametrize(
+    ("arrived", "lost"),
+    [
+        # Two publishers, of which each has a gap.
+        ([(1, 2), (1001, 2), (2, 2), (1002, 2), (5, 2), (1003, 2), (1010, 2)], 2 + 6),
+        # One that starts again.
+        ([(7, 1), (8, 1), (9, 1), (1, 1), (2, 1), (3, 1)], 0),
+        # The last messages of two that have come equally far are taken when both are gone already.
+        ([(2, 3), (5, 3), (5, 3), (6, 3), (6, 3), (7, 1), (7, 1), (3, 1)], 0),
+    ],
+)
+def test_only_what_is_missing_is_lost(arrived: list[tuple[int, int]], lost: int) -> None:
     counter = LossCounter()
-    for number in (1, 1001, 2, 1002, 5, 1003, 1010):
-        counter.count(number, lambda: 2)
-    assert counter.lost == 2 + 6
-
-
-def test_restarted_publisher_loses_nothing() -> None:
-    counter = LossCounter()
-    for number in (7, 8, 9, 1, 2, 3):
-        counter.count(number, lambda: 1)
-    assert counter.lost == 0
+    for number, publishers in arrived:
+        counter.count(number, lambda present=publishers: present)
+    assert counter.lost == lost
 
 
 def test_messages_without_numbers_make_the_count_unknown() -> None:
     counter = LossCounter()
     counter.count(None, lambda: 1)
     assert not counter.known
-
-
-def test_publishers_that_end_lose_nothing() -> None:
-    """The last messages of two that have come equally far are taken when both are gone already."""
-    counter = LossCounter()
-    for number, publishers in ((2, 3), (5, 3), (5, 3), (6, 3), (6, 3), (7, 1), (7, 1), (3, 1)):
-        counter.count(number, lambda present=publishers: present)
-    assert counter.lost == 0

@@ -13,7 +13,7 @@ MS = 1_000_000
 
 
 def message(at_ms: float) -> RawMessage:
-    return RawMessage("/a", "std_msgs/msg/String", START + int(at_ms * MS), 0, b"", 0)
+    return RawMessage("/a", START + int(at_ms * MS), 0, b"", 0)
 
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
@@ -30,12 +30,3 @@ def test_stop_ends_it_at_once() -> None:
     stopped = threading.Event()
     threading.Timer(0.1, stopped.set).start()
     assert list(paced([message(3_600_000)], START, 1.0, stopped)) == []
-
-
-def test_after_a_long_delay_messages_keep_their_distances() -> None:
-    times = []
-    for _ in paced([message(0), message(10), message(60)], START, 1.0, threading.Event()):
-        times.append(time.monotonic_ns())
-        if len(times) == 1:
-            time.sleep(0.7)
-    assert times[2] - times[1] >= 49 * MS

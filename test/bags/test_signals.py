@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -18,6 +17,7 @@ from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.intake import IntakeLog, Taken
+from contact_reach_ros.messages.values import goal_values
 
 RECEIVED_0 = 1_700_000_000_000_000_000
 STAMP_0 = 50_000_000_000
@@ -33,7 +33,10 @@ TYPES = {
     "goal_pose": "geometry_msgs/msg/PoseStamped",
     "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
 }
+GOALS = {50: 0.5, 200: 2.0, 300: 0.7}
+"""Places, x in m, by tick; that in the middle is refused."""
 
 
 def received_ns(time: float) -> int:
@@ -49,10 +52,6 @@ def stamped(time: float, names: list[str], **values: list[float]) -> JointState:
 
 def angles(time: float) -> np.ndarray:
     return np.sin(time + np.arange(7))
-
-
-def goal(x: float) -> PoseStamped:
-    return to_goal_pose([x, 0.0, 0.0], "lbr_link_0", Time())
 
 
 def write_episode(directory: Path) -> None:
@@ -77,8 +76,15 @@ def write_episode(directory: Path) -> None:
                 level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
                 text = "joint A2 above threshold" if bad else "monitoring"
                 write("safety_state", time, DiagnosticStatus(level=level, name="observer", message=text))
-            if tick in (50, 300):
-                write("goal_pose", time, goal(0.5 if tick == 50 else 0.7))
+            if tick in GOALS:
+                message = to_goal_pose([GOALS[tick], 0.0, 0.0], "lbr_link_0", Time())
+                if tick == 300:
+                    message.header.stamp = stamped(time - 0.002, []).header.stamp
+                write("goal_pose", time, message)
+                if tick != 200:
+                    numbers = goal_values(np.array([GOALS[tick], 0.0, 0.0]))
+                    values = [KeyValue(key=key, value=str(value)) for key, value in numbers.items()]
+                    write("plan/statistics", time, DiagnosticArray(status=[DiagnosticStatus(values=values)]))
             if tick % 100 == 0:
                 values = [KeyValue(key="ticks", value=str(tick)), KeyValue(key="state", value="active")]
                 write("diagnostics", time, DiagnosticArray(status=[DiagnosticStatus(name="driver", values=values)]))
@@ -88,7 +94,7 @@ def write_episode(directory: Path) -> None:
 def signals(tmp_path_factory: pytest.TempPathFactory) -> EpisodeSignals:
     directory = tmp_path_factory.mktemp("episode") / "bag"
     write_episode(directory)
-    return read_signals(BagReader(directory), ARM.joint_names)
+    return read_signals(BagReader(directory), ARM)
 
 
 def test_joint_states_are_mapped_by_name(signals: EpisodeSignals) -> None:
@@ -105,7 +111,13 @@ def test_all_times_are_on_the_clock_of_the_robot(signals: EpisodeSignals) -> Non
     assert signals.origin_ns == STAMP_0
     for series in (signals.position, signals.external_torque, signals.contact_force, signals.command):
         np.testing.assert_allclose(series.time, expected, atol=1e-7)
-    assert signals.goals.time == pytest.approx([0.05, 0.3], abs=1e-7)
+
+
+def test_goals_are_where_they_were_sent_without_those_that_were_refused(signals: EpisodeSignals) -> None:
+    """One has a stamp, 2 ms before its reception."""
+    assert signals.goals.time == pytest.approx([0.05, 0.298], abs=1e-7)
+    np.testing.assert_array_equal(signals.goals.values, [[0.5, 0.0, 0.0], [0.7, 0.0, 0.0]])
+    np.testing.assert_array_equal(signals.refused_goals.values, [[2.0, 0.0, 0.0]])
 
 
 def test_safety_changes_without_repetitions(signals: EpisodeSignals) -> None:
@@ -119,7 +131,7 @@ def test_distance_is_to_the_goal_in_force(signals: EpisodeSignals) -> None:
     time, distance = found.time, found.column("distance")
     assert np.diff(time)[:-1] == pytest.approx(0.01, abs=1e-6)
     assert time[-1] == signals.position.time[-1]
-    wanted = np.where(time < 0.3 - 1e-6, 0.5, 0.7)
+    wanted = np.where(time < 0.298 - 1e-6, 0.5, 0.7)
     np.testing.assert_allclose(distance, np.abs(np.sin(time) - wanted), atol=1e-7)
 
 
@@ -127,31 +139,9 @@ def test_topics_of_other_types_are_left_out_with_a_note(tmp_path: Path) -> None:
     topics = [RecordedTopic("/goal_pose", "std_msgs/msg/Float64MultiArray")]
     with BagWriter(tmp_path / "bag", topics) as writer:
         writer.write("/goal_pose", serialize_message(Float64MultiArray(data=[1.0])), RECEIVED_0)
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM)
     assert not len(signals.goals.time)
     assert any("goal_pose: is std_msgs/msg/Float64MultiArray, expected geometry" in note for note in signals.notes)
-
-
-def test_refused_goals_are_left_out_and_the_others_at_their_stamp_in_lockstep(tmp_path: Path) -> None:
-    kinds = {name: TYPES[name] for name in ("joint_states", "goal_pose")}
-    kinds |= {"plan/statistics": TYPES["diagnostics"], "clock": "rosgraph_msgs/msg/Clock"}
-    with BagWriter(tmp_path / "bag", [RecordedTopic(f"/{name}", kind) for name, kind in kinds.items()]) as writer:
-        for tick in range(100):
-            state = stamped(tick * 1e-3, list(ARM.joint_names), position=[0.0] * 7)
-            writer.write("/joint_states", serialize_message(state), received_ns(tick * 1e-3))
-        for time, x in ((0.02, 0.5), (0.05, 2.0)):
-            message = goal(x)
-            message.header.stamp = stamped(time, []).header.stamp
-            # Time stands still while it is sent.
-            writer.write("/goal_pose", serialize_message(message), received_ns(time + 0.0007))
-        values = [
-            KeyValue(key=f"goal {axis} m", value=str(place)) for axis, place in zip("xyz", (0.5, 0, 0), strict=True)
-        ]
-        plan = DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)])
-        writer.write("/plan/statistics", serialize_message(plan), received_ns(0.03))
-    goals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names).goals
-    np.testing.assert_array_equal(goals.values, [[0.5, 0.0, 0.0]])
-    assert goals.time.tolist() == [0.02]
 
 
 def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
@@ -170,5 +160,5 @@ def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
                 data = serialize_message(Float64MultiArray(data=q))
                 writer.write("/effort_controller/commands", data, sent_ns + 300_000, sequence=log.outputs)
         log.flush()
-    signals = read_signals(BagReader(tmp_path / "bag"), ARM.joint_names)
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM)
     np.testing.assert_array_equal(signals.answers_ns, np.full(100, 300_000))

@@ -35,10 +35,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
-from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.plan_messages import to_markers, to_references
+from contact_reach_ros.messages.values import goal_values
 from contact_reach_ros.nodes import planner as planner_module
 from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode

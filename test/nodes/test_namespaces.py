@@ -68,7 +68,7 @@ def test_two_stacks_reach_their_goals_beside_each_other(tmp_path):
             assert processes[name].wait(60) == 0
     wait_for(lambda: not processes_of_domain(env["ROS_DOMAIN_ID"]), 20, "all processes have ended")
     for name in NAMES:
-        topics = BagReader(tmp_path / name).topics()
+        topics = BagReader(tmp_path / name).topics
         assert f"/{name}/joint_states" in topics and all(topic.startswith(f"/{name}/") for topic in topics)
         again = [*module("cli"), "reexecute", str(tmp_path / name)]
         result = subprocess.run(again, env=env, capture_output=True, text=True, timeout=300)

@@ -141,7 +141,7 @@ def test_a_bag_is_shown_on_its_tab_from_its_goal_on_and_the_banner_is_not_covere
         page.wait_for_text("bag sample, ")
         assert page.value("Bag") == SAMPLE.name
         goal = next(line for line in page.text().splitlines() if "s: goal [" in line).split(" s:")[0]
-        sent = read_signals(BagReader(SAMPLE), ARM.joint_names).goals.time[0]
+        sent = read_signals(BagReader(SAMPLE), ARM).goals.time[0]
         assert float(goal) == pytest.approx(sent, abs=0.01)
         assert float(page.value("Time (s)")) == pytest.approx(sent, abs=0.01)
         # There is no graphics card, which the page remarks on.

