@@ -23,8 +23,6 @@ from contact_reach_ros.timing import NANOSECONDS
 REPAIRED_FROM = "repaired_from"
 """Key of the custom data that names the bag which was repaired."""
 
-_LOCKSTEP = "/clock"
-"""A topic of which there are messages in lockstep only."""
 _WIDE = 150
 """Width of the table where the output is no terminal, characters."""
 
@@ -33,8 +31,7 @@ def read_info(path: Path) -> dict[str, Any]:
     """Summarise a bag: size in bytes, start in ns since the epoch, duration in s, topics, custom data and notes.
 
     Of a topic, rate_hz is the mean from the first to the last message, longest_gap_s the longest time between two; both
-    are None for fewer than two messages, lost is None if unknown. In lockstep, rates and gaps show the pace of the
-    machine that computed, not that of the robot. Raises `BagError` if nothing of the bag can be read.
+    are None for fewer than two messages, lost is None if unknown. Raises `BagError` if nothing of the bag can be read.
     """
     reader = BagReader(path)
     summary = reader.summary
@@ -52,7 +49,6 @@ def read_info(path: Path) -> dict[str, Any]:
         "start_ns": summary.start_ns,
         "duration_s": summary.duration,
         "message_count": summary.message_count,
-        "in_lockstep": _LOCKSTEP in summary.topics,
         "topics": topics,
         "custom_data": dict(summary.custom_data),
         "notes": reader.notes,
@@ -106,8 +102,6 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
         f" {info['size'] / 1e6:.1f} MB",
         highlight=False,
     )
-    if info["in_lockstep"]:
-        console.print("lockstep: rates and gaps show the pace of the machine that computed, not that of the robot")
     console.print(_table(info["topics"]))
     for key, value in sorted(info["custom_data"].items()):
         if not key.startswith(f"{LOST}/"):

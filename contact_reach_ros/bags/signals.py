@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
 from contact_reach_ros.bags.goals import goal_in
@@ -20,7 +19,7 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.values import nanoseconds, numbers, read_settings
+from contact_reach_ros.messages.values import numbers, read_settings
 from contact_reach_ros.timing import NANOSECONDS
 
 _SPARSE = {
@@ -53,15 +52,11 @@ class Clock:
         stamped = states.stamp_ns != 0
         received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
         if len(stamps):
-            self._received_0, self.origin_ns, self._last_ns = int(received[0]), int(stamps[0]), int(stamps[-1])
+            self._received_0, self.origin_ns = int(received[0]), int(stamps[0])
         else:
-            self._received_0 = self.origin_ns = self._last_ns = int(states.log_ns[0]) if len(states) else 0
+            self._received_0 = self.origin_ns = int(states.log_ns[0]) if len(states) else 0
         self._received = (received - self._received_0) / NANOSECONDS
         self._stamps = (stamps - self.origin_ns) / NANOSECONDS
-
-    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether stamps, ns, lie between those of the first joint state and of the last one."""
-        return np.asarray((stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns))
 
     def of_stamps(self, column: Column) -> np.ndarray:
         """By the stamps in the headers, or by reception where they are zero."""
@@ -78,6 +73,13 @@ class Clock:
         inside = np.interp(received, self._received, self._stamps)
         # Outside of the joint states both clocks are taken to run alike.
         return inside + received - np.clip(received, self._received[0], self._received[-1])
+
+    def of_states_before(self, log_ns: np.ndarray) -> np.ndarray:
+        """At the last joint state before times of reception, ns, if there is one; also where time stands still."""
+        if not len(self._received):
+            return self.of_receptions(log_ns)
+        rows = np.searchsorted(self._received, (log_ns - self._received_0) / NANOSECONDS, side="right") - 1
+        return np.where(rows < 0, self.of_receptions(log_ns), self._stamps[rows])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,8 +156,8 @@ class EpisodeSignals:
     safety_states :
         All safety states: time, s, and decoded message.
     goals :
-        Positions of the goals that the planner accepted, m: the columns x, y and z. In lockstep at the joint state that
-        their stamp names, else at their reception.
+        Positions of the goals that the planner accepted, m: the columns x, y and z. Each at the last joint state
+        before its reception.
     refused_goals :
         Positions of the goals that the planner refused, likewise.
     missed_ticks :
@@ -226,9 +228,9 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
     state, command, torque, contact = (column.column() for column in columns.values())
     clock = Clock(state)
 
-    def received(name: str) -> list[tuple[float, Any]]:
+    def received(name: str, place: Callable[[np.ndarray], np.ndarray] = clock.of_receptions) -> list[tuple[float, Any]]:
         """Time, s, and message; those that cannot be decoded are left out, which the bag's notes mention."""
-        times = clock.of_receptions(np.array([raw.log_time_ns for raw in sparse[name]], np.int64)).tolist()
+        times = place(np.array([raw.log_time_ns for raw in sparse[name]], np.int64)).tolist()
         pairs = zip(times, map(bag.decode, sparse[name]), strict=True)
         return [(time, message) for time, message in pairs if message is not None]
 
@@ -248,7 +250,7 @@ def read_signals(bag: BagReader, joint_names: Sequence[str]) -> EpisodeSignals:
         Series(clock.of_stamps(contact), contact.names, contact.values),
         tuple(_changes(safety_states)),
         safety_states,
-        *_goals(received("goal_pose"), plans, clock if in_lockstep else None),
+        *_goals(received("goal_pose", clock.of_states_before), plans),
         _missed_ticks(received("diagnostics")),
         (np.sort(effects[effects > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
@@ -344,16 +346,11 @@ def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
-def _goals(
-    messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock | None
-) -> tuple[Series, Series]:
-    """The goals that were not refused, and the others; by their stamps on a clock, or without one by reception."""
+def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics]) -> tuple[Series, Series]:
+    """The goals that were not refused, and the others."""
     places = [message.pose.position for _, message in messages]
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
     times = np.array([time for time, _ in messages])
-    if clock is not None:
-        stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
-        times = np.where(clock.covers(stamps), (stamps - clock.origin_ns) / NANOSECONDS, times)
     planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
     kept = np.isfinite(positions).all(axis=1)
     # Bags of earlier versions do not name the goals of plans.

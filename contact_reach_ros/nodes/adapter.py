@@ -135,7 +135,7 @@ class AdapterNode(StoppableNode):
     def _make_target(self, chosen: AdapterSettings) -> EffortTarget | LbrTarget | FrankaTarget:
         settings: Any = self.settings[chosen.kind]
         if chosen.kind == LBR:
-            return LbrTarget(self, self.arm, settings, self.period, is_synchronous=self.lockstep)
+            return LbrTarget(self, self.arm, settings, self.period, bool(self.get_parameter("use_sim_time").value))
         if chosen.kind == FRANKA:
             return FrankaTarget(self, self.arm, settings)
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)
@@ -203,13 +203,13 @@ class AdapterNode(StoppableNode):
         super().look_around()
 
     def _come_to_rest(self) -> None:
-        """Stop, and send harmless torques until the arm is at rest; one in simulated time, which stands still."""
+        """Stop, and send harmless torques until the arm is at rest."""
         if self._guard.phase is Phase.WAITING:
             return
         self.stop_for(requested("the adapter is deactivated"))
         began = time.monotonic()
         self._look_for_silence()
-        while not self.lockstep and time.monotonic() - began < (_SLEW_S if self._guard.rests else _REST_S):
+        while time.monotonic() - began < (_SLEW_S if self._guard.rests else _REST_S):
             time.sleep(self.period)
             self.inbox.poll()
             self._look_for_silence()

@@ -5,26 +5,36 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Sequence
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 
-import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.topics import CDR
+from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.topics import CDR, OfferedQos
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
-from contact_reach_ros.nodes.bag_publisher import BagPublisher
+from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.parameters import without_ros_arguments
-from contact_reach_ros.ros.process import initialise
+from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.timing import NANOSECONDS
 
 BAD_INPUT = 2
 
 _RATES = (0.01, 100.0)
+_MATCHED_S = 1.0
+_ARRIVAL_S = 1.0
+_STALLED_NS = 500_000_000
+"""A longer delay, as of a process that was suspended with Ctrl-Z, is not made up for."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -66,16 +76,11 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     start_ns = reader.summary.start_ns + int(options.start * NANOSECONDS)
     if not 0.0 <= options.start <= reader.summary.duration:
         raise InputError(f"--start {options.start:g}: expected 0 to {reader.summary.duration:.3f} s, which the bag has")
-    initialise(arguments, options.discovery)
-    node = Node(REPLAY)
-    try:
+    with bare_node(REPLAY, options.discovery, arguments) as node:
         publisher = BagPublisher(node, reader, chosen, options.rate)
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: publisher.stop())
+            signal.signal(number, lambda *_: publisher.stopped.set())
         publisher.run(start_ns, options.loop)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, type]:
@@ -105,6 +110,126 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
     if not chosen:
         raise InputError(f"{reader.summary.path}: there is no topic that can be published")
     return chosen
+
+
+def published_name(recorded: str) -> str:
+    """Name under which a recorded topic is published: no arm listens there."""
+    return f"/{REPLAY}{recorded}"
+
+
+class BagPublisher:
+    """Publishes a bag, each topic under `published_name`.
+
+    Parameters
+    ----------
+    node
+        Publishes.
+    reader
+        The bag.
+    chosen
+        Topics to publish, with their message classes.
+    rate
+        Recorded time per real time.
+
+    Attributes
+    ----------
+    stopped
+        Ends `run`; a signal handler may set it.
+    """
+
+    def __init__(self, node: Node, reader: BagReader, chosen: dict[str, type], rate: float) -> None:
+        self._reader = reader
+        self._rate = rate
+        self.stopped = threading.Event()
+        known = reader.topics()
+        self._profiles = {name: publisher_qos(name, known[name].offered_qos) for name in chosen}
+        self._publishers: dict[str, Publisher] = {
+            name: node.create_publisher(kind, published_name(name), self._profiles[name])
+            for name, kind in chosen.items()
+        }
+
+    def run(self, start_ns: int, loop: bool) -> None:
+        """Publish from a time of the recording on, ns since the epoch, until its end, or with `loop` until `stop`.
+
+        Raises `BagError` if the bag cannot be read.
+        """
+        # Subscriptions have to be matched before the first message.
+        self.stopped.wait(_MATCHED_S)
+        began, count, rounds = time.monotonic(), 0, 0
+        for message in self._latched_before(start_ns):
+            self._publish(message)
+        while not self.stopped.is_set() and (loop or not rounds):
+            stored = self._reader.raw_messages(list(self._publishers), start_ns)
+            for message in paced(stored, start_ns, self._rate, self.stopped):
+                self._publish(message)
+                count += 1
+            rounds += 1
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
+        seconds = time.monotonic() - began
+        print(f"{REPLAY}: {count} messages of {len(self._publishers)} topics in {seconds:.1f} s, {rounds} times")
+        for note in self._reader.notes:
+            if note not in self._reader.summary.notes:
+                print(f"{REPLAY}: {note}", file=sys.stderr)
+
+    def _publish(self, message: RawMessage) -> None:
+        self._publishers[message.topic].publish(message.data)
+
+    def _latched_before(self, start_ns: int) -> list[RawMessage]:
+        """Messages of the skipped part that latched topics would still show."""
+        kept: dict[str, deque[RawMessage]] = {
+            name: deque(maxlen=profile.depth)
+            for name, profile in self._profiles.items()
+            if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        }
+        if start_ns > self._reader.summary.start_ns:
+            for message in self._reader.raw_messages(list(kept)):
+                if message.log_time_ns >= start_ns:
+                    break
+                kept[message.topic].append(message)
+        return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
+
+
+def paced(
+    messages: Iterable[RawMessage], start_ns: int, rate: float, stopped: threading.Event
+) -> Generator[RawMessage, None, None]:
+    """Yield each message when it is due, until the end or until `stopped` is set.
+
+    Every message has an absolute deadline on the steady clock, so that delays do not add up.
+
+    Parameters
+    ----------
+    messages :
+        In the order of reception; one that follows a later one is handed out together with it.
+    start_ns :
+        Time of the recording to begin at, ns since the epoch.
+    rate :
+        Recorded time per real time, 1 for the original pace.
+    stopped :
+        Ends the playback.
+    """
+    began_ns = time.monotonic_ns()
+    for message in messages:
+        remaining_ns = began_ns + int((message.log_time_ns - start_ns) / rate) - time.monotonic_ns()
+        if remaining_ns < -_STALLED_NS:
+            began_ns -= remaining_ns
+        if stopped.wait(max(remaining_ns, 0) / NANOSECONDS):
+            return
+        yield message
+
+
+def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:
+    """Return the best quality of service that any recorded publisher offered: it reaches everybody they reached.
+
+    A recorder has it from discovery, which does not report depths. The depth is that of the stack's topic, or one
+    message for a latched topic and a deep queue for any other.
+    """
+    reliable = not offered or any(profile.reliability != "best_effort" for profile in offered)
+    latched = any(profile.durability == "transient_local" for profile in offered)
+    known = topics.find(name)
+    usual = known.qos if known is not None else topics.LATCHED if latched else topics.STREAM
+    depth = max([usual.depth, *(profile.depth for profile in offered)])
+    return qos_profile(topics.Qos(depth, reliable, latched))
 
 
 if __name__ == "__main__":
