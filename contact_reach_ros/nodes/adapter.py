@@ -215,10 +215,5 @@ class AdapterNode(StoppableNode):
             self._look_for_silence()
 
 
-def main() -> None:
-    """Run the adapter."""
-    sys.exit(run(AdapterNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(AdapterNode, sys.argv))

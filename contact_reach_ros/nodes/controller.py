@@ -236,10 +236,5 @@ class ControllerNode(StoppableNode):
             self.say(f"{what}: {controller.stop_reason}; call {calls} to continue")
 
 
-def main() -> None:
-    """Run the controller."""
-    sys.exit(run(ControllerNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(ControllerNode, sys.argv))

@@ -143,11 +143,11 @@ class DriverNode(ManagedNode):
             self.inbox.poll()
         for _ in range(self.pace.due(now_ns)):
             self._tick(now_ns - self.pace.stood_ns)
-        self._publish(*self.robot.read(), self.robot.shows_obstacles())
+        self._publish(self.robot.read(), self.robot.shows_obstacles())
 
     def _lockstep_tick(self) -> None:
         # To look again would draw other noise.
-        repeat = partial(self._publish, *self.robot.read(), self.robot.shows_obstacles())
+        repeat = partial(self._publish, self.robot.read(), self.robot.shows_obstacles())
         repeat()
         if self.robot.plant.steps == 0:
             self._lockstep.begin(lambda: self._was_commanded, repeat)
@@ -165,12 +165,12 @@ class DriverNode(ManagedNode):
         self.robot.step(clock_ns)
         np.maximum(self._peak_contact, self.robot.plant.contact_forces(), out=self._peak_contact)
 
-    def _publish(self, state: JointState, shows_obstacles: bool) -> None:
-        """Publish the state, and obstacles where sensors show them, even if there are none: nobody else knows that."""
+    def _publish(self, states: list[JointState], shows_obstacles: bool) -> None:
+        """Publish states, and obstacles where sensors show them, even if there are none: nobody else knows that."""
         robot = self.robot
         now_ns, steps = robot.now_ns, robot.plant.steps
         if not self.lockstep:
-            self._show(state)
+            self._publish_states(states)
         if (robot.plant.actuation.value, robot.stop_reason) != self._published_safety:
             self._publish_safety()
         contacts = steps % _CONTACTS_EVERY == 0
@@ -184,7 +184,7 @@ class DriverNode(ManagedNode):
             self._obstacles.publish(self._obstacle_writer.write(robot.plant.obstacle_positions(), now_ns))
         if self.lockstep:
             # Last, so that whoever handles it has everything else.
-            self._show(state)
+            self._publish_states(states)
         if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
             self._clock_publisher.publish(Clock(clock=to_time(now_ns)))
 
@@ -194,11 +194,12 @@ class DriverNode(ManagedNode):
         if self._waits_for_command and room_ns > 0 and not self.lockstep:
             self.inbox.wait(min(room_ns, _ANSWER_NS))
 
-    def _show(self, state: JointState) -> None:
-        self._lockstep.expect(state.stamp_ns)
-        self._waits_for_command = True
-        self._published_ns = time.time_ns()
-        self.publish_state(state)
+    def _publish_states(self, states: list[JointState]) -> None:
+        for state in states:
+            self._lockstep.expect(state.stamp_ns)
+            self._waits_for_command = True
+            self._published_ns = time.time_ns()
+            self.publish_state(state)
 
     def publish_state(self, state: JointState) -> None:
         """Publish what the sensors show."""
@@ -239,10 +240,5 @@ class DriverNode(ManagedNode):
         return "released; the brakes open after steady commands"
 
 
-def main() -> None:
-    """Run the driver."""
-    sys.exit(run(DriverNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(DriverNode, sys.argv))

@@ -121,10 +121,5 @@ class ObserverNode(StoppableNode):
             self._write_wrench(self._wrench_writer.write(report.stamp_ns, self._observer.momentum.flange_wrench()))
 
 
-def main() -> None:
-    """Run the observer."""
-    sys.exit(run(ObserverNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(ObserverNode, sys.argv))

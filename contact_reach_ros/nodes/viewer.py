@@ -188,10 +188,5 @@ def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = ""
     return run(ViewerNode, arguments)
 
 
-def main() -> None:
-    """Run the viewer."""
-    sys.exit(run(ViewerNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(ViewerNode, sys.argv))
