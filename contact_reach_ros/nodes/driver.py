@@ -22,7 +22,6 @@ from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state, to_time
-from contact_reach_ros.messages.goal_state import read_goal_state
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
 from contact_reach_ros.ros.lockstep import LockstepDriver
@@ -157,9 +156,9 @@ class DriverNode(ManagedNode):
         self._lockstep.stand_still(lambda: self._waits_for_goal and self.robot.is_open)
         self._tick(self.robot.now_ns)
 
-    def _on_goal_state(self, message: DiagnosticStatus) -> None:
-        _, state = read_goal_state(message)
-        self._waits_for_goal = self._waits_for_goal and not state.phase.is_open
+    def _on_goal_state(self, _: DiagnosticStatus) -> None:
+        # Also of a goal that was refused: time goes on.
+        self._waits_for_goal = False
 
     def _tick(self, clock_ns: int) -> None:
         self.robot.step(clock_ns)

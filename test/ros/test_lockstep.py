@@ -73,6 +73,12 @@ class TestDriver:
         driver.begin(lambda: False, int)
         assert 1_000 * MS < driver.now_ns < 4_000 * MS
 
+    def test_stands_still_for_as_long_as_it_takes(self):
+        driver, wanted = Driver(), deque([True, True, False])
+        driver.step_ns = 100_000 * MS
+        driver.stand_still(wanted.popleft)
+        assert driver.now_ns == 200_000 * MS
+
     def test_gives_up_when_the_node_ends(self):
         driver = Driver(ends=True)
         driver.wait()
