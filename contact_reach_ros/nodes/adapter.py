@@ -25,8 +25,6 @@ from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.timing import Histogram, StampOrder
 
-NAME = "adapter"
-
 _CONTROLLER = "controller"
 _GRAVITY = "gravity_compensation"
 _IDLE_NS = 100_000_000
@@ -37,7 +35,7 @@ _SLEW_S, _REST_S = 0.1, 1.0
 class AdapterNode(StoppableNode):
     """Passes the controller's commands to the drive through a guard."""
 
-    NAME = NAME
+    NAME = "adapter"
     SECTIONS = ADAPTER_SECTIONS
     STOPPED = "no command is passed on"
     RELEASED = "the next command is passed on"
@@ -185,7 +183,7 @@ class AdapterNode(StoppableNode):
         if (phase, reason) == self._published:
             return
         self._published = (phase, reason)
-        self._safety.publish(to_stop_state(NAME, self.arm, reason, phase.value, {"state": phase.value}))
+        self._safety.publish(to_stop_state(self.NAME, self.arm, reason, phase.value, {"state": phase.value}))
         if reason:
             self.say(f"no command is passed on: {reason}; call ~/reset to continue")
 

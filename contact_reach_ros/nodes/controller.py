@@ -33,7 +33,6 @@ from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Histogram, write_counts
 
-NAME = "controller"
 _PLANNER = "planner"
 _BUDGET = "budget"
 _OWN_FILE = "contact_budget"
@@ -43,7 +42,7 @@ _OWN_FILE = "contact_budget"
 class ControllerNode(StoppableNode):
     """Passes joint states, references and safety states to the controller and publishes its torques."""
 
-    NAME = NAME
+    NAME = "controller"
     SECTIONS = CONTROLLER_SECTIONS
     STOPPED = "compliant stop"
     RELEASED = "holding; send a goal to continue"
@@ -228,7 +227,7 @@ class ControllerNode(StoppableNode):
             self._intake.flush()
         mode = controller.mode.value
         values = {"mode": mode, **observer_values(self.settings["supervision"].require_observer)}
-        self._safety.publish(to_stop_state(NAME, self.arm, controller.stop_reason, mode, values))
+        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, values))
         if controller.stop_reason:
             is_silent = controller.mode is Mode.SILENT
             what = "stop, without commands" if is_silent else "compliant stop"
