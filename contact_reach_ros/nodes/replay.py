@@ -8,12 +8,11 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from contact_reach_ros.bags.reader import BagReader, RawMessage
@@ -76,11 +75,11 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     start_ns = reader.summary.start_ns + int(options.start * NANOSECONDS)
     if not 0.0 <= options.start <= reader.summary.duration:
         raise InputError(f"--start {options.start:g}: expected 0 to {reader.summary.duration:.3f} s, which the bag has")
+    stopped = threading.Event()
     with bare_node(REPLAY, options.discovery, arguments) as node:
-        publisher = BagPublisher(node, reader, chosen, options.rate)
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: publisher.stopped.set())
-        publisher.run(start_ns, options.loop)
+            signal.signal(number, lambda *_: stopped.set())
+        publish(node, reader, chosen, start_ns, options, stopped)
 
 
 def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, type]:
@@ -112,13 +111,17 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
     return chosen
 
 
-def published_name(recorded: str) -> str:
-    """Name under which a recorded topic is published: no arm listens there."""
-    return f"/{REPLAY}{recorded}"
+def publish(
+    node: Node,
+    reader: BagReader,
+    chosen: Mapping[str, type],
+    start_ns: int,
+    options: argparse.Namespace,
+    stopped: threading.Event,
+) -> None:
+    """Publish a bag below /replay, where no arm listens.
 
-
-class BagPublisher:
-    """Publishes a bag, each topic under `published_name`.
+    Raises `BagError` if the bag cannot be read.
 
     Parameters
     ----------
@@ -128,66 +131,49 @@ class BagPublisher:
         The bag.
     chosen
         Topics to publish, with their message classes.
-    rate
-        Recorded time per real time.
-
-    Attributes
-    ----------
+    start_ns
+        Time of the recording to begin at, ns since the epoch.
+    options
+        With `rate`, and with `loop`: whether to begin again at the end.
     stopped
-        Ends `run`; a signal handler may set it.
+        Ends the replay; a signal handler may set it.
     """
+    profiles = {name: publisher_qos(name, reader.topics()[name].offered_qos) for name in chosen}
+    publishers = {
+        name: node.create_publisher(kind, f"/{REPLAY}{name}", profiles[name]) for name, kind in chosen.items()
+    }
+    # Subscriptions have to be matched before the first message.
+    stopped.wait(_MATCHED_S)
+    began, count, rounds = time.monotonic(), 0, 0
+    for message in _latched_before(reader, profiles, start_ns):
+        publishers[message.topic].publish(message.data)
+    while not stopped.is_set() and (options.loop or not rounds):
+        for message in paced(reader.raw_messages(list(chosen), start_ns), start_ns, options.rate, stopped):
+            publishers[message.topic].publish(message.data)
+            count += 1
+        rounds += 1
+    for publisher in publishers.values():
+        publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
+    seconds = time.monotonic() - began
+    print(f"{REPLAY}: {count} messages of {len(publishers)} topics in {seconds:.1f} s, {rounds} times")
+    for note in reader.notes:
+        if note not in reader.summary.notes:
+            print(f"{REPLAY}: {note}", file=sys.stderr)
 
-    def __init__(self, node: Node, reader: BagReader, chosen: dict[str, type], rate: float) -> None:
-        self._reader = reader
-        self._rate = rate
-        self.stopped = threading.Event()
-        known = reader.topics()
-        self._profiles = {name: publisher_qos(name, known[name].offered_qos) for name in chosen}
-        self._publishers: dict[str, Publisher] = {
-            name: node.create_publisher(kind, published_name(name), self._profiles[name])
-            for name, kind in chosen.items()
-        }
 
-    def run(self, start_ns: int, loop: bool) -> None:
-        """Publish from a time of the recording on, ns since the epoch, until its end, or with `loop` until `stop`.
-
-        Raises `BagError` if the bag cannot be read.
-        """
-        # Subscriptions have to be matched before the first message.
-        self.stopped.wait(_MATCHED_S)
-        began, count, rounds = time.monotonic(), 0, 0
-        for message in self._latched_before(start_ns):
-            self._publish(message)
-        while not self.stopped.is_set() and (loop or not rounds):
-            stored = self._reader.raw_messages(list(self._publishers), start_ns)
-            for message in paced(stored, start_ns, self._rate, self.stopped):
-                self._publish(message)
-                count += 1
-            rounds += 1
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
-        seconds = time.monotonic() - began
-        print(f"{REPLAY}: {count} messages of {len(self._publishers)} topics in {seconds:.1f} s, {rounds} times")
-        for note in self._reader.notes:
-            if note not in self._reader.summary.notes:
-                print(f"{REPLAY}: {note}", file=sys.stderr)
-
-    def _publish(self, message: RawMessage) -> None:
-        self._publishers[message.topic].publish(message.data)
-
-    def _latched_before(self, start_ns: int) -> list[RawMessage]:
-        """Messages of the skipped part that latched topics would still show."""
-        kept: dict[str, deque[RawMessage]] = {
-            name: deque(maxlen=profile.depth)
-            for name, profile in self._profiles.items()
-            if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        }
-        if start_ns > self._reader.summary.start_ns:
-            for message in self._reader.raw_messages(list(kept)):
-                if message.log_time_ns >= start_ns:
-                    break
-                kept[message.topic].append(message)
-        return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
+def _latched_before(reader: BagReader, profiles: Mapping[str, QoSProfile], start_ns: int) -> list[RawMessage]:
+    """Messages of the skipped part that latched topics would still show."""
+    kept: dict[str, deque[RawMessage]] = {
+        name: deque(maxlen=profile.depth)
+        for name, profile in profiles.items()
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    }
+    if start_ns > reader.summary.start_ns:
+        for message in reader.raw_messages(list(kept)):
+            if message.log_time_ns >= start_ns:
+                break
+            kept[message.topic].append(message)
+    return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
 
 
 def paced(
