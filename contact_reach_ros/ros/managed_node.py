@@ -150,11 +150,7 @@ class ManagedNode(LifecycleNode):
 
     @property
     def role(self) -> Role:
-        """What its process is to the others, by which it gets CPUs and priority.
-
-        In lockstep it is one without priority: loops that never sleep would keep everything of lower priority from
-        running, first of all their own services.
-        """
+        """By which its process gets CPUs and priority; in lockstep, where its loop never sleeps, no priority."""
         return Role.VIEWER if self.lockstep else Role[self.NAME.upper()]
 
     @property
