@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import runpy
 import signal
 import sys
 import threading
@@ -53,7 +54,7 @@ def _run(module: str) -> None:
     if node in NODES and {"-h", "--help"} & {*sys.argv}:
         print(_help(node))
     else:
-        importlib.import_module(f"contact_reach_ros.{module}").main()
+        runpy.run_module(f"contact_reach_ros.{module}", run_name="__main__")
 
 
 def _help(node: str) -> str:

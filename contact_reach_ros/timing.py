@@ -1,4 +1,4 @@
-"""Histograms of durations, and detection of old messages by their stamps, cheap enough for a 1 kHz loop."""
+"""Ticks, histograms of durations, and detection of old messages by their stamps, cheap enough for a 1 kHz loop."""
 
 from __future__ import annotations
 
@@ -28,6 +28,9 @@ _BITS = 7
 
 PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
 """Names of percentiles in diagnostics and reports."""
+
+_MOST_CATCH_UP_NS = 20_000_000
+"""A process that is later than this stood still itself."""
 
 _PATIENCE = 5
 """Older messages in a row after which the clock counts as set back."""
@@ -75,6 +78,53 @@ class StampOrder:
             return True
         self.older += 1
         return False
+
+
+class Pace:
+    """Counts ticks of the steady clock.
+
+    Parameters
+    ----------
+    period_ns
+        Time between ticks, ns.
+
+    Attributes
+    ----------
+    next_ns
+        When the next tick is due, ns.
+    missed
+        Ticks that came late by a period or more.
+    stood_ns
+        Time for which the robot has stood still because this process did, ns.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.next_ns = 0
+        self.missed = 0
+        self.stood_ns = 0
+        self._period_ns = period_ns
+
+    def start(self, now_ns: int) -> None:
+        """Let the first tick be due in a period."""
+        self.next_ns = now_ns + self._period_ns
+
+    def stand_still(self, now_ns: int) -> int:
+        """After a long pause of this process, leave out ticks: the robot neither moves nor receives anything.
+
+        Returns the time that is left out, ns, by which its stamps advance.
+        """
+        ticks = max((now_ns - self.next_ns - _MOST_CATCH_UP_NS) // self._period_ns, 0)
+        self.missed += ticks
+        self.next_ns += ticks * self._period_ns
+        self.stood_ns += ticks * self._period_ns
+        return ticks * self._period_ns
+
+    def due(self, now_ns: int) -> int:
+        """Number of ticks that are due: a real robot moves on, whether this process is on time or not."""
+        late = max((now_ns - self.next_ns) // self._period_ns, 0)
+        self.missed += late
+        self.next_ns += (1 + late) * self._period_ns
+        return 1 + late
 
 
 class Histogram:

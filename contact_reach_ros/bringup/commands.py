@@ -14,7 +14,6 @@ from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.settings import SPEED_SCALE
 from contact_reach_ros.ros.client import PLANNER, Outcome, StackClient, connect
-from contact_reach_ros.ros.interfaces import STOPPABLE
 from contact_reach_ros.world.goal import POSE
 
 
@@ -77,14 +76,14 @@ def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
 def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
     with connect(discovery, namespace) as client:
-        client.find(lambda: any(client.offers(f"{name}/stop") for name in STOPPABLE))
+        client.find()
         return _report(client.stop())
 
 
 def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
     with connect(discovery, namespace) as client:
-        client.find(lambda: any(client.offers(f"{name}/reset") for name in STOPPABLE))
+        client.find()
         return _report(client.release_all())
 
 

@@ -9,7 +9,6 @@ import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,10 +25,9 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE, Episode, EpisodeSummary
 from contact_reach_ros.ros.graph import refuse_beside_another
-from contact_reach_ros.ros.interfaces import DEMO, RECORDER
+from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.settings import RATE, parameters_in
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
 
@@ -115,7 +113,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         overrides=(
             f"driver:seed={options.seed}",
             *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
-            *([f"driver:waits_for={DEMO},{RECORDER}"] if options.lockstep else []),
+            *(["driver:waits_for_goal=true"] if options.lockstep else []),
         ),
     )
     table = processes(bringup)
@@ -129,8 +127,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         scene = make_scene(read_scene(options.scene), model.arm, options.seed, goal)
         refuse_beside_another(node, [process.name for process in table], began)
         options.output.mkdir(parents=True, exist_ok=True)
-        tick_ns = _state_period_ns(bringup.parameter_file) if options.lockstep else 0
-        follower = Follower(node, model, scene.target, tick_ns)
+        follower = Follower(node, model, scene.target)
         stack = StackProcesses(follower, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))
         try:
             end_ns = _drive_to_goal(stack, follower, options)
@@ -152,12 +149,6 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         return INTERRUPTED, summary
     code = 0 if summary is not None and summary.success and not failure else 1
     return code, None if failure else summary
-
-
-def _state_period_ns(parameter_file: Path) -> int:
-    """Time between joint states of the driver, ns."""
-    rate: Any = parameters_in(parameter_file, "driver").get(RATE.name, RATE.default)
-    return round(NANOSECONDS / rate)
 
 
 def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptions) -> int:

@@ -25,8 +25,6 @@ from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.timing import Histogram, StampOrder
 
-NAME = "adapter"
-
 _CONTROLLER = "controller"
 _GRAVITY = "gravity_compensation"
 _IDLE_NS = 100_000_000
@@ -37,7 +35,7 @@ _SLEW_S, _REST_S = 0.1, 1.0
 class AdapterNode(StoppableNode):
     """Passes the controller's commands to the drive through a guard."""
 
-    NAME = NAME
+    NAME = "adapter"
     SECTIONS = ADAPTER_SECTIONS
     STOPPED = "no command is passed on"
     RELEASED = "the next command is passed on"
@@ -135,7 +133,7 @@ class AdapterNode(StoppableNode):
     def _make_target(self, chosen: AdapterSettings) -> EffortTarget | LbrTarget | FrankaTarget:
         settings: Any = self.settings[chosen.kind]
         if chosen.kind == LBR:
-            return LbrTarget(self, self.arm, settings, self.period, is_synchronous=self.lockstep)
+            return LbrTarget(self, self.arm, settings, self.period, bool(self.get_parameter("use_sim_time").value))
         if chosen.kind == FRANKA:
             return FrankaTarget(self, self.arm, settings)
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)
@@ -185,7 +183,7 @@ class AdapterNode(StoppableNode):
         if (phase, reason) == self._published:
             return
         self._published = (phase, reason)
-        self._safety.publish(to_stop_state(NAME, self.arm, reason, phase.value, {"state": phase.value}))
+        self._safety.publish(to_stop_state(self.NAME, self.arm, reason, phase.value, {"state": phase.value}))
         if reason:
             self.say(f"no command is passed on: {reason}; call ~/reset to continue")
 
@@ -203,22 +201,17 @@ class AdapterNode(StoppableNode):
         super().look_around()
 
     def _come_to_rest(self) -> None:
-        """Stop, and send harmless torques until the arm is at rest; one in simulated time, which stands still."""
+        """Stop, and send harmless torques until the arm is at rest."""
         if self._guard.phase is Phase.WAITING:
             return
         self.stop_for(requested("the adapter is deactivated"))
         began = time.monotonic()
         self._look_for_silence()
-        while not self.lockstep and time.monotonic() - began < (_SLEW_S if self._guard.rests else _REST_S):
+        while time.monotonic() - began < (_SLEW_S if self._guard.rests else _REST_S):
             time.sleep(self.period)
             self.inbox.poll()
             self._look_for_silence()
 
 
-def main() -> None:
-    """Run the adapter."""
-    sys.exit(run(AdapterNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(AdapterNode, sys.argv))

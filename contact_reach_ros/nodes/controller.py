@@ -32,7 +32,6 @@ from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Histogram, write_counts
 
-NAME = "controller"
 _PLANNER = "planner"
 _BUDGET = "budget"
 _OWN_FILE = "contact_budget"
@@ -42,7 +41,7 @@ _OWN_FILE = "contact_budget"
 class ControllerNode(StoppableNode):
     """Passes joint states, references and safety states to the controller and publishes its torques."""
 
-    NAME = NAME
+    NAME = "controller"
     SECTIONS = CONTROLLER_SECTIONS
     STOPPED = "compliant stop"
     RELEASED = "holding; send a goal to continue"
@@ -226,7 +225,7 @@ class ControllerNode(StoppableNode):
             self._intake.flush()
         mode = controller.mode.value
         values = {"mode": mode, **observer_values(self.settings["supervision"].require_observer)}
-        self._safety.publish(to_stop_state(NAME, self.arm, controller.stop_reason, mode, values))
+        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, values))
         if controller.stop_reason:
             is_silent = controller.mode is Mode.SILENT
             what = "stop, without commands" if is_silent else "compliant stop"
@@ -234,10 +233,5 @@ class ControllerNode(StoppableNode):
             self.say(f"{what}: {controller.stop_reason}; call {calls} to continue")
 
 
-def main() -> None:
-    """Run the controller."""
-    sys.exit(run(ControllerNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(ControllerNode, sys.argv))

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
@@ -29,7 +30,7 @@ from contact_reach_ros.ros.process import run
 from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
-from contact_reach_ros.timing import NANOSECONDS, Histogram, write_counts
+from contact_reach_ros.timing import NANOSECONDS, Histogram, Pace, write_counts
 from contact_reach_ros.world.scene_file import read_scene
 
 _CONTACTS_EVERY = 5
@@ -38,56 +39,8 @@ _LOCKSTEP_START_NS = 1000 * NANOSECONDS
 """Simulated time begins well after zero, which ROS interprets as 'not set'."""
 _ANSWER_NS = 500_000
 """Time to wait for the controller. A late tick can still catch up, since it needs less than the other half."""
-_MAX_CATCH_UP_NS = 20_000_000
 _REST_NS = 300_000
 """Part of a tick reserved for publishing after the joint state."""
-
-
-class Pace:
-    """Counts ticks of the steady clock.
-
-    Parameters
-    ----------
-    period_ns
-        Time between ticks, ns.
-
-    Attributes
-    ----------
-    next_ns
-        When the next tick is due, ns.
-    missed
-        Ticks that came late by a period or more.
-    stood_ns
-        Time for which the robot has stood still because this process did, ns.
-    """
-
-    def __init__(self, period_ns: int) -> None:
-        self.next_ns = 0
-        self.missed = 0
-        self.stood_ns = 0
-        self._period_ns = period_ns
-
-    def start(self, now_ns: int) -> None:
-        """Let the first tick be due in a period."""
-        self.next_ns = now_ns + self._period_ns
-
-    def stand_still(self, now_ns: int) -> int:
-        """After a long pause of this process, leave out ticks: the robot neither moves nor receives anything.
-
-        Returns the time that is left out, ns, by which its stamps advance.
-        """
-        ticks = max((now_ns - self.next_ns - _MAX_CATCH_UP_NS) // self._period_ns, 0)
-        self.missed += ticks
-        self.next_ns += ticks * self._period_ns
-        self.stood_ns += ticks * self._period_ns
-        return ticks * self._period_ns
-
-    def due(self, now_ns: int) -> int:
-        """Number of ticks that are due: a real robot moves on, whether this process is on time or not."""
-        late = max((now_ns - self.next_ns) // self._period_ns, 0)
-        self.missed += late
-        self.next_ns += (1 + late) * self._period_ns
-        return 1 + late
 
 
 class DriverNode(ManagedNode):
@@ -102,11 +55,14 @@ class DriverNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
+        chosen: DriverSettings = self.settings[""]
         # This node provides the clock, and does not use one.
-        self.lockstep = self.settings[""].lockstep
+        self.lockstep = chosen.lockstep
         self._period_ns = round(self.period * NANOSECONDS)
-        waits_for = [name.strip() for name in self.settings[""].waits_for.split(",") if name.strip()]
-        self._lockstep = LockstepDriver(self._period_ns, waits_for)
+        waits_for = [name.strip() for name in chosen.waits_for.split(",") if name.strip()]
+        is_ending = lambda: self._stop.is_set() or not self.running  # noqa: E731
+        self._lockstep = LockstepDriver(self._period_ns, waits_for, self.inbox.wait, is_ending)
+        self._waits_for_goal = chosen.waits_for_goal
         self._waits_for_command = self._was_commanded = False
         """Whether no command has come since the last joint state, and whether any has ever come."""
         self.write_state = self.make_writer(self.STATES)
@@ -121,7 +77,7 @@ class DriverNode(ManagedNode):
         self.inbox.add(self.COMMANDS, self._on_command, self.stream_qos, serialized=True)
         if self.lockstep:
             self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.STREAM)
-        chosen: DriverSettings = self.settings[""]
+            self.inbox.add(topics.GOAL_STATE, self._on_goal_state)
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
         own = self.settings
         self.robot = SimulatedRobot(self._scene, joints=own["joints"], watchdog=own["watchdog"], period=self.period)
@@ -133,7 +89,6 @@ class DriverNode(ManagedNode):
         self._peak_contact = np.zeros(len(self.arm.contact_links))
         names, base = self.arm.joint_names, self.arm.base_frame
         self._state_writer = JointStateWriter(names, base, ["position", "velocity", "effort"])
-        self._writer_without_effort = JointStateWriter(names, base, ["position", "velocity"])
         self._contact_writer = JointStateWriter([*self.arm.contact_links, "sum", "max"], base, ["effort"])
         self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
@@ -193,20 +148,24 @@ class DriverNode(ManagedNode):
         # To look again would draw other noise.
         repeat = partial(self._publish, self.robot.read(), self.robot.shows_obstacles())
         repeat()
-        wait = self._lockstep.wait
         if self.robot.plant.steps == 0:
-            wait = partial(self._lockstep.begin, moves=lambda: self._was_commanded, repeat=repeat)
-        if wait(self.inbox.wait, lambda: self._stop.is_set() or not self.running):
-            # Commands that came before the last promise, but after they were looked for.
-            self.inbox.poll()
-            self._tick(self.robot.now_ns)
+            self._lockstep.begin(lambda: self._was_commanded, repeat)
+        self._lockstep.wait()
+        # Commands that came before the last promise, but after they were looked for.
+        self.inbox.poll()
+        self._lockstep.stand_still(lambda: self._waits_for_goal and self.robot.is_open)
+        self._tick(self.robot.now_ns)
+
+    def _on_goal_state(self, _: DiagnosticStatus) -> None:
+        # Also of a goal that was refused: time goes on.
+        self._waits_for_goal = False
 
     def _tick(self, clock_ns: int) -> None:
         self.robot.step(clock_ns)
         np.maximum(self._peak_contact, self.robot.plant.contact_forces(), out=self._peak_contact)
 
     def _publish(self, states: list[JointState], shows_obstacles: bool) -> None:
-        """Publish states, and obstacles where the sensors show them, even if there are none: nobody else knows that."""
+        """Publish states, and obstacles where sensors show them, even if there are none: nobody else knows that."""
         robot = self.robot
         now_ns, steps = robot.now_ns, robot.plant.steps
         if not self.lockstep:
@@ -243,11 +202,8 @@ class DriverNode(ManagedNode):
 
     def publish_state(self, state: JointState) -> None:
         """Publish what the sensors show."""
-        if state.torque is None:
-            data = self._writer_without_effort.write(state.stamp_ns, state.q, state.v)
-        else:
-            data = self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque)
-        self.write_state(data)
+        assert state.torque is not None
+        self.write_state(self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque))
 
     def _publish_safety(self) -> None:
         actuation, reason = self.robot.plant.actuation.value, self.robot.stop_reason
@@ -283,10 +239,5 @@ class DriverNode(ManagedNode):
         return "released; the brakes open after steady commands"
 
 
-def main() -> None:
-    """Run the driver."""
-    sys.exit(run(DriverNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(DriverNode, sys.argv))

@@ -19,15 +19,13 @@ from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Settings
 
-NAME = "observer"
-
 _WRENCH_EVERY = 10
 
 
 class ObserverNode(StoppableNode):
     """Passes joint states to the observer and publishes its reports."""
 
-    NAME = NAME
+    NAME = "observer"
     SECTIONS = OBSERVER_SECTIONS
     RELEASED = MONITORING
 
@@ -110,15 +108,10 @@ class ObserverNode(StoppableNode):
                 # Bags must not end between a stop and what led to it.
                 self._intake.flush()
                 self.say(f"stop: {why}; call ~/reset to continue" if is_stop else why)
-            self._safety.publish(to_safety_state(report, NAME, self.arm))
+            self._safety.publish(to_safety_state(report, self.NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
             self._write_wrench(self._wrench_writer.write(report.stamp_ns, self._observer.momentum.flange_wrench()))
 
 
-def main() -> None:
-    """Run the observer."""
-    sys.exit(run(ObserverNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(ObserverNode, sys.argv))

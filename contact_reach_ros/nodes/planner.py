@@ -239,10 +239,5 @@ class PlannerNode(ManagedNode):
         self._output.follow_goal(self._planner, self._goal_ns)
 
 
-def main() -> None:
-    """Run the planner."""
-    sys.exit(run(PlannerNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(PlannerNode, sys.argv))

@@ -136,10 +136,5 @@ def _provenance() -> dict[str, str]:
     return made_by if revision is None else {**made_by, "git_revision": revision}
 
 
-def main() -> None:
-    """Run the recorder."""
-    sys.exit(run(RecorderNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(RecorderNode, sys.argv))

@@ -5,26 +5,35 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Sequence
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 
-import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.topics import CDR
+from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.topics import CDR, OfferedQos
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
-from contact_reach_ros.nodes.bag_publisher import BagPublisher
+from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.topic_recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.parameters import without_ros_arguments
-from contact_reach_ros.ros.process import initialise
+from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.timing import NANOSECONDS
 
 BAD_INPUT = 2
 
 _RATES = (0.01, 100.0)
+_MATCHED_S = 1.0
+_ARRIVAL_S = 1.0
+_STALLED_NS = 500_000_000
+"""A longer delay, as of a process that was suspended with Ctrl-Z, is not made up for."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -66,16 +75,11 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     start_ns = reader.start_ns + int(options.start * NANOSECONDS)
     if not 0.0 <= options.start <= reader.duration:
         raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
-    initialise(arguments, options.discovery)
-    node = Node(REPLAY)
-    try:
-        publisher = BagPublisher(node, reader, chosen, options.rate)
+    stopped = threading.Event()
+    with bare_node(REPLAY, options.discovery, arguments) as node:
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: publisher.stop())
-        publisher.run(start_ns, options.loop)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+            signal.signal(number, lambda *_: stopped.set())
+        publish(node, reader, chosen, start_ns, options, stopped)
 
 
 def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, type]:
@@ -105,6 +109,114 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
     if not chosen:
         raise InputError(f"{reader.path}: there is no topic that can be published")
     return chosen
+
+
+def publish(
+    node: Node,
+    reader: BagReader,
+    chosen: Mapping[str, type],
+    start_ns: int,
+    options: argparse.Namespace,
+    stopped: threading.Event,
+) -> None:
+    """Publish a bag below /replay, where no arm listens.
+
+    Raises `BagError` if the bag cannot be read.
+
+    Parameters
+    ----------
+    node
+        Publishes.
+    reader
+        The bag.
+    chosen
+        Topics to publish, with their message classes.
+    start_ns
+        Time of the recording to begin at, ns since the epoch.
+    options
+        With `rate`, and with `loop`: whether to begin again at the end.
+    stopped
+        Ends the replay; a signal handler may set it.
+    """
+    known_notes = reader.notes
+    profiles = {name: publisher_qos(name, reader.topics[name].offered_qos) for name in chosen}
+    publishers = {
+        name: node.create_publisher(kind, f"/{REPLAY}{name}", profiles[name]) for name, kind in chosen.items()
+    }
+    # Subscriptions have to be matched before the first message.
+    stopped.wait(_MATCHED_S)
+    began, count, rounds = time.monotonic(), 0, 0
+    for message in _latched_before(reader, profiles, start_ns):
+        publishers[message.topic].publish(message.data)
+    while not stopped.is_set() and (options.loop or not rounds):
+        for message in paced(reader.raw_messages(list(chosen), start_ns), start_ns, options.rate, stopped):
+            publishers[message.topic].publish(message.data)
+            count += 1
+        rounds += 1
+    for publisher in publishers.values():
+        publisher.wait_for_all_acked(Duration(seconds=_ARRIVAL_S))
+    seconds = time.monotonic() - began
+    print(f"{REPLAY}: {count} messages of {len(publishers)} topics in {seconds:.1f} s, {rounds} times")
+    for note in reader.notes:
+        if note not in known_notes:
+            print(f"{REPLAY}: {note}", file=sys.stderr)
+
+
+def _latched_before(reader: BagReader, profiles: Mapping[str, QoSProfile], start_ns: int) -> list[RawMessage]:
+    """Messages of the skipped part that latched topics would still show."""
+    kept: dict[str, deque[RawMessage]] = {
+        name: deque(maxlen=profile.depth)
+        for name, profile in profiles.items()
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    }
+    if start_ns > reader.start_ns:
+        for message in reader.raw_messages(list(kept)):
+            if message.log_time_ns >= start_ns:
+                break
+            kept[message.topic].append(message)
+    return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
+
+
+def paced(
+    messages: Iterable[RawMessage], start_ns: int, rate: float, stopped: threading.Event
+) -> Generator[RawMessage, None, None]:
+    """Yield each message when it is due, until the end or until `stopped` is set.
+
+    Every message has an absolute deadline on the steady clock, so that delays do not add up.
+
+    Parameters
+    ----------
+    messages :
+        In the order of reception; one that follows a later one is handed out together with it.
+    start_ns :
+        Time of the recording to begin at, ns since the epoch.
+    rate :
+        Recorded time per real time, 1 for the original pace.
+    stopped :
+        Ends the playback.
+    """
+    began_ns = time.monotonic_ns()
+    for message in messages:
+        remaining_ns = began_ns + int((message.log_time_ns - start_ns) / rate) - time.monotonic_ns()
+        if remaining_ns < -_STALLED_NS:
+            began_ns -= remaining_ns
+        if stopped.wait(max(remaining_ns, 0) / NANOSECONDS):
+            return
+        yield message
+
+
+def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:
+    """Return the best quality of service that any recorded publisher offered: it reaches everybody they reached.
+
+    A recorder has it from discovery, which does not report depths. The depth is that of the stack's topic, or one
+    message for a latched topic and a deep queue for any other.
+    """
+    reliable = not offered or any(profile.reliability != "best_effort" for profile in offered)
+    latched = any(profile.durability == "transient_local" for profile in offered)
+    known = topics.find(name)
+    usual = known.qos if known is not None else topics.LATCHED if latched else topics.STREAM
+    depth = max([usual.depth, *(profile.depth for profile in offered)])
+    return qos_profile(topics.Qos(depth, reliable, latched))
 
 
 if __name__ == "__main__":

@@ -55,8 +55,6 @@ class ViewerNode(ManagedNode):
         super().__init__()
         settings: ViewerSettings = self.settings[""]
         self._due = 0.0
-        self._busy_ns = 0
-        self._turns = 0
         self.live = LiveState(self.arm, time.monotonic())
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
@@ -87,27 +85,17 @@ class ViewerNode(ManagedNode):
         wait = self._due - time.monotonic()
         if wait > 0.0:
             time.sleep(wait)
-        began_ns = time.monotonic_ns()
         self._due = max(self._due + 1.0 / MAX_RATE, time.monotonic())
         self.inbox.poll()
         call(self._server, lambda: self._page.turn(time.monotonic()))
-        self._busy_ns += time.monotonic_ns() - began_ns
-        self._turns += 1
 
     def close(self) -> None:
         """Shut the server down."""
         self._server.stop()
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
-        """Number of browsers, number of updates and the mean duration of one."""
-        turns, busy_ns = self._turns, self._busy_ns
-        self._turns = self._busy_ns = 0
-        values = {
-            "browsers": len(self._server.get_clients()),
-            "updates": turns,
-            "mean update ms": busy_ns / max(turns, 1) / 1e6,
-        }
-        return "", values
+        """Number of browsers."""
+        return "", {"browsers": len(self._server.get_clients())}
 
     def _on_state(self, data: bytes) -> None:
         stamp_ns, q, _, _ = self._states.read(data)
@@ -188,10 +176,5 @@ def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = ""
     return run(ViewerNode, arguments)
 
 
-def main() -> None:
-    """Run the viewer."""
-    sys.exit(run(ViewerNode, sys.argv))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(ViewerNode, sys.argv))

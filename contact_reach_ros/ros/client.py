@@ -73,10 +73,6 @@ class Services:
         self._clients: dict[str, ServiceClient] = {}
         self._lock = threading.Lock()
 
-    def offers(self, service: str) -> bool:
-        """Whether a node is known that offers a Trigger service."""
-        return bool(self._client(service, Trigger).service_is_ready())
-
     def trigger(self, name: str, service: str) -> Outcome:
         """Call a Trigger service of a node; not done where no node offers it, or none answers."""
         try:
@@ -231,9 +227,9 @@ class StackClient(Client):
         }
         return [what for what, is_heard in heard.items() if not is_heard]
 
-    def find(self, is_there: Callable[[], bool]) -> None:
-        """Wait for any sign of a stack; raises `ContactReachError` if there is none within some seconds."""
-        if not self.until(is_there, _FOUND_S):
+    def find(self) -> None:
+        """Wait for a node that reports a safety state; raises `ContactReachError` if there is none in some seconds."""
+        if not self.until(lambda: self.node.count_publishers(topics.SAFETY_STATE.name) > 0, _FOUND_S):
             domain, namespace = os.environ.get("ROS_DOMAIN_ID", "0"), self.node.get_namespace()
             raise ContactReachError(
                 f"no stack answers in ROS domain {domain}, namespace {namespace}: start one with 'contact-reach up', "
@@ -245,7 +241,7 @@ class StackClient(Client):
 
         Raises `ContactReachError` if they do not within some seconds, with the topics that are missing.
         """
-        self.find(lambda: bool(self._heard or self.diagnostics))
+        self.find()
         if not self.until(lambda: not self.missing(), _FOUND_S):
             raise ContactReachError(f"not heard: {', '.join(self.missing())}; run contact-reach doctor")
 

@@ -43,16 +43,13 @@ TUNABLE = ("planner", "controller", "observer", "driver")
 STOPPABLE = ("controller", "observer", ADAPTER, "driver")
 """Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
 
-_PARAMETER_SERVICES = [
+_MANAGED_SERVICES = [
     "~/describe_parameters",
     "~/get_parameter_types",
     "~/get_parameters",
-    "~/get_type_description",
     "~/list_parameters",
     "~/set_parameters",
     "~/set_parameters_atomically",
-]
-_LIFECYCLE_SERVICES = [
     "~/change_state",
     "~/get_available_states",
     "~/get_available_transitions",
@@ -74,7 +71,7 @@ def _node(
     return Interface(
         frozenset({*_EVERY_NODE_PUBLISHES, *(topic.name for topic in publishes)}),
         frozenset(topic.name for topic in subscribes),
-        frozenset({*_PARAMETER_SERVICES, *serves}),
+        frozenset({"~/get_type_description", *serves}),
         frozenset(calls),
     )
 
@@ -82,9 +79,9 @@ def _node(
 def _managed(
     publishes: Iterable[Topic], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
 ) -> Interface:
-    """A lifecycle node."""
+    """A lifecycle node; all others have no parameters that could be asked for."""
     said = [*publishes, topics.DIAGNOSTICS, topics.SETTINGS]
-    node = _node(said, [*subscribes, topics.CLOCK], [*_LIFECYCLE_SERVICES, *serves], calls)
+    node = _node(said, [*subscribes, topics.CLOCK], [*_MANAGED_SERVICES, *serves], calls)
     return replace(node, publishes=node.publishes | {"~/transition_event"})
 
 
@@ -106,7 +103,9 @@ HEARD_BY_VIEWER = (
 )
 
 MANAGED = {
-    "driver": _managed([*_SIMULATED, topics.SAFETY_STATE], [topics.COMMANDS, topics.LOCKSTEP_HORIZON], _STOP),
+    "driver": _managed(
+        [*_SIMULATED, topics.SAFETY_STATE], [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.GOAL_STATE], _STOP
+    ),
     "controller": _managed(
         [*_TORQUES, topics.SAFETY_STATE, topics.CONTROLLER_INTAKE, topics.LOCKSTEP_HORIZON],
         [*_PACE, *_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS],

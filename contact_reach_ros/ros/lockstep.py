@@ -5,9 +5,8 @@ with a `lockstep/horizon` message, the node's name and the time up to which it h
 from the state are out. So each node has everything that others made of a state, and nothing of the next one: a run
 depends neither on how busy the machine is nor on which of two messages is faster.
 
-Other nodes may take part, such as the demo, which sends its goal at a certain state, or the recorder, which must not
-fall behind: the driver's parameter `waits_for` names those whose promises it waits for as well, and the nodes wait for
-everybody who has ever promised.
+Other nodes may take part, such as the recorder, which must not fall behind: the driver's parameter `waits_for` names
+those whose promises it waits for as well, and the nodes wait for everybody who has ever promised.
 
 In real time nobody promises or waits.
 """
@@ -99,14 +98,25 @@ class LockstepDriver:
         Time from one joint state to the next, ns.
     waits_for
         Nodes that take part besides observer, planner and controller.
+    handle
+        Handles messages until one has come or for so many ns, as `Inbox.wait`.
+    ended
+        Whether to give up.
     clock
         Steady time, ns.
     """
 
     def __init__(
-        self, tick_ns: int, waits_for: Sequence[str] = (), clock: Callable[[], int] = time.monotonic_ns
+        self,
+        tick_ns: int,
+        waits_for: Sequence[str],
+        handle: Callable[[int], None],
+        ended: Callable[[], bool],
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._tick_ns = tick_ns
+        self._handle = handle
+        self._ended = ended
         self._clock = clock
         self._horizons = dict.fromkeys((*_ALWAYS, *waits_for), 0)
         self._due_ns = 0
@@ -125,58 +135,42 @@ class LockstepDriver:
         """Names of the nodes that are not done with the last state."""
         return [name for name, horizon_ns in self._horizons.items() if horizon_ns < self._due_ns]
 
-    def wait(self, handle: Callable[[int], None], ended: Callable[[], bool]) -> bool:
-        """Wait until every node is done with the last state; False if it gave up.
+    def wait(self) -> None:
+        """Wait until every node is done with the last state.
 
         Raises `ContactReachError` if a node is silent for 30 s; it is named.
-
-        Parameters
-        ----------
-        handle
-            Handles messages until one has come or for so many ns, as `Inbox.wait`.
-        ended
-            Whether to give up.
         """
         began_ns = self._clock()
-        while self.silent:
-            handle(_REPEAT_NS)
-            if ended():
-                return False
+        while self.silent and not self._ended():
+            self._handle(_REPEAT_NS)
             if self._clock() - began_ns > _PATIENCE_NS:
                 raise ContactReachError(
                     f"lockstep: no answer from {', '.join(self.silent)} for {_PATIENCE_NS // NANOSECONDS} s; "
                     "see the node's log"
                 )
-        return True
 
-    def begin(
-        self,
-        handle: Callable[[int], None],
-        ended: Callable[[], bool],
-        moves: Callable[[], bool],
-        repeat: Callable[[], None],
-    ) -> bool:
-        """Wait until every node is done with the first state and commands come; False if it gave up.
+    def begin(self, moves: Callable[[], bool], repeat: Callable[[], None]) -> None:
+        """Wait until every node is done with the first state and commands come.
 
         Nodes that are still starting are waited for without limit. How often the state is repeated until the observer
         vouches for the arm depends on the machine, so time stands still until then, for about 2 s at most.
 
         Parameters
         ----------
-        handle, ended
-            As for `wait`.
         moves
             Whether a command has come.
         repeat
             Publishes the state again, called every 20 ms: nodes that start late have not received it.
         """
         repeated_ns, left = self._clock(), _REPETITIONS
-        while self.silent or (left > 0 and not moves()):
-            handle(_REPEAT_NS)
-            if ended():
-                return False
+        while (self.silent or (left > 0 and not moves())) and not self._ended():
+            self._handle(_REPEAT_NS)
             if self._clock() - repeated_ns > _REPEAT_NS:
                 repeated_ns = self._clock()
                 left -= not self.silent
                 repeat()
-        return True
+
+    def stand_still(self, is_wanted: Callable[[], bool]) -> None:
+        """Handle messages while something is awaited for as long as it takes."""
+        while is_wanted() and not self._ended():
+            self._handle(_REPEAT_NS)

@@ -38,6 +38,7 @@ from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.ros.parameters import declare
+from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, Settings, full_name
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -146,6 +147,11 @@ class ManagedNode(LifecycleNode):
         kept = topic._replace(qos=KEPT_STREAM) if self.lockstep else topic
         write: Callable[[bytes], None] = self.make_publisher(kept).handle.publish_raw
         return write
+
+    @property
+    def role(self) -> Role:
+        """By which its process gets CPUs and priority; in lockstep, where its loop never sleeps, no priority."""
+        return Role.VIEWER if self.lockstep else Role[self.NAME.upper()]
 
     @property
     def now_ns(self) -> int:

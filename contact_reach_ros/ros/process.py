@@ -21,7 +21,7 @@ from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
-from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, take_priority, use_cpus
+from contact_reach_ros.ros.scheduling import choose_cpus, give_way, take_priority, use_cpus
 
 
 def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
@@ -41,7 +41,7 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
         initialise(arguments)
         node_class.ARGUMENTS = arguments
         node = node_class()
-        return _serve(node, Role[node_class.NAME.upper()])
+        return _serve(node)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
@@ -105,7 +105,7 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
         rclpy.try_shutdown()
 
 
-def _serve(node: ManagedNode, role: Role) -> int:
+def _serve(node: ManagedNode) -> int:
     """Loop and executor in a thread each; the main thread sleeps until a signal, which wakes no other.
 
     An executor that had to look for signals would be awake more often than all it serves needs.
@@ -123,7 +123,7 @@ def _serve(node: ManagedNode, role: Role) -> int:
             failures.append(error)
         ended.put(None)
 
-    cpus = choose_cpus(node.cpus, role, os.sched_getaffinity(0))
+    cpus = choose_cpus(node.cpus, node.role, os.sched_getaffinity(0))
     # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     end_at_signals()
     transitions = (node.trigger_configure, node.trigger_activate) if node.autostart else ()
@@ -135,8 +135,7 @@ def _serve(node: ManagedNode, role: Role) -> int:
     node.get_logger().info("active" if node.running else "waiting to be configured")
     node.boundary.protect(node)
     use_cpus(cpus)
-    # Loops that never sleep would keep everything of lower priority from running, first of all their own services.
-    warning = "" if node.lockstep else take_priority(role)
+    warning = take_priority(node.role)
     if warning:
         node.get_logger().warning(warning)
     for number in (signal.SIGINT, signal.SIGTERM):

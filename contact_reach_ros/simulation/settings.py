@@ -84,6 +84,7 @@ class DriverSettings(Settings):
     waits_for: str = setting(
         "", "nodes besides these whose promises simulated time waits for in lockstep, separated by commas"
     )
+    waits_for_goal: bool = setting(False, "in lockstep, stand still with open brakes until the planner has had a goal")
 
 
 DRIVER_SECTIONS: Sections = {

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from contact_reach_ros.bags.reader import RawMessage
-from contact_reach_ros.nodes.bag_publisher import paced
+from contact_reach_ros.nodes.replay import paced
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -43,7 +43,7 @@ TYPES = {
     "/intake/observer": "std_msgs/msg/Int64MultiArray",
 }
 
-GOAL_TICK = 600
+GOAL_TICK = 502
 """Time at which the goal is sent, in joint states: the first look, every 0.1 s, at which the brakes are open."""
 
 

@@ -54,11 +54,6 @@ def test_the_controller_is_released_last_and_only_after_the_others():
         assert not outcome.done and "controller/reset" not in refusing.called
 
 
-def test_nothing_is_released_that_is_not_stopped():
-    stack = Stack(controller=True)
-    assert stack.release(()) == (True, "nothing is stopped") and not stack.called
-
-
 def test_brakes_that_close_while_the_controller_is_released_are_opened_too():
     stack = Stack([{"controller"}, {"driver"}, ()], controller=True, driver=True)
     assert stack.release_all() == (True, "controller: done; driver: done")
