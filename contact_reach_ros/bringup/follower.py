@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.node import Node
@@ -13,13 +14,15 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, pick
 from contact_reach_ros.ros.client import PLANNER, StackClient
 from contact_reach_ros.ros.inbox import qos_profile
+from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.lockstep import FOREVER_NS, Lockstep
 from contact_reach_ros.timing import NANOSECONDS
 
-_DISCOVERY_S = 15.0
+_DISCOVERY_S = 30.0
 """For nodes that are up to hear each other."""
 _BRAKES_OPEN_S = 60.0
 """In lockstep, for that and until the brakes are open."""
@@ -43,6 +46,8 @@ class Follower(StackClient):
     lockstep_tick_ns
         In lockstep, time from one joint state to the next, ns: time then stands still whenever this looks whether the
         stack is ready, and when the goal is sent, so that it is sent at the same joint state each time. 0 in real time.
+    recorded
+        What the recorder must hear before the arm moves.
 
     Attributes
     ----------
@@ -56,11 +61,14 @@ class Follower(StackClient):
         On the most loaded body, N.
     """
 
-    def __init__(self, node: Node, model: RobotModel, target: Array, lockstep_tick_ns: int = 0) -> None:
+    def __init__(
+        self, node: Node, model: RobotModel, target: Array, lockstep_tick_ns: int = 0, recorded: Sequence[Topic] = ()
+    ) -> None:
         super().__init__(node)
         self.arm = model.arm
         self._model = model
         self.target = target
+        self._recorded = recorded
         self.stamp_ns = 0
         self.position = np.full(3, np.nan)
         self.distance = float("nan")
@@ -78,7 +86,7 @@ class Follower(StackClient):
         self.inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
 
     def wait_to_start(self, stack: StackProcesses) -> None:
-        """Wait until brakes are open, the planner knows arm and obstacles and is heard, and goals are heard.
+        """Wait until brakes are open, planner and recorder hear what they need, and the planner is heard.
 
         Raises `StackError` if a process died, something stopped the arm, or it takes too long.
         """
@@ -105,6 +113,7 @@ class Follower(StackClient):
             topics.JOINT_STATES.name: self.stamp_ns > 0,
             f"{topics.COMMANDS.name} by the driver, whose brakes are closed": self._commanded,
             f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {summary}": summary not in _NOT_READY,
+            **{f"{topic.name} by the {RECORDER}": self.hears(RECORDER, topic) for topic in self._recorded},
             f"{topics.LOCKSTEP_HORIZON.name} up to the last joint state": self._stands_still(),
         }
         return super().missing() + [what for what, is_heard in heard.items() if not is_heard]

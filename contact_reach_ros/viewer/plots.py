@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, VERMILION
+from contact_reach_ros.palette import BLUE, JOINT_COLOURS, VERMILION
 
 SPAN = 20.0
 """Time span of a plot, s."""
