@@ -21,6 +21,7 @@ from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest, percentiles, recorded_section
+from contact_reach_ros.settings import RATE
 from contact_reach_ros.timing import NANOSECONDS
 
 CALLED = "stop service called"
@@ -197,9 +198,9 @@ _OF_SUMMARY: dict[str, tuple[str, Callable[[EpisodeSummary], float]]] = {
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     """The numbers of the report with their units, by name; NaN where unknown."""
     summary, signals = bag.summary, bag.signals
-    # Deviation of each tick from 1 ms after the one before.
-    jitter_us = np.abs(np.diff(signals.state_sent_ns) - 1_000_000) / 1000.0
-    jitter = percentiles(jitter_us, p50=50.0, p99=99.0)
+    # Deviation of each tick from its time after the one before.
+    period_ns = NANOSECONDS / signals.settings.get("driver", {}).get(RATE.name, RATE.default)
+    jitter = percentiles(np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0, p50=50.0, p99=99.0)
     return {
         **{
             name: (float("nan") if summary is None else float(pick(summary)), unit)

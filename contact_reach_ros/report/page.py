@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
@@ -21,17 +20,8 @@ _MOST_EVENTS = 500
 """Number of events that the page lists for a bag."""
 
 
-@dataclass(frozen=True)
-class _Section:
-    """A section with charts for each bag.
-
-    Attributes
-    ----------
-    anchor, title, caption :
-        Name in links, heading, and a sentence below it.
-    make :
-        Make the charts of a bag.
-    """
+class _Section(NamedTuple):
+    """Name in links, heading, a sentence below it, and what makes each chart of a bag."""
 
     anchor: str
     title: str
@@ -173,7 +163,7 @@ _SECTIONS = (
 def _section(section: _Section, bags: Sequence[ReportBag]) -> dict[str, Any]:
     """Contents of a section for the template: its charts with their headings."""
     placed = [(bag.label if len(bags) > 1 else "", make(bag)) for make in section.make for bag in bags]
-    return {"anchor": section.anchor, "title": section.title, "caption": section.caption, "charts": placed}
+    return {**section._asdict(), "charts": placed}
 
 
 def _numbers(bags: Sequence[ReportBag]) -> dict[str, Any]:
