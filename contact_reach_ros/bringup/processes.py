@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import yaml
@@ -26,6 +27,16 @@ ParameterValue = bool | int | float | str | list[str]
 ENCLAVES = "/contact_reach"
 
 
+class Wave(IntEnum):
+    """When a process is started."""
+
+    EARLY = 0
+    """Before the loops: it needs the whole machine to get ready, or must miss nothing."""
+    LOOPS = 1
+    LAST = 2
+    """After discovery: time begins with it."""
+
+
 @dataclass(frozen=True)
 class Process:
     """One process of the stack.
@@ -36,12 +47,15 @@ class Process:
         Of node and executable.
     parameters
         Given on its command line, after the parameter file.
+    wave
+        It is started when those of earlier waves are up.
     essential
         Whether its end is the end of the stack.
     """
 
     name: str
     parameters: Mapping[str, ParameterValue]
+    wave: Wave = Wave.LOOPS
     essential: bool = True
 
     @property
@@ -79,7 +93,7 @@ def _overrides(texts: Sequence[str]) -> dict[str, dict[str, ParameterValue]]:
 
 
 def processes(options: BringupOptions) -> list[Process]:
-    """Make the table of processes, which are started together and ended in the reverse order.
+    """Make the table of processes; they are ended in the reverse order.
 
     Raises `SceneError` or `SettingsError` if the scene is unknown, its file, the parameter file or an override is
     wrong, or nodes would not go together.
@@ -91,10 +105,10 @@ def processes(options: BringupOptions) -> list[Process]:
     changed = _overrides(options.overrides)
     table = []
     if options.view:
-        table.append(Process(VIEWER, time, essential=False))
+        table.append(Process(VIEWER, time, wave=Wave.EARLY, essential=False))
     if options.bag:
         recording = {"bag": options.bag, "use_sim_time": options.lockstep, **_origin(options, changed["driver"]), **arm}
-        table.append(Process(RECORDER, recording))
+        table.append(Process(RECORDER, recording, wave=Wave.EARLY))
     adapted = options.adapter != "none"
     simulation: dict[str, ParameterValue] = {"scene": options.scene, "lockstep": options.lockstep, **rate, **arm}
     if options.lockstep:
@@ -102,7 +116,8 @@ def processes(options: BringupOptions) -> list[Process]:
         others = [own, RECORDER if options.bag else "", ADAPTER if adapted else ""]
         simulation["waits_for"] = ",".join(filter(None, others))
     if options.driver:
-        table.append(Process("driver", {**simulation, **changed["driver"]}))
+        wave = Wave.LAST if options.lockstep else Wave.LOOPS
+        table.append(Process("driver", {**simulation, **changed["driver"]}, wave))
     elif changed["driver"]:
         raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
     if adapted:
@@ -120,7 +135,7 @@ def processes(options: BringupOptions) -> list[Process]:
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
     planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
-    table.append(Process("planner", planning))
+    table.append(Process("planner", planning, wave=Wave.EARLY))
     check_parameters(options.parameter_file, {process.name: process.parameters for process in table})
     return table
 

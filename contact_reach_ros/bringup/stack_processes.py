@@ -14,7 +14,7 @@ from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import JointState
 
 from contact_reach_ros.bringup.children import Interruption, StackError, end_with_parent
-from contact_reach_ros.bringup.processes import Process
+from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.resources import PACKAGE
@@ -105,23 +105,28 @@ class StackProcesses:
         """
         prioritise_middleware()
         deadline = time.monotonic() + _STARTUP_S
-        names = [process.name for process in self._table]
-        for process in self._table:
-            self._start(process)
+        for wave in Wave:
+            if wave is Wave.LOOPS:
+                # Once more: discovery has settled while the first processes got ready.
+                others = running(self.client.node, [process.name for process in self._table], self.process_ids)
+                if others:
+                    raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
+            processes = [process for process in self._table if process.wave is wave]
+            for process in processes:
+                self._start(process)
+            self._wait_active([process.name for process in processes], deadline, progress)
+            self._optional |= {process.name for process in processes if not process.essential}
+
+    def _wait_active(self, names: Sequence[str], deadline: float, progress: Callable[[str], None]) -> None:
         missing = dict.fromkeys(names, "not asked yet")
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
                 raise StackError(f"not active after {_STARTUP_S:.0f} s: {named}{self._see_log()}")
             progress("waiting for " + ", ".join(missing))
-            # Discovery, which settles meanwhile, may show another stack.
-            others = running(self.client.node, names, self.process_ids)
-            if others:
-                raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
             missing |= {name: self._state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
             self.watch(_POLL_S)
-        self._optional = {process.name for process in self._table if not process.essential}
 
     def watch(self, seconds: float) -> None:
         """Serve the node for a while, then `check`."""

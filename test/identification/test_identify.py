@@ -51,8 +51,8 @@ def test_thresholds_follow_and_none_is_raised(found):
 
 
 def test_links_that_differ_make_no_tool_of_negative_mass():
-    with pytest.raises(InputError, match=r"a tool of -0\.[56].* would explain the torques: the links differ"):
-        identify(ARM, NO_TOOL, SETTINGS, BUDGET, [record(ARM, MismatchSettings(), 0, 30.0)])
+    with pytest.raises(InputError, match=r"a tool of -0\.6.* would explain the torques: the links differ"):
+        identify(ARM.with_tool(Tool(mass=0.6)), NO_TOOL, SETTINGS, BUDGET, [recording(ARM, 29.0)])
 
 
 @pytest.mark.slow

@@ -105,10 +105,13 @@ def test_bringup_names_the_node_that_cannot_start(tmp_path):
     env = environment()
     output = tmp_path / "output.txt"
     parameters = parameter_file(tmp_path / "wrong.yaml", observer={"cpus": "none"})
+    small = parameter_file(tmp_path / "small.yaml", planner=SMALL_PLANNER)
+    parameters.write_text(parameters.read_text() + small.read_text())
     command = [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
     command += ["-r", "__ns:=/left"]
     with running(command, env, output) as process:
         assert process.wait(300) == 1
     assert "observer ended (exit code 2)" in output.read_text()
     assert "parameter cpus: 'none'" in output.read_text()
+    assert "[left.planner]: active" in output.read_text()
     assert_nothing_left(env)
