@@ -256,15 +256,11 @@ def _span(bag: ReportBag) -> tuple[float, float]:
 
 def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart:
     """A chart over the page's time with the events marked; `yaxis` are further properties of plotly's y axis."""
-    layout = _layout(title, **yaxis)
+    layout = {"xaxis": {"title": {"text": "time since the goal [s]"}}, "yaxis": {"title": {"text": title}, **yaxis}}
     if not data:
         return {"data": [], "layout": layout}
     _mark_events(bag, data, layout)
     return {"data": data, "layout": layout, "linked": True, "from": bag.shown_from, "to": _span(bag)[1]}
-
-
-def _layout(title: str, **yaxis: Any) -> dict[str, Any]:
-    return {"xaxis": {"title": {"text": "time since the goal [s]"}}, "yaxis": {"title": {"text": title}, **yaxis}}
 
 
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:
