@@ -20,8 +20,8 @@ from benchmarks.claims import Results
 from benchmarks.output import Report, command_line, read_report, run_command
 from benchmarks.solver import LABELS, POINTS
 from benchmarks.statistics import Estimate, estimate
-from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
 _OURS, _OTHER = BLUE, "#aaaaaa"
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, BLACK)

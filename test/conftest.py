@@ -8,6 +8,8 @@ from ros_domains import own_domain
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# As in the nodes and the command line: the threads of two workers would wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Half the time to compile, which is most of the time of these tests; programs compute the same to rounding, and large
 # ones take a third longer. Processes that the tests start have it from here. Loops stay many functions (the planner
 # would make them one), which at this level of optimisation compile in two thirds of the time.

@@ -51,16 +51,15 @@ def run_bringup(arguments: list[str]) -> int:
             table = processes(options)
             refuse_beside_another(node, [process.name for process in table], began)
             passed_on = _remappings(arguments)
-            stack = StackProcesses(Client(node), table, options.parameter_file, interruption, passed_on=passed_on)
-            try:
-                _supervise(node, stack)
-            except KeyboardInterrupt:
-                return 0
-            except StackError as error:
-                print(f"{NAME}: {error}; ending the stack", file=sys.stderr)
-                return 1
-            finally:
-                stack.shutdown()
+            file = options.parameter_file
+            with StackProcesses(Client(node), table, file, interruption, passed_on=passed_on) as stack:
+                try:
+                    _supervise(node, stack)
+                except KeyboardInterrupt:
+                    return 0
+                except StackError as error:
+                    print(f"{NAME}: {error}; ending the stack", file=sys.stderr)
+                    return 1
     except ContactReachError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 2

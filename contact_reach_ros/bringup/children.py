@@ -8,7 +8,6 @@ import signal
 from contact_reach_ros.errors import ContactReachError
 
 _PR_SET_PDEATHSIG = 1
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StackError(ContactReachError):
@@ -23,23 +22,19 @@ def end_with_parent() -> None:
 class Interruption:
     """Records signals from its creation on; only `check` raises `KeyboardInterrupt`.
 
-    Python would raise it anywhere, also where rclpy's C++ makes a Python object and then reports another error.
+    Python would raise it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a
+    second Ctrl-C would leave processes behind.
     """
 
     def __init__(self) -> None:
         self._came = False
-        for number in _SIGNALS:
+        for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._note)
 
     def check(self) -> None:
         """Raise `KeyboardInterrupt` if a signal came, at every call."""
         if self._came:
             raise KeyboardInterrupt
-
-    def ignore(self) -> None:
-        """Ignore further signals: a second Ctrl-C must not leave processes behind."""
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
 
     def _note(self, *_: object) -> None:
         self._came = True

@@ -13,17 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bringup.children import Interruption
 from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.report.bag import metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE, Episode, EpisodeSummary
+from contact_reach_ros.report.summary import SUCCESS_DISTANCE, EpisodeSummary
 from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
@@ -127,24 +125,22 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         scene = make_scene(read_scene(options.scene), model.arm, options.seed, goal)
         refuse_beside_another(node, [process.name for process in table], began)
         options.output.mkdir(parents=True, exist_ok=True)
-        follower = Follower(node, model, scene.target)
-        stack = StackProcesses(follower, table, bringup.parameter_file, interruption, bag.with_suffix(".log"))
-        try:
-            end_ns = _drive_to_goal(stack, follower, options)
-            if options.view:
-                _stay_up(stack)
-        except KeyboardInterrupt:
-            # With the page, Ctrl-C ends a stack whose episode is over.
-            interrupted = end_ns is None or not options.view
-        except ContactReachError as error:
-            failure = str(error)
-        finally:
-            interruption.ignore()
+        follower = Follower(node, model, scene.target, _RECORDED)
+        log = bag.with_suffix(".log")
+        with StackProcesses(follower, table, bringup.parameter_file, interruption, log) as stack:
+            try:
+                end_ns = _drive_to_goal(stack, follower, options)
+                if options.view:
+                    _stay_up(stack)
+            except KeyboardInterrupt:
+                # With the page, Ctrl-C ends a stack whose episode is over.
+                interrupted = end_ns is None or not options.view
+            except ContactReachError as error:
+                failure = str(error)
             _say("ending the stack", done=True)
-            stack.shutdown()
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
-    summary = _judge(bag, model, end_ns, options)
+    summary = _judge(bag, end_ns, options)
     if interrupted:
         return INTERRUPTED, summary
     code = 0 if summary is not None and summary.success and not failure else 1
@@ -157,7 +153,6 @@ def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptio
     if options.view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
     stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    stack.wait_recorded(_RECORDED)
     follower.wait_to_start(stack)
     goal = np.round(follower.target, 3).tolist()
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
@@ -194,58 +189,23 @@ def _stay_up(stack: StackProcesses) -> None:
         stack.watch(_LOOK_S)
 
 
-def _judge(bag: Path, model: RobotModel, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
-    """Read the bag, print the summary and write plot and JSON; None if there is nothing to judge."""
+def _judge(bag: Path, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
+    """Read the bag, print its numbers and write plot and JSON; None if there is nothing to judge."""
     try:
-        signals = read_signals(BagReader(bag), model.arm)
-        end = None if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
-        episode = Episode(signals, model.arm, end, options.timeout, _SETTLE_S)
+        found = read_report_bag(bag, bag.name, end_ns, options.timeout, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
         return None
-    summary = episode.summary()
-    verdict = "reached" if summary.reached else "not reached"
-    if summary.safety_events:
-        verdict += ", stopped"
     plot = bag.with_suffix(".png")
-    title = f"scene {options.scene}, seed {options.seed}: goal {verdict}"
-    draw_episode(episode, title, load_budget().resolve(model.arm), plot)
-    if options.json is not None:
-        numbers = {**summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
-        options.json.write_text(json.dumps(numbers, indent=2) + "\n")
-    _print_summary(verdict, summary, bag, plot)
-    return summary
-
-
-def _print_summary(verdict: str, summary: EpisodeSummary, bag: Path, plot: Path) -> None:
-    trip, plan = summary.round_trip_us, summary.plan_ms
-    took = f"{summary.duration_s:.2f} s for {summary.distance_m:.3f} m"
-    took += f", {summary.time_ratio:.2f} x the limit" if summary.limit_s > 0.0 else ", where the arm was already"
-    if not summary.reached:
-        stops = [stop["time_s"] for stop in summary.safety_events]
-        took = f"stopped after {stops[0]:.2f} s" if stops else f"not reached within {summary.watched_s:.2f} s"
-    rows = [
-        ("goal", f"{verdict}, final error {1000 * summary.final_error_m:.1f} mm"),
-        ("time", took),
-        ("limit", f"{summary.limit_s:.2f} s, the least time that the bound on the reference's speed permits"),
-        ("contact force", f"{summary.max_contact_force_N:.1f} N at most on one body"),
-        ("external torque", f"{summary.max_external_torque_Nm:.1f} Nm at most on one joint"),
-        ("ticks", f"{summary.ticks}, missed {summary.missed_ticks}"),
-        ("round trip", _known(f"p50 {trip['p50']:.0f}, p99 {trip['p99']:.0f}, p99.9 {trip['p999']:.0f} us")),
-        ("plans", _known(f"p50 {plan['p50']:.1f}, p95 {plan['p95']:.1f}, max {plan['max']:.1f} ms")),
-        ("plan age", _known(f"{summary.plan_age_ms_max:.0f} ms at most", "no plan took effect")),
-        *(("stop", f"{stop['source']}: {stop['reason']}") for stop in summary.safety_events),
-        ("bag", str(bag)),
-        ("plot", str(plot)),
-    ]
+    draw_episode(found, f"scene {options.scene}, seed {options.seed}: {found.verdict}", plot)
+    numbers = {name: quantity(*value) for name, value in metrics(found).items()}
     print()
-    for label, text in rows:
-        print(f"  {label:16}{text}")
-
-
-def _known(text: str, otherwise: str = "none recorded: the run was too short") -> str:
-    """The text, or what stands in for one with numbers that are not known."""
-    return otherwise if "nan" in text else text
+    for label, text in {"result": found.verdict, **numbers, "bag": bag, "plot": plot}.items():
+        print(f"  {label:40}{text}")
+    if found.summary is not None and options.json is not None:
+        values = {**found.summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
+        options.json.write_text(json.dumps(values, indent=2) + "\n")
+    return found.summary
 
 
 def _say(line: str, done: bool = False) -> None:

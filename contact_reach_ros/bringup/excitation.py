@@ -120,19 +120,10 @@ def goals(arm: Arm) -> list[tuple[Array, Array]]:
     return [(origins[-1] + offset, rotations[-1] @ Rotation.from_rotvec(turn).as_matrix()) for offset, turn in _GOALS]
 
 
-def check_clearance(arm: Arm, q: Array, obstacles: Spheres, margin: float = CLEARANCE) -> None:
-    """Check that the arm has room for the goals, on straight ways of the joints between them.
+def check_clearance(arm: Arm, q: Array, obstacles: Spheres) -> None:
+    """Check that the arm has room for the goals, on straight ways of the joints between them from `q` (n,), rad.
 
-    Raises `InputError` if a goal cannot be reached, or something is nearer.
-
-    Parameters
-    ----------
-    q
-        Present posture (n,), rad.
-    obstacles
-        What stands around.
-    margin
-        Room that it needs, m.
+    Raises `InputError` if a goal cannot be reached, or an obstacle is nearer than `CLEARANCE`.
     """
     before = q
     for number, (position, rotation) in enumerate(goals(arm), 1):
@@ -140,11 +131,11 @@ def check_clearance(arm: Arm, q: Array, obstacles: Spheres, margin: float = CLEA
         if not len(postures):
             raise InputError(f"goal {number} of the motion is out of this arm's reach: give a bag instead (--bag)")
         between = before + np.linspace(0.0, 1.0, _STEPS)[:, None] * (postures[0] - before)
-        gap = min(float(clearances(arm, each, obstacles).min()) for each in between) if len(obstacles) else margin
-        if gap < margin:
+        gap = min(float(clearances(arm, each, obstacles).min()) for each in between) if len(obstacles) else CLEARANCE
+        if gap < CLEARANCE:
             raise InputError(
                 f"an obstacle would be {gap:.2f} m from the arm on the way to goal {number}; the motion needs "
-                f"{margin:g} m: clear the space, or give a bag of another motion (--bag)"
+                f"{CLEARANCE:g} m: clear the space, or give a bag of another motion (--bag)"
             )
         worst = min(nearest(arm, between, obstacles.environment), default=None)
         if worst is not None and worst.distance < 0.0:

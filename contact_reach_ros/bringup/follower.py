@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.node import Node
@@ -13,8 +14,10 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bringup.children import StackError
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, pick
 from contact_reach_ros.ros.client import PLANNER, StackClient
+from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.timing import NANOSECONDS
 
 _READY_S = 60.0
@@ -36,6 +39,8 @@ class Follower(StackClient):
         Of the arm.
     target
         (3,) m in the base frame: what `distance` is measured to, and `send_target` sends.
+    recorded
+        What the recorder must hear before the arm moves.
 
     Attributes
     ----------
@@ -49,11 +54,12 @@ class Follower(StackClient):
         On the most loaded body, N.
     """
 
-    def __init__(self, node: Node, model: RobotModel, target: Array) -> None:
+    def __init__(self, node: Node, model: RobotModel, target: Array, recorded: Sequence[Topic] = ()) -> None:
         super().__init__(node)
         self.arm = model.arm
         self._model = model
         self.target = target
+        self._recorded = recorded
         self.stamp_ns = 0
         self.position = np.full(3, np.nan)
         self.distance = float("nan")
@@ -63,7 +69,7 @@ class Follower(StackClient):
         self.inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
 
     def wait_to_start(self, stack: StackProcesses) -> None:
-        """Wait until brakes are open, the planner knows arm and obstacles and is heard, and goals are heard.
+        """Wait until brakes are open, planner and recorder hear what they need, and the planner is heard.
 
         Raises `StackError` if a process died, something stopped the arm, or it takes too long.
         """
@@ -82,6 +88,7 @@ class Follower(StackClient):
             topics.JOINT_STATES.name: self.stamp_ns > 0,
             f"{topics.COMMANDS.name} by the driver, whose brakes are closed": self._commanded,
             f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {summary}": summary not in _NOT_READY,
+            **{f"{topic.name} by the {RECORDER}": self.hears(RECORDER, topic) for topic in self._recorded},
         }
         return super().missing() + [what for what, is_heard in heard.items() if not is_heard]
 

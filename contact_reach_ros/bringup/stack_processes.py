@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
@@ -18,11 +17,9 @@ from contact_reach_ros.bringup.children import Interruption, StackError, end_wit
 from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client
 from contact_reach_ros.ros.graph import running
-from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
@@ -32,15 +29,13 @@ _STARTUP_S = 240.0
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
-_DISCOVERY_S = 15.0
-"""For nodes that are up to hear each other."""
 _END_TIMEOUT_S = 15.0
 _WATCHDOG_S = 0.3
 """Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
 
 
 class StackProcesses:
-    """The processes of the running stack.
+    """The processes of the running stack, which end with the context that this manages.
 
     Parameters
     ----------
@@ -73,11 +68,25 @@ class StackProcesses:
         self._table = list(table)
         self.parameter_file = parameter_file
         self._log_path = log
-        self._log: IO[bytes] | None = None
+        self._log = None if log is None else log.open("wb")
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._optional: set[str] = set()
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
+
+    def __enter__(self) -> StackProcesses:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
+        self._halt()
+        for process in reversed(self._table):
+            self._end(process.name)
+            if process.name == CONTROLLER:
+                self.client.spin(_WATCHDOG_S)
+        self.client.close()
+        if self._log is not None:
+            self._log.close()
 
     def bring_up(self, progress: Callable[[str], None]) -> None:
         """Start all processes and wait until each is up and each lifecycle node active.
@@ -105,28 +114,11 @@ class StackProcesses:
             processes = [process for process in self._table if process.wave is wave]
             for process in processes:
                 self._start(process)
-            self._wait_active(processes, deadline, progress)
+            self._wait_active([process.name for process in processes], deadline, progress)
             self._optional |= {process.name for process in processes if not process.essential}
 
-    def wait_recorded(self, heard: Sequence[Topic]) -> None:
-        """Wait until the recorder has subscribed to topics, each of which it first has to discover.
-
-        Raises
-        ------
-        StackError
-            If a process died, or it takes too long; the topics that are not heard are named.
-        KeyboardInterrupt
-            If it was interrupted.
-        """
-        deadline = time.monotonic() + _DISCOVERY_S
-        while missing := [topic.name for topic in heard if not self.client.hears(RECORDER, topic)]:
-            if time.monotonic() > deadline:
-                named = ", ".join(missing)
-                raise StackError(f"{RECORDER} does not hear {named} after {_DISCOVERY_S:.0f} s{self._see_log()}")
-            self.watch(_POLL_S)
-
-    def _wait_active(self, processes: Sequence[Process], deadline: float, progress: Callable[[str], None]) -> None:
-        missing = {process.name: "not asked yet" for process in processes}
+    def _wait_active(self, names: Sequence[str], deadline: float, progress: Callable[[str], None]) -> None:
+        missing = dict.fromkeys(names, "not asked yet")
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
@@ -167,20 +159,7 @@ class StackProcesses:
         """Of the processes that were started, by name."""
         return {name: process.pid for name, process in self._running.items()}
 
-    def shutdown(self) -> None:
-        """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
-        self._halt()
-        for process in reversed(self._table):
-            self._end(process.name)
-            if process.name == CONTROLLER:
-                self.client.spin(_WATCHDOG_S)
-        self.client.close()
-        if self._log is not None:
-            self._log.close()
-
     def _start(self, process: Process) -> None:
-        if self._log_path is not None and self._log is None:
-            self._log = self._log_path.open("wb")
         file = self.parameter_file
         arguments = [
             *("--ros-args", "--enclave", process.enclave, "--params-file", str(file)),

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -15,9 +14,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-import rclpy
-from rclpy.node import Node
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
@@ -30,7 +26,7 @@ from contact_reach_ros.doctor.findings import write_text
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE
-from contact_reach_ros.ros.process import initialise
+from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.timing import percentiles_us, read_counts
 
@@ -73,23 +69,16 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
     if not 0 <= load <= 64:
         raise SettingsError(f"--load {load}: expected 0 to 64 processes")
     scene = load_scene(SCENE, load_arm())
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
     # Removed only on success, so that the log of a failure remains.
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
     options = BringupOptions(scene=SCENE, bag=str(directory / "bag"))
     interruption = Interruption()
-    initialise([NAME])
-    node = Node(NAME)
-    follower = Follower(node, RobotModel(scene.arm), scene.target)
-    stack = StackProcesses(follower, processes(options), options.parameter_file, interruption, directory / "log")
-    try:
-        report = {"seconds": seconds, "load": load, **_measure(seconds, load, stack, follower)}
-    finally:
-        interruption.ignore()
-        stack.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with bare_node(NAME) as node:
+        recorded = (topics.JOINT_STATES, topics.COMMANDS)
+        follower = Follower(node, RobotModel(scene.arm), scene.target, recorded=recorded)
+        table, log = processes(options), directory / "log"
+        with StackProcesses(follower, table, options.parameter_file, interruption, log) as stack:
+            report = {"seconds": seconds, "load": load, **_measure(seconds, load, stack, follower)}
     shutil.rmtree(directory)
     print_report(report)
     if file is not None:
@@ -99,7 +88,6 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
 def _measure(seconds: float, load: int, stack: StackProcesses, follower: Follower) -> dict[str, Any]:
     began = time.monotonic()
     stack.bring_up(lambda line: None)
-    stack.wait_recorded((topics.JOINT_STATES, topics.COMMANDS, topics.GOAL_POSE))
     follower.wait_to_start(stack)
     up = f"stack active after {time.monotonic() - began:.1f} s; {seconds:g} s beside {load} programs"
     print(up, file=sys.stderr, flush=True)

@@ -11,7 +11,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -20,11 +19,12 @@ from sensor_msgs.msg import JointState
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.stack import Endpoint, Graph
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_observer
 from contact_reach_ros.messages.values import nanoseconds, read_settings
+from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.graph import full_name, node_of
-from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.ros.interfaces import ADAPTER, DOCTOR, MANAGED
 from contact_reach_ros.ros.process import bare_node
 
@@ -39,9 +39,7 @@ _ANYTHING = topics.Qos(2000, reliable=False)
 
 _SETTLED_S = 3.5
 """A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
-_ANSWER_S = 3.0
 _MATCHING_S = 1.0
-_DRAIN_S = 0.01
 
 Heard = dict[str, list[tuple[bytes, int]]]
 """Messages by topic: the bytes of each, and its arrival on the system clock, ns."""
@@ -62,19 +60,18 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
         Whose joint states are expected.
     """
     with bare_node(DOCTOR, discovery) as node:
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
+        client = Client(node)
         time.sleep(_SETTLED_S)
         names, states, order = _nodes(node), {}, None
         for name in (name for name in MANAGED if f"/{name}" in names):
-            answer = _call(node, executor, GetState, f"/{name}/get_state", GetState.Request())
+            answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
             states[name] = answer.current_state.label if answer is not None else ""
         # The adapter puts commands into the controller's order.
         if f"/{_EFFORT_CONTROLLER}" in names and f"/{ADAPTER}" not in names:
             request = GetParameters.Request(names=["joints"])
-            answer = _call(node, executor, GetParameters, f"/{_EFFORT_CONTROLLER}/get_parameters", request)
+            answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, request)
             order = list(answer.values[0].string_array_value) if answer is not None and answer.values else None
-        heard = _listen(node, seconds)
+        heard = _listen(client, seconds)
         safety, settings = (_newest(heard[topic.name]) for topic in _LATCHED)
         graph = Graph(
             _nodes(node),
@@ -86,34 +83,34 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
             {name: read_settings(status) for name, status in settings.items()},
             order,
         )
-        executor.shutdown()
+        client.close()
     return graph, _joint_record(heard[topics.JOINT_STATES.name], arm)
 
 
-def _listen(node: Node, seconds: float) -> Heard:
-    # What is too large to be handled by a node counts for nothing here.
-    inbox = Inbox(node, lambda what, error: None)
+def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
+    """The answer of a service; None without any."""
+    try:
+        return client.call(service, kind, request)
+    except ContactReachError:
+        return None
+
+
+def _listen(client: Client, seconds: float) -> Heard:
+    inbox = client.inbox
     heard: Heard = {topic.name: [] for topic in _HEARD}
 
     def keep(name: str, data: bytes) -> None:
         heard[name].append((data, inbox.received_ns or time.time_ns()))
 
     for topic in _HEARD:
-        infos = node.get_publishers_info_by_topic(topic.name)
+        infos = client.node.get_publishers_info_by_topic(topic.name)
         if any(info.topic_type == topic.type_name for info in infos):
             qos = topics.ALL_EVENTS if topic in _LATCHED else _ANYTHING
             inbox.add(topic, partial(keep, topic.name), qos, serialized=True)
-
-    def drain(seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            time.sleep(_DRAIN_S)
-            inbox.poll()
-
     # What comes before every subscription is matched is no measure of rates.
-    drain(_MATCHING_S)
+    client.spin(_MATCHING_S)
     heard[topics.JOINT_STATES.name].clear()
-    drain(seconds)
+    client.spin(seconds)
     return heard
 
 
@@ -139,18 +136,6 @@ def _joint_record(messages: Sequence[tuple[bytes, int]], arm: Arm) -> JointRecor
         column("velocity"),
         column("effort"),
     )
-
-
-def _call(node: Node, executor: SingleThreadedExecutor, kind: Any, service: str, request: Any) -> Any:
-    client = node.create_client(kind, service)
-    try:
-        if not client.wait_for_service(timeout_sec=_ANSWER_S):
-            return None
-        future = client.call_async(request)
-        executor.spin_until_future_complete(future, timeout_sec=_ANSWER_S)
-        return future.result() if future.done() else None
-    finally:
-        node.destroy_client(client)
 
 
 def _nodes(node: Node) -> list[str]:

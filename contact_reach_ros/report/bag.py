@@ -19,8 +19,9 @@ from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, read_sign
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
-from contact_reach_ros.report.spectrum import VIBRATION, band_rms, spectrum
 from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest, percentiles, recorded_section
+from contact_reach_ros.settings import RATE
+from contact_reach_ros.timing import NANOSECONDS
 
 CALLED = "stop service called"
 """Reason of the stop that ends a run as planned."""
@@ -55,8 +56,6 @@ class ReportBag:
         The episode and its numbers; None without joint states.
     zero :
         Origin of the page's times: when the goal was sent, or the first joint state, s on the clock of the signals.
-    end :
-        When the run ended, before the stack was shut down, s on the same clock.
     verdict :
         The outcome in a few words.
     good :
@@ -76,7 +75,6 @@ class ReportBag:
     episode: Episode | None
     summary: EpisodeSummary | None
     zero: float
-    end: float
     verdict: str
     good: bool
     budget: ContactBudget
@@ -115,8 +113,22 @@ class ReportBag:
         return self.signals.answers_ns / 1000.0
 
 
-def read_report_bag(path: Path, label: str) -> ReportBag:
-    """Read a bag, complete or not; raises `BagError` if the file is not a bag."""
+def read_report_bag(
+    path: Path, label: str, end_ns: int | None = None, timeout: float = np.inf, settle: float = np.inf
+) -> ReportBag:
+    """Read a bag, complete or not; raises `BagError` if the file is not a bag.
+
+    Parameters
+    ----------
+    path
+        The bag.
+    label
+        Its name on the page.
+    end_ns
+        Stamp at which the run ended, ns; None for the end of the recording, or the shutdown of the stack.
+    timeout, settle
+        As for `Episode`.
+    """
     reader = BagReader(path, of_stack=True)
     notes = list(reader.notes)
     try:
@@ -137,10 +149,14 @@ def read_report_bag(path: Path, label: str) -> ReportBag:
     limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]
     last = float(signals.position.time[-1]) if len(signals.position.time) else 0.0
-    end = min([*calls[:1], last])
-    episode = _episode(arm, signals, end, notes)
-    summary = episode.summary() if episode is not None else None
-    verdict, good = _verdict(signals, episode, end)
+    end = min([*calls[:1], last]) if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
+    episode: Episode | None = None
+    try:
+        episode = Episode(signals, arm, end, timeout, settle)
+    except BagError as error:
+        notes.append(f"no verdict: {error}")
+    summary = None if episode is None else episode.summary()
+    verdict, good = _verdict(signals, summary, end)
     return ReportBag(
         label=label,
         arm=arm,
@@ -149,7 +165,6 @@ def read_report_bag(path: Path, label: str) -> ReportBag:
         episode=episode,
         summary=summary,
         zero=episode.start if episode is not None else 0.0,
-        end=end,
         verdict=verdict,
         good=good,
         budget=budget,
@@ -182,10 +197,9 @@ _OF_SUMMARY: dict[str, tuple[str, Callable[[EpisodeSummary], float]]] = {
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     """The numbers of the report with their units, by name; NaN where unknown."""
     summary, signals = bag.summary, bag.signals
-    command = signals.command.between(bag.zero, bag.end)
-    # Deviation of each tick from 1 ms after the one before.
-    jitter_us = np.abs(np.diff(signals.state_sent_ns) - 1_000_000) / 1000.0
-    jitter = percentiles(jitter_us, p50=50.0, p99=99.0)
+    # Deviation of each tick from its time after the one before.
+    period_ns = NANOSECONDS / signals.settings.get("driver", {}).get(RATE.name, RATE.default)
+    jitter = percentiles(np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0, p50=50.0, p99=99.0)
     return {
         **{
             name: (float("nan") if summary is None else float(pick(summary)), unit)
@@ -194,10 +208,23 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "time above the permitted force": (_time_above(bag), "ms"),
         "external torque, of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
-        "command above 20 Hz, rms": (largest(band_rms(*spectrum(command.time, command.values), VIBRATION)), "Nm"),
         **{f"tick jitter {name}": (value, "µs") for name, value in jitter.items()},
         "plans": (float(len(signals.plan_times)), ""),
     }
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number with its unit, in a few digits; a dash where it is unknown."""
+    if unit == "µs" and abs(value) >= 10_000:
+        value, unit = value / 1000, "ms"
+    return f"{number(value)} {unit}".rstrip() if np.isfinite(value) else "–"
+
+
+def number(value: float) -> str:
+    """A number in a few digits; a dash where it is unknown."""
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if abs(value) >= 1000 or value == round(value) else f"{value:.3g}"
 
 
 def as_json(bag: ReportBag) -> dict[str, Any]:
@@ -222,22 +249,13 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
     }
 
 
-def _episode(arm: Arm, signals: EpisodeSignals, end: float, notes: list[str]) -> Episode | None:
-    try:
-        return Episode(signals, arm, end)
-    except BagError as error:
-        notes.append(f"no verdict: {error}")
-        return None
-
-
-def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float) -> tuple[str, bool]:
-    stops = [event for event in signals.safety if event.is_stop and event.time < end]
-    stops = [event for event in stops if event.message != CALLED]
+def _verdict(signals: EpisodeSignals, summary: EpisodeSummary | None, end: float) -> tuple[str, bool]:
+    stops = [event for event in signals.safety if event.is_stop and event.time < end and event.message != CALLED]
     if stops:
         return f"stopped by the {stops[0].name}: {stops[0].message}", False
-    if episode is None or not episode.has_goal:
+    if summary is None or np.isnan(summary.distance_m):
         return "no goal in the bag", False
-    return ("goal reached", True) if episode.reached is not None else ("goal not reached", False)
+    return ("goal reached", True) if summary.reached else ("goal not reached", False)
 
 
 def _time_above(bag: ReportBag) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.bags.signals import Series
-from contact_reach_ros.drawing.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
+from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE
 
@@ -211,10 +211,6 @@ def _packed(values: Array) -> dict[str, str]:
     return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()}
 
 
-def _joint_colour(joint: int) -> str:
-    return JOINT_COLOURS[joint % len(JOINT_COLOURS)]
-
-
 def _other_colour(index: int) -> str:
     """Colour of a series beside a grey or black one."""
     return JOINT_COLOURS[1 + index % (len(JOINT_COLOURS) - 1)]
@@ -227,7 +223,7 @@ def _joint_curves(bag: ReportBag, series: Series, unit: str, lower: Array, upper
     time = series.time - bag.zero
     curves, limits = [], []
     for joint, name in enumerate(series.names):
-        colour = _joint_colour(joint)
+        colour = JOINT_COLOURS[joint % len(JOINT_COLOURS)]
         curves.append({**curve(time, series.values[:, joint], name, colour, unit), "legendgroup": name})
         for value in (float(lower[joint]), float(upper[joint])):
             line = _level(bag, value, f"{name} {limit}, {abs(value):.3g}", colour)
@@ -260,15 +256,11 @@ def _span(bag: ReportBag) -> tuple[float, float]:
 
 def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart:
     """A chart over the page's time with the events marked; `yaxis` are further properties of plotly's y axis."""
-    layout = _layout(title, **yaxis)
+    layout = {"xaxis": {"title": {"text": "time since the goal [s]"}}, "yaxis": {"title": {"text": title}, **yaxis}}
     if not data:
         return {"data": [], "layout": layout}
     _mark_events(bag, data, layout)
     return {"data": data, "layout": layout, "linked": True, "from": bag.shown_from, "to": _span(bag)[1]}
-
-
-def _layout(title: str, **yaxis: Any) -> dict[str, Any]:
-    return {"xaxis": {"title": {"text": "time since the goal [s]"}}, "yaxis": {"title": {"text": title}, **yaxis}}
 
 
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:

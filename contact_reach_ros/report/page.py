@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.report import charts
-from contact_reach_ros.report.bag import ReportBag, as_json, metrics, read_report_bag
+from contact_reach_ros.report.bag import ReportBag, as_json, metrics, number, quantity, read_report_bag
 
 _TEMPLATES = Path(__file__).with_name("template")
 _LEVELS = {0: "ok", 1: "contact", 2: "stop", 3: "stale"}
@@ -21,17 +20,8 @@ _MOST_EVENTS = 500
 """Number of events that the page lists for a bag."""
 
 
-@dataclass(frozen=True)
-class _Section:
-    """A section with charts for each bag.
-
-    Attributes
-    ----------
-    anchor, title, caption :
-        Name in links, heading, and a sentence below it.
-    make :
-        Make the charts of a bag.
-    """
+class _Section(NamedTuple):
+    """Name in links, heading, a sentence below it, and what makes each chart of a bag."""
 
     anchor: str
     title: str
@@ -67,19 +57,24 @@ def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | No
     for failure in failures:
         print(f"left out: {failure}")
     output = output or read[0].path.with_suffix(".html")
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(page(read, [str(failure) for failure in failures]), encoding="utf-8")
-        if file is not None:
-            file.write_text(json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
-    except OSError as error:
-        raise BagError(f"{error.filename or output}: cannot be written: {error.strerror}") from error
+    write(output, page(read, [str(failure) for failure in failures]))
+    if file is not None:
+        write(file, json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
     for bag in read:
         print(f"{bag.label}: {bag.verdict}")
         for note in bag.notes:
             print(f"  note: {note}")
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB)")
     return 0
+
+
+def write(file: Path, text: str) -> None:
+    """Write a file, in a new folder if need be; raises `BagError` if it cannot be written."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BagError(f"{error.filename or file}: cannot be written: {error.strerror}") from error
 
 
 def report_json(bags: Sequence[ReportBag]) -> dict[str, Any]:
@@ -99,12 +94,12 @@ def page(bags: Sequence[ReportBag], failures: Sequence[str] = ()) -> str:
 
     sections = [_section(section, bags) for section in _SECTIONS]
     figures = [chart for section in sections for _, chart in section["charts"] if chart["data"]]
-    for number, chart in enumerate(figures):
-        chart["number"] = number
+    for place, chart in enumerate(figures):
+        chart["number"] = place
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"number": _number, "quantity": _quantity}
+    environment.filters |= {"number": number, "quantity": quantity}
     return environment.get_template("page.html").render(
         title="Contact reach: " + " and ".join(bag.label for bag in bags),
         plotly=get_plotlyjs(),
@@ -168,7 +163,7 @@ _SECTIONS = (
 def _section(section: _Section, bags: Sequence[ReportBag]) -> dict[str, Any]:
     """Contents of a section for the template: its charts with their headings."""
     placed = [(bag.label if len(bags) > 1 else "", make(bag)) for make in section.make for bag in bags]
-    return {"anchor": section.anchor, "title": section.title, "caption": section.caption, "charts": placed}
+    return {**section._asdict(), "charts": placed}
 
 
 def _numbers(bags: Sequence[ReportBag]) -> dict[str, Any]:
@@ -198,15 +193,3 @@ def _table(title: str, columns: Sequence[Mapping[str, Any]], mark: bool = True) 
     differs = {key: mark and any(value != values[0] for value in values) for key, values in cells.items()}
     rows = [{"key": key, "cells": values, "differs": differs[key]} for key, values in cells.items()]
     return {"title": title, "rows": rows, "differing": sum(differs.values())}
-
-
-def _quantity(value: float, unit: str) -> str:
-    if unit == "µs" and abs(value) >= 10_000:
-        value, unit = value / 1000, "ms"
-    return f"{_number(value)} {unit}" if np.isfinite(value) else "–"
-
-
-def _number(value: float) -> str:
-    if not np.isfinite(value):
-        return "–"
-    return f"{value:.0f}" if abs(value) >= 1000 or value == round(value) else f"{value:.3g}"

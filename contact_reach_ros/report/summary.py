@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
-from contact_reach_ros.bags.signals import EpisodeSignals, Series, goal_distance
+from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings, least_duration
@@ -81,7 +82,8 @@ class EpisodeSummary:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; NaN becomes None."""
-        return {key: _plain(value) for key, value in dataclasses.asdict(self).items()}
+        plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(self)), parse_constant=lambda _: None)
+        return plain
 
 
 class Episode:
@@ -96,8 +98,7 @@ class Episode:
     arm
         The recorded arm.
     end
-        Latest end of the episode, such as the shutdown of the stack, s since the first joint state; the last joint
-        state when None.
+        Latest end of the episode, such as the shutdown of the stack, s since the first joint state.
     timeout, settle
         Times after the start and after the goal was reached at which the episode ends at the latest, s.
 
@@ -117,7 +118,7 @@ class Episode:
         self,
         signals: EpisodeSignals,
         arm: Arm,
-        end: float | None = None,
+        end: float = np.inf,
         timeout: float = np.inf,
         settle: float = np.inf,
     ) -> None:
@@ -132,7 +133,7 @@ class Episode:
         near = (self.distance.values[:, 0] <= SUCCESS_DISTANCE) & (self.distance.time >= self.start)
         self.reached = float(self.distance.time[near][0]) if near.any() else None
         settled = np.inf if self.reached is None else self.reached + settle
-        self._end = min(float(position.time[-1]) if end is None else end, self.start + timeout, settled)
+        self._end = min(float(position.time[-1]), end, self.start + timeout, settled)
         self._straight = self._limit = float("nan")
         if self.has_goal:
             row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
@@ -149,22 +150,6 @@ class Episode:
     def shown_from(self) -> float:
         """Start of the time range to show, s: shortly before the goal was sent, or before an earlier stop."""
         return min([self.start, *(self.start + stop["time_s"] for stop in self._stops())]) - BEFORE
-
-    def curves(self) -> tuple[Series, Series, Series]:
-        """Distance to the goal, m, contact forces, N, and external torques, N m, over s since the goal was sent."""
-        series = (self.distance, self._signals.contact_force, self._signals.external_torque)
-        shown = (each.between(self.shown_from, self._end) for each in series)
-        distance, force, torque = (dataclasses.replace(each, time=each.time - self.start) for each in shown)
-        return distance, force, torque
-
-    def moments(self) -> dict[str, float]:
-        """When the goal was sent and reached, and each node's first stop: s since the goal was sent, by label."""
-        moments = {"goal sent": 0.0} if self.has_goal else {}
-        if self.reached is not None:
-            moments["reached"] = self.reached - self.start
-        for stop in reversed(self._stops()):
-            moments[f"{stop['source']} stop"] = stop["time_s"]
-        return moments
 
     def summary(self) -> EpisodeSummary:
         """The numbers."""
@@ -242,13 +227,3 @@ def percentiles(values: np.ndarray, **percents: float) -> dict[str, float]:
 def _missed_ticks(signals: EpisodeSignals, end: float) -> int:
     """Ticks that the driver reported as missed up to `end`, s; 0 if it reported none."""
     return int(np.nanmax(signals.missed_ticks.between(-np.inf, end).values, initial=0.0))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

@@ -10,7 +10,7 @@ import viser
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.drawing.palette import ORANGE, PURPLE, VERMILION, as_bytes, rgb
+from contact_reach_ros.palette import ORANGE, PURPLE, VERMILION, as_bytes
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.spheres import Spheres
@@ -74,8 +74,8 @@ class ContactView:
 
     def _colour(self, arrow: Arrow) -> tuple[int, int, int]:
         if arrow.estimated:
-            return as_bytes(rgb(PURPLE))
-        return as_bytes(rgb(VERMILION if np.linalg.norm(arrow.force) > self._permitted else ORANGE))
+            return as_bytes(PURPLE)
+        return as_bytes(VERMILION if np.linalg.norm(arrow.force) > self._permitted else ORANGE)
 
     def _show_labels(self, found: Sequence[Arrow], tails: Array) -> None:
         while len(self._labels) < len(found):

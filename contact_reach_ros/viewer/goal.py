@@ -13,7 +13,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import is_attainable, unreachable
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.drawing.palette import GREEN, VERMILION, as_bytes, rgb
+from contact_reach_ros.palette import GREEN, VERMILION, as_bytes
 from contact_reach_ros.viewer.frame import Frame
 
 _REACH_PERIOD = 0.15
@@ -60,7 +60,7 @@ class GoalTab:
             depth_test=False,
             visible=False,
         )
-        self._ball = server.scene.add_icosphere("/new_goal/ball", radius=0.02, color=as_bytes(rgb(GREEN)))
+        self._ball = server.scene.add_icosphere("/new_goal/ball", radius=0.02, color=as_bytes(GREEN))
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
@@ -95,7 +95,7 @@ class GoalTab:
         self._due = clock + _REACH_PERIOD
         self._checked = self._position.copy(), frame.q.copy()
         reachable, text = reach(self._arm, self._position, frame.q)
-        self._ball.color = as_bytes(rgb(GREEN if reachable else VERMILION))
+        self._ball.color = as_bytes(GREEN if reachable else VERMILION)
         self._reach_text.content = f"{'✔' if reachable else '✘'} {text}"
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import trimesh
 import viser
 
-from contact_reach_ros.drawing.palette import as_bytes
-from contact_reach_ros.drawing.parts import DARK, FOAM, NODE, RIGID
+from contact_reach_ros.palette import as_bytes
 from contact_reach_ros.world.rigid import slab
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
 
+_FOAM, _NODE, _FIXED, _RIGID = (as_bytes(colour) for colour in ("#6BCC94", "#1A8C59", "#383B40", "#99948C"))
 _COARSE, _FINE = (trimesh.creation.icosphere(subdivisions=steps) for steps in (1, 3))
 
 
@@ -48,7 +48,7 @@ class ObstacleView:
         self._handles = [
             scene.add_box(
                 f"/obstacles/rigid_{number}",
-                color=as_bytes(RIGID),
+                color=_RIGID,
                 dimensions=tuple(shape.size),
                 wxyz=np.roll(shape.orientation, 1),
                 position=np.array(shape.center),
@@ -62,10 +62,10 @@ class ObstacleView:
         members[spheres.edges.ravel()] = True
         if len(spheres.edges):
             points = spheres.center[spheres.edges].astype(np.float32)
-            self._edges = scene.add_line_segments("/obstacles/edges", points, as_bytes(FOAM), thickness=0.003)
+            self._edges = scene.add_line_segments("/obstacles/edges", points, _FOAM, thickness=0.003)
             self._handles.append(self._edges)
         fixed = members & (spheres.stiffness >= FIXED_STIFFNESS)
-        colours = np.where(fixed[:, None], as_bytes(DARK), np.where(members[:, None], as_bytes(NODE), as_bytes(FOAM)))
+        colours = np.where(fixed[:, None], _FIXED, np.where(members[:, None], _NODE, _FOAM))
         # Drawn at half their size, the nodes of a body leave its deformation visible.
         scales = np.where(members, 0.5, 1.0) * spheres.radius
         # There are hundreds of nodes, and not every browser has a fast graphics card.

@@ -10,16 +10,17 @@ from typing import Any
 import viser
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.drawing.palette import GREEN, GREY, ORANGE, VERMILION
 from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.palette import GREEN, GREY, ORANGE, VERMILION
+from contact_reach_ros.viewer.arm import share_gradient
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.goal import Actions, GoalTab
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
 from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.recorded import Recording
-from contact_reach_ros.viewer.scene import SceneView, share_gradient
+from contact_reach_ros.viewer.scene import SceneView
 
 _SLOW_PERIOD = 0.2
 """Time between updates of plots and timeline, s."""

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.drawing.palette import BLUE, JOINT_COLOURS, VERMILION
+from contact_reach_ros.palette import BLUE, JOINT_COLOURS, VERMILION
 
 SPAN = 20.0
 """Time span of a plot, s."""
@@ -23,7 +23,6 @@ _AXIS: dict[str, Any] = {
     "font": "11px system-ui",
     "gap": 2,
 }
-_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 
 
 def quantities(joint_names: Sequence[str]) -> tuple[str, ...]:
@@ -117,8 +116,5 @@ def _scales(curves: Sequence[Array]) -> Any:
 
 
 def _round_up(value: float) -> float:
-    """The next larger number suitable for the end of an axis; 0 for 0."""
-    if value <= 0.0:
-        return 0.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * next(step for step in _STEPS if step * power >= 0.999 * value))
+    """The next larger power of the square root of 2, so that an axis seldom changes; 0 for 0."""
+    return float(2.0 ** (np.ceil(2.0 * np.log2(0.999 * value)) / 2.0)) if value > 0.0 else 0.0

@@ -37,10 +37,10 @@ def torques(arm: Arm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray
     return rigid + COULOMB * np.tanh(v / MOMENTUM.coulomb_speed) + VISCOUS * v + OFFSET
 
 
-def recording(arm: Arm, seconds: float = 40.0, seed: int = 0, noise: float = 0.02, joints=range(ARM.n)) -> Recording:
-    """The states of such a motion at 1 kHz."""
-    times, q, v, a = motion(seconds, 0.001, seed, joints)
-    measured = torques(arm, q, v, a) + noise * np.random.default_rng(seed).standard_normal(q.shape)
+def recording(arm: Arm, seconds: float, period: float = 0.004, noise: float = 0.02) -> Recording:
+    """The states of such a motion."""
+    times, q, v, a = motion(seconds, period)
+    measured = torques(arm, q, v, a) + noise * np.random.default_rng(0).standard_normal(q.shape)
     return Recording(np.rint(1e9 * times).astype(np.int64), q, v, measured)
 
 

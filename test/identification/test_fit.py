@@ -3,9 +3,6 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
 from motions import ARM, COULOMB, OFFSET, VISCOUS, samples
 
 from contact_reach_ros.arm.model import RobotModel
@@ -23,20 +20,17 @@ def flange_moment(tool: Tool) -> np.ndarray:
     return tool.mass * np.array([1.0, *np.add(tool.center, ARM.tip_offset)])
 
 
-@hypothesis_settings(max_examples=30, deadline=None)
-@given(
-    st.lists(st.floats(-0.1, 0.1), min_size=14, max_size=14),
-    st.floats(0.01, 5.0),
-    st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3),
-    st.integers(0, 1000),
-)
-def test_prediction_is_inverse_dynamics(shifts, mass, center, seed):
-    x, y = shifts[:7], shifts[7:]
-    tool = Tool(mass=mass, center=tuple(center), inertia=(2e-3, 2e-3, 1e-3, 0.0, 0.0, 0.0))
+@pytest.mark.parametrize(("mass", "seed"), [(0.01, 0), (0.8, 1), (5.0, 2)])
+def test_prediction_is_inverse_dynamics(mass, seed):
+    random = np.random.default_rng(seed)
+    x, y = (tuple(random.uniform(-0.1, 0.1, 7).tolist()) for _ in range(2))
+    tool = Tool(
+        mass=mass, center=tuple(random.uniform(-0.2, 0.2, 3).tolist()), inertia=(2e-3, 2e-3, 1e-3, 0.0, 0.0, 0.0)
+    )
     shifted, held = ARM.with_center_shifts(x, y), ARM.with_tool(tool)
     for true, parameters, own in (
         (shifted.with_tool(tool), Parameters(shifted, tool), flange_moment(tool)),
-        (held.with_center_shifts(x, y), Parameters(held, None), shifts),
+        (held.with_center_shifts(x, y), Parameters(held, None), x + y),
     ):
         taken = samples(true, 0.2, seed)
         values = np.concatenate([own, COULOMB, VISCOUS, OFFSET])
@@ -44,30 +38,22 @@ def test_prediction_is_inverse_dynamics(shifts, mass, center, seed):
         errors, columns = parameters.rows(taken, *regressor, values)
         np.testing.assert_allclose(errors, 0.0, atol=1e-8)
         # The columns are the slopes: but for the tool's moment of inertia, which is found by repetition.
-        step = 1e-6 * np.random.default_rng(seed).standard_normal(len(values))
+        step = 1e-6 * random.standard_normal(len(values))
         if "tool" in parameters.slots:
             step[:4] = 0.0
         np.testing.assert_allclose(parameters.rows(taken, *regressor, values + step)[0], -columns @ step, atol=1e-9)
 
 
-def test_exact_torques_give_exact_values():
-    motion = samples(ARM.with_tool(HELD), 40.0)
-    found = fit(Parameters(ARM, NO_TOOL), [motion])
-    for kind, expected in (
-        ("tool", flange_moment(HELD)),
-        ("coulomb", COULOMB),
-        ("viscous", VISCOUS),
-        ("offset", OFFSET),
-    ):
-        np.testing.assert_allclose(found.of(kind)[0], expected, atol=1e-5)
-    assert found.known.all() and not found.unknown
-
-
-def test_links_that_differ_are_found_with_the_tool_that_is_known():
+def test_exact_torques_give_exact_values_of_the_tool_or_of_the_links():
     held = ARM.with_tool(HELD)
-    found = fit(Parameters(held, None), [samples(held.with_center_shifts(SHIFTS_X, SHIFTS_Y), 40.0)])
-    np.testing.assert_allclose(found.of("shift_x")[0][1:], SHIFTS_X[1:], atol=1e-3)
-    np.testing.assert_allclose(found.of("shift_y")[0][1:], SHIFTS_Y[1:], atol=1e-3)
+    found = fit(Parameters(ARM, NO_TOOL), [samples(held, 40.0)])
+    expected = {"tool": flange_moment(HELD), "coulomb": COULOMB, "viscous": VISCOUS, "offset": OFFSET}
+    for kind, values in expected.items():
+        np.testing.assert_allclose(found.of(kind)[0], values, atol=1e-5)
+    assert found.known.all() and not found.unknown
+    links = fit(Parameters(held, None), [samples(held.with_center_shifts(SHIFTS_X, SHIFTS_Y), 40.0)])
+    np.testing.assert_allclose(links.of("shift_x")[0][1:], SHIFTS_X[1:], atol=1e-3)
+    np.testing.assert_allclose(links.of("shift_y")[0][1:], SHIFTS_Y[1:], atol=1e-3)
 
 
 def test_intervals_hold_the_truth_as_often_as_they_promise():
@@ -76,14 +62,14 @@ def test_intervals_hold_the_truth_as_often_as_they_promise():
     parameters = Parameters(ARM, NO_TOOL)
     truth = np.concatenate([flange_moment(HELD), COULOMB, VISCOUS, OFFSET])
     random, covered = np.random.default_rng(0), []
-    for _ in range(20):
+    for _ in range(8):
         noise = random.standard_normal(taken.torque.shape)
         for index in range(1, len(noise)):
             noise[index] = 0.92 * noise[index - 1] + 0.39 * noise[index]
         found = fit(parameters, [taken._replace(torque=taken.torque + 0.2 * noise)])
         covered.append(np.abs(found.values - truth) <= found.half_widths)
     assert 0.91 < np.mean(covered) < 0.99
-    assert np.mean(covered, axis=0).min() > 0.7
+    assert np.mean(covered, axis=0).min() > 0.6
 
 
 def test_what_the_motion_does_not_tell_is_said_and_has_no_number():
@@ -104,9 +90,8 @@ def test_torques_without_weight_and_without_rotors():
     model = RobotModel(ARM.with_tool(HELD))
     weight = np.array([pin.computeGeneralizedGravity(model.pinocchio, model.data, q).copy() for q in taken.q])
     rotors = model.pinocchio.armature * taken.a
-    found = fit(
-        Parameters(ARM, NO_TOOL, gravity=False, rotors=False), [taken._replace(torque=taken.torque - weight - rotors)]
-    )
+    bare = taken._replace(torque=taken.torque - weight - rotors)
+    found = fit(Parameters(ARM, NO_TOOL, gravity=False, rotors=False), [bare])
     np.testing.assert_allclose(found.of("coulomb")[0], COULOMB, atol=0.02)
     np.testing.assert_allclose(found.of("offset")[0], OFFSET, atol=0.02)
     assert found.of("tool")[1][0] > 0.0

@@ -9,7 +9,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.recording import make_recording, make_samples, recording_of
 from contact_reach_ros.observer.settings import MomentumSettings
 
-RECORDING = recording(ARM, 12.0, noise=0.0)
+RECORDING = recording(ARM, 12.0, 0.001, noise=0.0)
 
 
 def test_samples_have_no_lag():

@@ -1,12 +1,11 @@
-"""What the demo prints afterwards, without any process."""
+"""When the demo repeats itself, without any process."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import pytest
 
 from contact_reach_ros.bringup import demo
-from contact_reach_ros.bringup.demo import INTERRUPTED, DemoOptions, _print_summary, run_demo
+from contact_reach_ros.bringup.demo import INTERRUPTED, DemoOptions, run_demo
 from contact_reach_ros.report.summary import EpisodeSummary
 
 NAN = float("nan")
@@ -48,20 +47,3 @@ def test_what_a_slow_machine_fails_in_real_time_is_repeated_in_lockstep(
     assert run_demo(DemoOptions(**options)) == (code if len(runs) == 1 else 0)
     assert found == runs
     assert ("400 ticks of 5400 were missed" in capsys.readouterr().out) == (len(runs) == 2)
-
-
-@pytest.mark.parametrize(
-    ("stops", "why"),
-    [
-        ([], "not reached within 30.00 s"),
-        (STOPS, "stopped after 1.50 s"),
-    ],
-)
-def test_a_goal_that_was_not_reached_has_a_reason_instead_of_numbers(
-    stops: list[dict], why: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    summary = summary_of(stops=stops)
-    _print_summary("not reached", summary, Path("bag"), Path("plot"))
-    printed = capsys.readouterr().out
-    assert why in printed and "no plan took effect" in printed and "nan" not in printed
-    assert "4.00 s, the least time that" in printed

@@ -32,14 +32,6 @@ def test_a_signal_is_raised_where_it_is_asked_for(number):
             interruption.check()
 
 
-@pytest.mark.usefixtures("handlers")
-def test_what_comes_while_all_is_ended_is_ignored():
-    interruption = Interruption()
-    interruption.ignore()
-    os.kill(os.getpid(), signal.SIGINT)
-    interruption.check()
-
-
 def executable(name):
     """Command of an executable; as in a shell's job, Ctrl-C is not ignored."""
     return [sys.executable, "-c", f"from contact_reach_ros import executables; executables.{name}()"]

@@ -3,40 +3,29 @@
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
-from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.report.bag import read_report_bag
 from contact_reach_ros.report.plot import draw_episode
-from contact_reach_ros.report.summary import Episode
 from contact_reach_ros.resources import share_directory
 
-ARM = load_arm()
 
-
-@pytest.fixture(scope="module")
-def episode() -> Episode:
-    return Episode(read_signals(BagReader(share_directory() / "bags" / "sample"), ARM), ARM)
-
-
-def test_it_is_a_png(episode: Episode, tmp_path: Path) -> None:
-    file = tmp_path / "episode.png"
-    draw_episode(episode, "scene ball: goal reached", load_budget().resolve(ARM), file)
-    assert file.read_bytes().startswith(b"\x89PNG")
-
-
-def test_curves_and_moments_count_from_the_goal(episode: Episode) -> None:
-    distance, force, torque = episode.curves()
-    moments = episode.moments()
-    assert moments["goal sent"] == 0.0 < moments["reached"]
-    at_goal = distance.column("distance")[distance.time.searchsorted(moments["reached"])]
-    assert at_goal == pytest.approx(0.01, abs=0.002)
-    assert force.column("max").max() > 0.5
-    assert torque.names == ARM.joint_names and -2.1 < torque.time[0] < 0.0
-
-
-def test_a_place_that_cannot_be_written_is_named(episode: Episode, tmp_path: Path) -> None:
+def test_curves_and_moments_count_from_the_goal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = read_report_bag(share_directory() / "bags" / "sample", "sample")
+    drawn, save = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *args, **kw: (drawn.append(figure), save(figure, *args, **kw))
+    )
+    draw_episode(bag, "scene ball: goal reached", tmp_path / "episode.png")
+    assert (tmp_path / "episode.png").read_bytes().startswith(b"\x89PNG")
+    distance, force, torque = drawn[0].axes
+    lines = {line.get_label().partition(",")[0]: line for line in distance.lines}
+    reached = lines["reached"].get_xdata()[0]
+    times, values = lines["distance"].get_data()
+    assert values[times.searchsorted(reached)] == pytest.approx(0.01, abs=0.002)
+    assert lines["goal sent"].get_xdata()[0] == 0.0 < reached < distance.get_xlim()[1]
+    assert force.lines[1].get_ydata().max() > 0.5
+    assert {line.get_label() for line in torque.lines} >= set(bag.arm.joint_names)
     with pytest.raises(BagError, match="cannot be written"):
-        draw_episode(episode, "", load_budget().resolve(ARM), tmp_path / "absent" / "episode.png")
+        draw_episode(bag, "", tmp_path / "absent" / "episode.png")

@@ -51,20 +51,21 @@ def test_browsers_of_this_machine_get_page_and_websocket(port, host):
         assert page.recv(timeout=10)
 
 
-@pytest.mark.parametrize("origin", ["http://elsewhere.example", "http://localhost:1", "null"])
-def test_other_pages_in_the_same_browser_are_kept_out(port, origin):
-    status, body = get(port, Origin=origin)
+@pytest.mark.parametrize(
+    ("host", "origin"),
+    [
+        ("", "http://elsewhere.example"),
+        ("", "http://localhost:1"),
+        ("", "null"),
+        ("elsewhere.example", "http://elsewhere.example"),
+        ("127.0.0.1.elsewhere.example", "http://127.0.0.1.elsewhere.example"),
+    ],
+)
+def test_other_pages_and_names_that_point_at_this_machine_are_kept_out(port, host, origin):
+    status, body = get(port, Host=host or f"127.0.0.1:{port}", Origin=origin)
     assert status == 403 and b"<html" not in body.lower()
     with pytest.raises(InvalidStatus) as refusal:
-        websocket(port, Origin=origin)
-    assert refusal.value.response.status_code == 403
-
-
-@pytest.mark.parametrize("host", ["elsewhere.example", "127.0.0.1.elsewhere.example"])
-def test_names_that_point_at_this_machine_are_kept_out(port, host):
-    assert get(port, Host=host)[0] == 403
-    with pytest.raises(InvalidStatus) as refusal:
-        websocket(port, host, Origin=f"http://{host}")
+        websocket(port, host, Origin=origin)
     assert refusal.value.response.status_code == 403
 
 

@@ -1,151 +1,88 @@
-"""A recording is shown as it was: moments, events and curves, also of bags that were not closed."""
+"""A recording is shown as it was: moments, events and curves."""
+
+import dataclasses
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arms.iiwa14 import ARM
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.safety_state import ERROR
-from contact_reach_ros.messages.values import goal_values
 from contact_reach_ros.resources import share_directory
+from contact_reach_ros.viewer import recorded
 from contact_reach_ros.viewer.playback import Player
 from contact_reach_ros.viewer.plots import quantities
 from contact_reach_ros.viewer.recorded import Recording
 
 SAMPLE = share_directory() / "bags" / "sample"
-TICKS, START = 2000, 1000
-GOAL = np.array([0.5, 0.1, 0.3])
-REFUSED = np.array([2.0, 0.0, 0.0])
-TYPES = {
-    "/joint_states": JointState,
-    "/external_torque": JointState,
-    "/sim/contacts": JointState,
-    "/goal_pose": PoseStamped,
-    "/safety_state": DiagnosticStatus,
-    "/reference/pose": MultiDOFJointTrajectory,
-    "/plan/statistics": DiagnosticArray,
-}
+SENT, REFUSED, TOUCHED = 0.6, 2.0, 2.5
+"""When the goal is sent, another one is refused, and the arm is touched again, for 10 ms, s."""
 
 
-def joint_angles(tick):
-    return np.array(ARM.home) + 1e-4 * tick
+@pytest.fixture(scope="module")
+def signals():
+    """Those of the sample bag, with a refused goal and one more contact."""
+    found = read_signals(BagReader(SAMPLE), ARM)
+    force = found.contact_force
+    values = force.values.copy()
+    values[force.time > 1.9] = 0.0
+    values[(force.time >= TOUCHED) & (force.time < TOUCHED + 0.01)] = 4.0
+    refused = dataclasses.replace(found.goals, time=np.array([REFUSED]), values=np.array([[2.0, 0.0, 0.0]]))
+    return dataclasses.replace(found, contact_force=dataclasses.replace(force, values=values), refused_goals=refused)
 
 
-def messages():
-    """(robot's time ns, topic, message) of two seconds: a goal, two contacts, a stop."""
-    for tick in range(TICKS):
-        stamp = Time(sec=START + tick // 1000, nanosec=tick % 1000 * 1_000_000)
-        # The arm's joints in another order, and one more.
-        names = [*reversed(ARM.joint_names), "gripper"]
-        state = JointState(name=names, position=[*joint_angles(tick)[::-1].tolist(), 9.0], velocity=[0.0] * 8)
-        state.header.stamp = stamp
-        yield tick, "/joint_states", state
-        torque = JointState(name=list(ARM.joint_names), effort=[0.001 * tick] * 7)
-        torque.header.stamp = stamp
-        yield tick, "/external_torque", torque
-        if tick % 5 == 0:
-            force = 4.0 if 600 <= tick < 700 or 1500 <= tick < 1510 else 0.0
-            contact = JointState(name=["lbr_link_5", "sum", "max"], effort=[force] * 3)
-            contact.header.stamp = stamp
-            yield tick, "/sim/contacts", contact
-        if tick in (300, 900):
-            goal, place = PoseStamped(), GOAL if tick == 300 else REFUSED
-            goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = place.tolist()
-            yield tick, "/goal_pose", goal
-        if tick in (0, 1800):
-            level = DiagnosticStatus.ERROR if tick else DiagnosticStatus.OK
-            yield tick, "/safety_state", DiagnosticStatus(level=level, name="controller", message=f"said at {tick}")
-        if tick % 50 == 0:
-            plan = MultiDOFJointTrajectory()
-            plan.header.stamp = stamp
-            yield tick, "/reference/pose", plan
-            if tick > 300:
-                values = [KeyValue(key=key, value=f"{value:.6g}") for key, value in goal_values(GOAL).items()]
-                yield (
-                    tick,
-                    "/plan/statistics",
-                    DiagnosticArray(status=[DiagnosticStatus(name="planner", values=values)]),
-                )
+@pytest.fixture(scope="module")
+def recording(signals):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorded, "read_signals", lambda *_: signals)
+        return Recording(SAMPLE, ARM)
 
 
-def write(folder):
-    topics = {
-        name: RecordedTopic(name, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}")
-        for name, kind in TYPES.items()
-    }
-    writer = BagWriter(folder, topics.values())
-    for number, (tick, name, message) in enumerate(messages()):
-        # In lockstep the wall's clock runs another way than the robot's.
-        received = 5_000_000_000 + 3 * tick * 1_000_000 + number % 7
-        writer.write(name, serialize_message(message), received)
-    return writer
+def test_a_moment_is_shown_as_it_was(recording, signals):
+    assert recording.duration == pytest.approx(signals.position.time[-1])
+    frame = recording.frame(1.5)
+    for shown, series in ((frame.q, signals.position), (frame.external_torque, signals.external_torque)):
+        np.testing.assert_array_equal(shown, series.values[series.time <= 1.5 + 1e-9][-1])
+    force = signals.contact_force.between(0.0, 1.5)
+    assert frame.forces["lbr_link_5"] == force.column("lbr_link_5")[-1]
+    np.testing.assert_array_equal(frame.goal, signals.goals.values[0])
+    assert recording.frame(SENT - 0.1).goal is None
+    assert frame.safety["controller"].message == "tracking"
+    stopped = recording.frame(recording.duration).safety["controller"]
+    assert stopped.level == ERROR and stopped.message == "stop service called"
 
 
-@pytest.fixture(scope="module", params=["closed", "not closed"])
-def recording(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bag") / "bag"
-    writer = write(folder)
-    if request.param == "not closed":
-        writer.flush()
-        yield Recording(folder, ARM)
-        writer.close()
-    else:
-        writer.close()
-        yield Recording(folder, ARM)
-
-
-def test_a_moment_is_shown_as_it_was(recording):
-    assert recording.duration == pytest.approx(1.999) and len(recording.ticks) == TICKS
-    frame = recording.frame(0.65)
-    np.testing.assert_allclose(frame.q, joint_angles(650))
-    np.testing.assert_allclose(frame.external_torque, 0.65)
-    assert frame.forces["lbr_link_5"] == 4.0
-    np.testing.assert_allclose(frame.goal, GOAL)
-    assert frame.safety["controller"].message == "said at 0" and frame.safety["controller"].level != ERROR
-    assert recording.frame(0.2).goal is None
-    stopped = recording.frame(1.9)
-    assert stopped.safety["controller"].level == ERROR
-    assert stopped.safety["controller"].message == "said at 1800"
-
-
-def test_obstacles_and_plan_are_those_of_the_moment():
-    sample = Recording(SAMPLE, ARM)
-    first_goal = next(event.time for event in sample.events if event.kind == "goal")
-    before, after = sample.frame(first_goal - 0.1), sample.frame(first_goal + 0.5)
-    assert before.plan is None and len(before.obstacles) == 1
+def test_obstacles_and_plan_are_those_of_the_moment(recording):
+    before, after = recording.frame(SENT - 0.1), recording.frame(SENT + 0.5)
+    assert before.plan is None and len(before.obstacles) == len(after.obstacles) == 1
     # The path begins near the flange of the moment for which it was planned.
     flange = link_frames(ARM, after.q)[1][-1]
     assert np.linalg.norm(after.plan.flange[0] - flange) < 0.03
     assert np.linalg.norm(after.plan.flange[-1] - after.goal) < np.linalg.norm(flange - after.goal)
-    assert len(after.obstacles) == 1
 
 
 def test_events_are_on_the_robots_clock(recording):
     found = [(event.kind, round(event.time, 2)) for event in recording.events]
-    assert found == [("goal", 0.3), ("contact", 0.6), ("refused", 0.9), ("contact", 1.5), ("stop", 1.8)]
-    assert next(event.time for event in recording.events if event.kind == "goal") == pytest.approx(0.3, abs=0.01)
+    assert found == [("goal", SENT), ("contact", 0.98), ("refused", REFUSED), ("contact", TOUCHED), ("stop", 3.21)]
 
 
-def test_curves_have_the_values_of_their_time(recording):
-    table = recording.table(recording.duration)
-    columns = dict(zip(quantities(ARM.joint_names), table.T, strict=True))
+def test_curves_have_the_values_of_their_time(recording, signals):
+    columns = dict(zip(quantities(ARM.joint_names), recording.table(recording.duration).T, strict=True))
     row = int(np.argmin(np.abs(columns["time"] - 1.0)))
-    tick = round(1000 * columns["time"][row])
-    flange = link_frames(ARM, joint_angles(tick))[1][-1]
-    assert columns["distance"][row] == pytest.approx(1000.0 * np.linalg.norm(flange - GOAL), abs=0.01)
-    assert columns["lbr_A3"][row] == pytest.approx(0.001 * tick)
+    frame = recording.frame(columns["time"][row])
+    flange = link_frames(ARM, frame.q)[1][-1]
+    assert columns["distance"][row] == pytest.approx(1000.0 * np.linalg.norm(flange - frame.goal), abs=0.01)
+    assert columns["lbr_A3"][row] == frame.external_torque[2]
     # A contact of 10 ms is shorter than the distance of the points, and is not lost.
-    assert columns["force"][np.abs(columns["time"] - 1.51) < 0.05].max() == 4.0
-    assert np.isnan(columns["distance"][columns["time"] < 0.29]).all()
+    assert columns["force"][np.abs(columns["time"] - TOUCHED) < 0.1].max() == 4.0
+    assert np.isnan(columns["distance"][columns["time"] < SENT - 0.01]).all()
 
 
 def test_playing_stepping_and_jumping(recording):
@@ -156,11 +93,11 @@ def test_playing_stepping_and_jumping(recording):
     player.speed = 0.5
     player.advance(0.4)
     assert player.time == pytest.approx(0.2)
-    assert player.jump() and not player.playing and player.time == pytest.approx(0.6, abs=0.01)
+    assert player.jump() and not player.playing and player.time == pytest.approx(0.98)
     player.step(1)
-    assert player.time == pytest.approx(0.601, abs=1e-9)
+    assert player.time == pytest.approx(0.981)
     player.step(-2)
-    assert player.time == pytest.approx(0.599, abs=1e-9)
+    assert player.time == pytest.approx(0.979)
     assert player.jump() and player.jump() and not player.jump()
     player.seek(99.0)
     assert player.time == recording.duration

@@ -18,13 +18,7 @@ JOINT_COLOURS = (MIDDLE_GREY, ORANGE, SKY_BLUE, GREEN, PURPLE, BLUE, VERMILION)
 """Of joints from the first to the last, and of other series, in turns; all can be seen on white and on black."""
 
 
-def rgb(colour: str) -> tuple[float, float, float]:
-    """Parse '#rrggbb' into red, green and blue in [0, 1]."""
-    red, green, blue = (int(colour[index : index + 2], 16) / 255.0 for index in (1, 3, 5))
-    return red, green, blue
-
-
-def as_bytes(colour: tuple[float, ...]) -> tuple[int, int, int]:
-    """Convert red, green and blue in [0, 1] to bytes."""
-    red, green, blue = (round(255.0 * value) for value in colour[:3])
+def as_bytes(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of '#rrggbb', 0 to 255."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
     return red, green, blue
