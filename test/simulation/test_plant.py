@@ -8,7 +8,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.scene import MismatchSettings
 from contact_reach_ros.world.scene_file import read_scene
 
 FRICTION = JointSettings()
@@ -23,10 +23,9 @@ def joint_speed(plant: Plant) -> float:
     return float(np.abs(plant.data.qvel[: ARM.n]).max())
 
 
-@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MismatchSettings()], ids=["none", "mismatch"])
-def test_brakes_hold_the_arm_from_the_first_step_on(mismatch):
+def test_brakes_hold_the_arm_from_the_first_step_on():
     for q in 0.9 * random_states(3)[0]:
-        plant = ideal_plant(q, joints=FRICTION, mismatch=mismatch)
+        plant = ideal_plant(q, joints=FRICTION, mismatch=MismatchSettings())
         assert plant.actuation is Actuation.BRAKED
         run(plant, 0.5)
         assert np.abs(plant.data.qpos - q).max() < 1e-9
@@ -50,9 +49,6 @@ def test_damped_hold_brings_the_arm_to_rest_without_a_jolt():
         speeds.append(joint_speed(plant))
     assert speeds[-1] < 0.01
     assert speeds[50] > 0.3
-    at_rest = plant.data.qpos.copy()
-    run(plant, 0.5)
-    assert np.abs(plant.data.qpos - at_rest).max() < 1e-3
 
 
 def test_commanded_arm_needs_a_command():
@@ -161,17 +157,14 @@ class TestSensors:
             assert np.abs(errors.mean(axis=0)).max() < 0.1 * spread, name
             assert np.abs(np.corrcoef(errors.T) - np.eye(ARM.n)).max() < 0.1, name
 
-    @pytest.mark.parametrize("actuation", [Actuation.BRAKED, Actuation.DAMPED_HOLD])
-    def test_torque_is_unknown_unless_commanded(self, actuation):
+    def test_torque_is_unknown_unless_commanded(self):
         plant = ideal_plant(sensors=self.NOISY)
-        plant.set_actuation(Actuation.COMMANDED)
-        plant.step(REST)
-        plant.set_actuation(actuation)
-        plant.step()
-        reading = plant.read()
-        assert np.isnan(reading.torque).all()
-        assert np.isfinite(reading.q).all()
-        assert np.isfinite(reading.v).all()
+        for actuation in (Actuation.COMMANDED, Actuation.DAMPED_HOLD, Actuation.BRAKED):
+            plant.set_actuation(actuation)
+            plant.step(REST)
+            reading = plant.read()
+            assert np.isfinite(reading.torque).all() == (actuation is Actuation.COMMANDED)
+            assert np.isfinite([reading.q, reading.v]).all()
 
 
 def recording(seed: int) -> np.ndarray:
@@ -183,14 +176,7 @@ def recording(seed: int) -> np.ndarray:
     for _ in range(300):
         reading = plant.read()
         plant.step(model.gravity_at(reading.q) + np.array([0, 8, 0, 4, 0, 0, 0]))
-        values = (
-            reading.q,
-            reading.v,
-            reading.torque,
-            plant.contact_forces(),
-            plant.obstacle_positions()[0],
-        )
-        rows.append(np.concatenate(values))
+        rows.append(np.concatenate([*reading[1:], plant.contact_forces(), plant.obstacle_positions()[0]]))
     return np.array(rows)
 
 
