@@ -137,12 +137,6 @@ class Plant:
         """True joint positions (n,), rad."""
         return self.data.qpos[self._arm].copy()
 
-    @property
-    def joint_velocities(self) -> list[float]:
-        """True joint velocities (n,), rad/s."""
-        velocities: list[float] = self.data.qvel[self._arm].tolist()
-        return velocities
-
     def set_actuation(self, actuation: Actuation) -> None:
         """Change the actuation of the joints."""
         if actuation is not self.actuation:

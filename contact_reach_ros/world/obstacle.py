@@ -77,8 +77,6 @@ class Obstacle:
         Number that is unique in its scene.
     edges
         (E, 2) indices of the spheres that each edge joins; none by default.
-    lattice
-        Numbers of spheres along x, y and z if they form a lattice, z counting fastest; else empty.
     """
 
     kind: str
@@ -89,7 +87,6 @@ class Obstacle:
     fixed: NDArray[np.bool_]
     id: int = 0
     edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
-    lattice: tuple[int, ...] = ()
 
     @property
     def is_deformable(self) -> bool:
@@ -183,10 +180,7 @@ class MeshSettings(ObstacleSettings):
     def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
         fixed = np.zeros(self.nodes, bool)
         fixed[:, :, fixed_level] = True
-        edges = self.edges()
-        return Obstacle(
-            self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=edges, lattice=self.nodes
-        )
+        return Obstacle(self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=self.edges())
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,13 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, ideal_plant
+from arm_simulation import ARM, HOME, IDEAL_SENSORS, numbered
 
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle import BallSettings, Obstacle
+from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
 ELBOW = 4
@@ -31,8 +32,9 @@ def ball_beside(link: int, gap: float, **settings) -> Obstacle:
     return ball
 
 
-def braked(*balls: Obstacle) -> Plant:
-    return ideal_plant(obstacles=balls, joints=JointSettings())
+def braked(*balls: Obstacle, scale: float = 1.0) -> Plant:
+    scene = Scene("test", ARM, 0, HOME, np.zeros(3), numbered(balls), foam_scale=scale)
+    return Plant(scene, IDEAL_SENSORS, JointSettings())
 
 
 def settle(plant: Plant, seconds: float = 2.0) -> None:
@@ -54,18 +56,19 @@ def test_fixed_nodes_are_as_stiff_as_declared_at_any_link(link, mass):
 
 
 @pytest.mark.parametrize(
-    ("contact_stiffness", "mass", "friction"), [(300.0, 0.1, 0.2), (1000.0, 0.5, 0.0), (10_000.0, 0.1, 1.0)]
+    ("contact_stiffness", "mass", "friction", "scale"),
+    [(300.0, 0.1, 0.2, 1.3), (1000.0, 0.5, 0.0, 0.7), (10_000.0, 0.1, 1.0, 1.0)],
 )
-def test_a_ball_at_rest_is_as_stiff_as_declared_whatever_friction_and_mass(contact_stiffness, mass, friction):
+def test_a_ball_at_rest_is_as_stiff_as_declared_whatever_friction_and_mass(contact_stiffness, mass, friction, scale):
     material = {"contact_stiffness": contact_stiffness, "mass": mass, "friction": friction, "stiffness": 200.0}
-    plant = braked(ball_beside(FOREARM, -0.02, **material))
+    plant = braked(ball_beside(FOREARM, -0.02, **material), scale=scale)
     settle(plant)
     forces = plant.contact_forces()
     assert ARM.contact_links[int(np.flatnonzero(forces).item())] == ARM.link_names[FOREARM - 1]
     (contact,), (ball,) = plant.data.contact, plant.scene.obstacles
-    assert forces.max() / -contact.dist == pytest.approx(contact_stiffness, rel=0.06)
-    pulled = ball.material.stiffness * np.linalg.norm(plant.obstacle_positions()[0] - ball.rest[0])
-    assert forces.max() == pytest.approx(pulled, rel=0.01)
+    assert forces.max() / -contact.dist == pytest.approx(scale * contact_stiffness, rel=0.06)
+    moved = np.linalg.norm(plant.obstacle_positions()[0] - ball.rest[0])
+    assert forces.max() == pytest.approx(scale * 200.0 * moved, rel=0.01)
 
 
 def test_forces_are_those_that_mujoco_tells_of_each_contact():

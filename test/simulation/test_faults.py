@@ -52,7 +52,6 @@ class TestChecks:
         [
             (lambda: Lost("command"), "expected commands or states or efforts or obstacles"),
             (lambda: NotFinite("commands", "velocity"), "expected effort, or position or velocity of joint states"),
-            (lambda: Lost("commands", share=1.5), r"a share in \(0, 1\]"),
             (lambda: Lost("commands", at=-1.0), "expected at >= 0 s"),
             (lambda: playing(StuckEncoder("A2")), "joint 'A2' is unknown; the arm's joints are lbr_A1"),
             (lambda: playing(Push("link_4", (0.0, 50.0, 0.0))), "expected one of the links lbr_link_1"),

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.collision import GOAL_CLEARANCE, body_distances, check_hand, nearest
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.rigid import Block, Plane, slab
+from contact_reach_ros.world.rigid import Block, Plane
 
 DOWN = link_frames(ARM, HOME)[0][-1]
 TABLE = Block("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2))
@@ -95,22 +95,14 @@ class TestGoals:
                 check_hand(whose, goal, (TABLE,))
 
 
-class TestValues:
-    def test_a_plane_is_shown_by_a_slab_under_it(self):
-        plane = Plane("wall", (0.5, 0.0, 0.0), (-2.0, 0.0, 0.0))
-        shown = slab(plane)
-        np.testing.assert_allclose(shown.axes[:, 2], (-1.0, 0.0, 0.0), atol=1e-9)
-        np.testing.assert_allclose(shown.center, (0.51, 0.0, 0.0), atol=1e-9)
-        assert slab(TABLE) is TABLE
-
-    @pytest.mark.parametrize(
-        ("make", "message"),
-        [
-            (lambda: Plane("floor", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "floor: normal"),
-            (lambda: Block("table", (0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "table: size"),
-            (lambda: Block("table", np.zeros(3), np.ones(3), np.ones(4)), "table: orientation"),
-        ],
-    )
-    def test_what_is_no_body_is_refused(self, make, message):
-        with pytest.raises(InputError, match=message):
-            make()
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Plane("floor", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "floor: normal"),
+        (lambda: Block("table", (0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "table: size"),
+        (lambda: Block("table", np.zeros(3), np.ones(3), np.ones(4)), "table: orientation"),
+    ],
+)
+def test_what_is_no_body_is_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
