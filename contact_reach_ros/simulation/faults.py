@@ -25,22 +25,15 @@ Item = TypeVar("Item")
 
 @dataclass
 class Message:
-    """A command, a joint state or an observation of the obstacles in transit; faults change it in place.
-
-    Attributes
-    ----------
-    values
-        'effort' (n,), N m, unless it is missing; for a joint state also 'position' (n,), rad, and 'velocity' (n,),
-        rad/s; nothing for obstacles.
-    stamp_ns
-        Stamp of a joint state, ns.
-    delay
-        Time in transit, s.
-    """
+    """A command, a joint state or an observation of the obstacles in transit; faults change it in place."""
 
     values: dict[str, Array]
+    """'effort' (n,), N m, unless it is missing; for a joint state also 'position' (n,), rad, and 'velocity' (n,),
+    rad/s; nothing for obstacles."""
     stamp_ns: int = 0
+    """Stamp of a joint state, ns."""
     delay: float = 0.0
+    """Time in transit, s."""
     is_lost: bool = False
 
 
