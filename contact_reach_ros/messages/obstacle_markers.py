@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import Quaternion
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -15,15 +14,13 @@ from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBST
 from contact_reach_ros.messages.serialized import encode
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import Obstacle
-from contact_reach_ros.world.rigid import Block, Plane, RigidBody
+from contact_reach_ros.world.rigid import Plane, RigidBody, slab
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
 _GREEN = (0.35, 0.7, 0.35)
 _GREY = (0.45, 0.45, 0.45)
 _EDGE_WIDTH = 0.004
-_SLAB = (3.0, 3.0, 0.02)
-"""Size of what stands for a plane, m."""
 _FIRST_MARK = 1e6
 _STAMP = (0x51EC51EC, 0x1A2B3C4D)
 _STAMP_NS = _STAMP[0] * NANOSECONDS + _STAMP[1]
@@ -90,14 +87,11 @@ def _markers_of(obstacle: Obstacle, places: Array) -> list[Marker]:
 
 
 def _rigid_marker(body: RigidBody, identifier: int) -> Marker:
-    """A CUBE, for a plane one whose upper face lies on it, around the point nearest to the base."""
-    namespace = BLOCK
-    if isinstance(body, Plane):
-        namespace, normal = PLANE, np.array(body.normal)
-        turn, _ = Rotation.align_vectors(normal[None], [[0.0, 0.0, 1.0]])
-        body = Block(body.name, (body.offset - 0.5 * _SLAB[2]) * normal, _SLAB, turn.as_quat())
-    marker = to_marker(namespace, identifier, Marker.CUBE, list(body.size), (*_GREY, 0.6))
+    """A CUBE, for a plane one whose upper face lies on it."""
+    shown = slab(body)
+    namespace = PLANE if isinstance(body, Plane) else BLOCK
+    marker = to_marker(namespace, identifier, Marker.CUBE, list(shown.size), (*_GREY, 0.6))
     marker.text = body.name
-    marker.pose.position = to_point(list(body.center))
-    marker.pose.orientation = Quaternion(**dict(zip("xyzw", body.orientation, strict=True)))
+    marker.pose.position = to_point(list(shown.center))
+    marker.pose.orientation = Quaternion(**dict(zip("xyzw", shown.orientation, strict=True)))
     return marker

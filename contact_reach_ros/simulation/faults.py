@@ -246,7 +246,8 @@ class Faults:
         self._acting, plant = acting, self._plant
         plant.set_payload(sum(fault.mass for fault in acting if isinstance(fault, Payload)))
         plant.scale_friction(math.prod(fault.factor for fault in acting if isinstance(fault, Friction)))
-        plant.set_pushes([(push.link, push.force, push.point) for push in acting if isinstance(push, Push)])
+        pushes = [fault for fault in acting if isinstance(fault, Push)]
+        plant.set_pushes([(push.link, np.array(push.force), np.array(push.point)) for push in pushes])
         places = [np.array(fault.position) for fault in acting if isinstance(fault, UnknownObstacle)]
         plant.place_unknown(places[0] if places else None)
 

@@ -8,7 +8,6 @@ from enum import Enum
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
@@ -109,7 +108,7 @@ class Plant:
         self._torque_limits = scene.arm.torque_limits
         self._torque = np.full(scene.arm.n, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
-        self._pushes: Sequence[tuple[str, ArrayLike, ArrayLike]] = ()
+        self._pushes: Sequence[tuple[str, Array, Array]] = ()
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
         has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
@@ -233,7 +232,7 @@ class Plant:
         mujoco.mj_setConst(model, mujoco.MjData(model))
         soften_fixed(model)
 
-    def set_pushes(self, pushes: Sequence[tuple[str, ArrayLike, ArrayLike]]) -> None:
+    def set_pushes(self, pushes: Sequence[tuple[str, Array, Array]]) -> None:
         """Replace the external forces: link, force (3,), N, base frame, and point (3,), m, in the frame of the link."""
         self._pushes = pushes
         self.data.xfrc_applied[:] = 0.0

@@ -104,5 +104,19 @@ Environment = tuple[RigidBody, ...]
 """Everything rigid around the arm."""
 
 
+_SLAB = (3.0, 3.0, 0.02)
+"""Size of what stands for a plane in pictures, m."""
+
+
+def slab(body: RigidBody) -> Block:
+    """What shows a body: the block itself, or a slab around the plane's point nearest to the base, under the plane."""
+    if isinstance(body, Block):
+        return body
+    normal = np.array(body.normal)
+    turn, _ = Rotation.align_vectors(normal[None], [[0.0, 0.0, 1.0]])
+    center = (body.offset - 0.5 * _SLAB[2]) * normal
+    return Block(body.name, center, _SLAB, turn.as_quat())
+
+
 def _checked(body: str, name: str, values: object, count: int) -> tuple[float, ...]:
     return tuple(checked_array(f"{body}: {name}", values, (count,)).tolist())
