@@ -5,11 +5,9 @@ import pytest
 from arm_simulation import ARM, HOME, REST, TORQUE_LIMITS, ideal_plant, random_states
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.world.scene import MismatchSettings
-from contact_reach_ros.world.scene_file import read_scene
 
 FRICTION = JointSettings()
 
@@ -165,22 +163,3 @@ class TestSensors:
             reading = plant.read()
             assert np.isfinite(reading.torque).all() == (actuation is Actuation.COMMANDED)
             assert np.isfinite([reading.q, reading.v]).all()
-
-
-def recording(seed: int) -> np.ndarray:
-    """Everything that can be seen of a short episode among obstacles."""
-    scene = make_scene(read_scene("ball"), ARM, seed)
-    plant = Plant(scene, SensorSettings(), JointSettings())
-    plant.set_actuation(Actuation.COMMANDED)
-    rows, model = [], RobotModel(ARM)
-    for _ in range(300):
-        reading = plant.read()
-        plant.step(model.gravity_at(reading.q) + np.array([0, 8, 0, 4, 0, 0, 0]))
-        rows.append(np.concatenate([*reading[1:], plant.contact_forces(), plant.obstacle_positions()[0]]))
-    return np.array(rows)
-
-
-def test_same_seed_same_readings_bit_for_bit():
-    first = recording(3)
-    np.testing.assert_array_equal(first, recording(3))
-    assert not np.array_equal(first[:, :7], recording(4)[:, :7])
