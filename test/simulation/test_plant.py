@@ -81,18 +81,6 @@ def test_commands_are_capped_at_the_data_sheets_limits():
     np.testing.assert_array_equal(plants[0].read().torque, TORQUE_LIMITS)
 
 
-def test_dry_friction_holds_against_less_and_yields_to_more():
-    moved = {}
-    for share in (0.5, 2.0):
-        plant, model = ideal_plant(joints=FRICTION), RobotModel(ARM)
-        plant.set_actuation(Actuation.COMMANDED)
-        push = np.eye(ARM.n)[0] * share * FRICTION.coulomb_friction
-        for _ in range(1000):
-            plant.step(model.gravity_at(plant.data.qpos) + push)
-        moved[share] = abs(plant.data.qpos[0] - HOME[0])
-    assert moved[2.0] > 10 * moved[0.5]
-
-
 class TestMismatch:
     def test_model_error_is_as_large_as_the_inertia_sets_differ(self):
         plant = ideal_plant(mismatch=MismatchSettings(payload=0.0))
@@ -113,17 +101,11 @@ class TestMismatch:
         np.testing.assert_allclose(difference, expected, rtol=0, atol=1e-9)
 
     def test_friction_is_scaled(self):
-        speeds = {}
-        for scale in (1.0, 5.0):
-            mismatch = MismatchSettings(payload=0.0, friction_scale=scale)
-            viscous = JointSettings(viscous_friction=0.5, coulomb_friction=0.0)
-            plant = ideal_plant(joints=viscous, mismatch=mismatch)
-            plant.set_actuation(Actuation.COMMANDED)
-            model = RobotModel(ARM, "alternative")
-            for _ in range(300):
-                plant.step(model.gravity_at(plant.data.qpos) + np.eye(ARM.n)[6])
-            speeds[scale] = plant.data.qvel[6]
-        assert speeds[1.0] == pytest.approx(5.0 * speeds[5.0], rel=0.02)
+        joints = JointSettings(viscous_friction=0.5, coulomb_friction=0.1)
+        plant = ideal_plant(joints=joints, mismatch=MismatchSettings(friction_scale=5.0))
+        plant.set_actuation(Actuation.COMMANDED)
+        np.testing.assert_allclose(plant.model.dof_damping, 2.5)
+        np.testing.assert_allclose(plant.model.dof_frictionloss, 0.5)
 
     def test_noise_is_scaled(self):
         plain, noisy = (

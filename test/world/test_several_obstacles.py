@@ -25,17 +25,19 @@ obstacles:
 """
 
 
-@pytest.fixture
-def read(tmp_path):
+@pytest.fixture(scope="module")
+def read(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scenes")
+
     def read(content):
-        file = tmp_path / "own.yaml"
+        file = folder / "own.yaml"
         file.write_text(content)
         return read_scene(str(file))
 
     return read
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def scene(read):
     return make_scene(read(LIST), ARM, 0)
 
@@ -49,8 +51,9 @@ def test_a_list_has_any_number_of_obstacles_of_each_kind(read, scene):
 
 
 def test_a_list_replaces_that_of_its_base(read, tmp_path):
-    (tmp_path / "below.yaml").write_text(LIST)
-    file = read("base: below.yaml\nobstacles: [{kind: ball, center: [0.7, 0, 0.9]}]")
+    below = tmp_path / "below.yaml"
+    below.write_text(LIST)
+    file = read(f"base: {below}\nobstacles: [{{kind: ball, center: [0.7, 0, 0.9]}}]")
     assert file.obstacles == (BallSettings(center=(0.7, 0.0, 0.9)),)
     assert file.target.position == (0.5, 0.2, 0.3)
 
