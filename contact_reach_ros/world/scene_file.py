@@ -242,8 +242,9 @@ def _read_environment(section: Mapping[str, Any], where: str) -> dict[str, Rigid
         if not isinstance(values, dict):
             raise SettingsError(f"{where}: {name} = {values!r}; expected a mapping of keys to values, or null")
         known = PLANE_KEYS if set(values) <= set(PLANE_KEYS) else BLOCK_KEYS
-        for key in set(values) - set(known):
-            raise SettingsError(unknown_key(str(key), known, f"{where}: {name}"))
+        for key in values:
+            if key not in known:
+                raise SettingsError(unknown_key(str(key), known, f"{where}: {name}"))
         try:
             if known is PLANE_KEYS:
                 found[name] = Plane(str(name), **values)
