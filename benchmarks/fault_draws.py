@@ -11,10 +11,10 @@ import numpy as np
 from benchmarks.episode import Silent, WrongPlans
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.scenes.placing import free_path
+from contact_reach_ros.scenes.placing import free_path, path_segments
 from contact_reach_ros.simulation import faults
 from contact_reach_ros.simulation.faults import Fault
-from contact_reach_ros.world.collision import capsule_segments, overlap_depths
+from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene import Scene
 
 _LATEST = 2.0
@@ -97,7 +97,7 @@ def _obstacle(random: Random, scene: Scene) -> Fault:
     """Draw a place on the way of the hand, but not in the arm where it starts."""
     model = RobotModel(scene.arm)
     path = free_path(model, scene.start, scene.target)
-    starts, ends = capsule_segments(scene.arm, scene.start[None])
+    starts, ends = path_segments(scene.arm, scene.start[None])
     if path is not None:
         for _ in range(50):
             place, _ = model.tip_pose(path[int(random.uniform(0.3, 1.0) * (len(path) - 1))])

@@ -13,10 +13,10 @@ from contact_reach_ros.arm.capsules import shape_segments
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.placing import free_path
+from contact_reach_ros.scenes.placing import free_path, path_segments
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.collision import capsule_segments, overlap_depths
+from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import TargetSettings, read_scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -59,7 +59,7 @@ def test_ball_is_in_the_way_of_the_middle_links_only(seed):
     (ball,) = scene.obstacles
     starts, ends = shape_segments(ARM, scene.start[None])
     assert overlap_depths(ARM, starts, ends, ball.rest, ball.radius)[0, 0] <= TOLERANCE
-    segments = capsule_segments(ARM, path_of("ball", seed))
+    segments = path_segments(ARM, path_of("ball", seed))
     depths = overlap_depths(ARM, *segments, ball.rest, ball.radius)[..., 0]
     assert depths[0].max() <= -0.01 + TOLERANCE
     links, deepest = np.array([capsule.link for capsule in ARM.capsules]), depths.max(axis=0)
@@ -164,7 +164,7 @@ def test_capsules_are_where_mujoco_has_them():
     scene, path = scene_of("ball", 0), path_of("ball", 0)
     (ball,), plant = scene.obstacles, Plant(scene, SensorSettings(), JointSettings())
     model, data = plant.model, plant.data
-    ours = overlap_depths(ARM, *capsule_segments(ARM, path), ball.rest, ball.radius)[..., 0]
+    ours = overlap_depths(ARM, *path_segments(ARM, path), ball.rest, ball.radius)[..., 0]
     for q, depths in zip(path[::10], ours[::10], strict=True):
         data.qpos[: ARM.n] = q
         mujoco.mj_kinematics(model, data)
