@@ -15,7 +15,8 @@ import numpy as np
 from benchmarks.baselines.method import Method
 from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -105,14 +106,44 @@ class WrongPlans(Fault):
     delay: float = 0.0
 
 
-class _EpisodeRobot(SimulatedRobot):
-    """Calls `after_tick` after each tick of the physics, of which there may be several between joint states."""
+@dataclass(frozen=True)
+class Silent(Fault):
+    """A node does nothing, as if killed or frozen. The brakes of a silent driver close, and it comes back reset."""
 
-    after_tick: Callable[[], None]
+    node: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.node not in ("driver", "controller", "observer", "planner"):
+            raise SettingsError(f"{self}: expected driver, controller, observer or planner")
+
+
+class EpisodeRobot(SimulatedRobot):
+    """A robot that is `Silent` at times.
+
+    It calls `after_tick` after each tick of the physics, of which there may be several between joint states.
+    """
+
+    after_tick: Callable[[], None] | None = None
+
+    def is_silent(self, node: str) -> bool:
+        """Whether a node is silent now."""
+        return self.faults is not None and any(fault.node == node for fault in self.faults.active(Silent, self.now_ns))
+
+    def read(self) -> list[JointState]:
+        """As `SimulatedRobot.read`; none of a silent driver."""
+        if self.is_silent("driver"):
+            # The noise is drawn all the same.
+            self.plant.read()
+            return []
+        return super().read()
 
     def _tick(self, clock_ns: int) -> list[InputError]:
+        if self.is_silent("driver"):
+            self.drive.reset()
         refused = super()._tick(clock_ns)
-        self.after_tick()
+        if self.after_tick is not None:
+            self.after_tick()
         return refused
 
 
@@ -121,7 +152,7 @@ class _EpisodeStack(Stack):
 
     def __init__(self, scene: Scene, method: Method, options: EpisodeOptions) -> None:
         period = 1.0 / options.rate
-        robot = _EpisodeRobot(
+        robot = EpisodeRobot(
             scene,
             watchdog=options.watchdog,
             faults=options.faults,
@@ -149,15 +180,11 @@ class _EpisodeStack(Stack):
         faults = self.simulated.faults
         return [] if faults is None else faults.active(kind, self._clock_ns)
 
-    def _is_silent(self, node: str) -> bool:
-        faults = self.simulated.faults
-        return faults is not None and faults.is_silent(node, self._clock_ns)
-
     def _control(self) -> Array | None:
-        return None if self._is_silent("controller") else super()._control()
+        return None if self.simulated.is_silent("controller") else super()._control()
 
     def _observe(self) -> SafetyReport | None:
-        return None if self._is_silent("observer") else super()._observe()
+        return None if self.simulated.is_silent("observer") else super()._observe()
 
     def _plan(self) -> Plan | None:
         try:
@@ -165,7 +192,7 @@ class _EpisodeStack(Stack):
                 super()._follow(self._late.popleft()[1])
         except InputError as error:
             self._refuse("plans", error)
-        return None if self._is_silent("planner") else super()._plan()
+        return None if self.simulated.is_silent("planner") else super()._plan()
 
     def _send(self, torque: Array) -> None:
         self.sent.append((self._clock_ns, torque))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.episode import WrongPlans
+from benchmarks.episode import Silent, WrongPlans
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.placing import free_path, path_segments
@@ -119,6 +119,6 @@ DRAWS: tuple[Callable[[Random, Scene], Fault], ...] = (
     lambda random, _: faults.RivalCommands(random.uniform(-30.0, 30.0)),
     lambda random, _: faults.Payload(random.uniform(0.2, 10.0)),
     lambda random, _: faults.Friction(_log(random, 0.1, 20.0)),
-    lambda random, _: faults.Silent(str(random.choice(["driver", "controller", "observer", "planner"]))),
+    lambda random, _: Silent(str(random.choice(["driver", "controller", "observer", "planner"]))),
 )
 """Draw the values of each kind of fault."""

@@ -11,7 +11,7 @@ from typing import TypedDict
 import numpy as np
 
 from benchmarks.output import command_line, given, run_command, write_report
-from benchmarks.press import press_in_model, press_in_plant
+from benchmarks.press import lattice, press_in_model, press_in_plant
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import InputError, SceneError
@@ -102,7 +102,7 @@ def press(scene: Scene, newtons: float, x: int, y: int, z: int) -> Press:
 def _number(scene: Scene, node: tuple[int, int, int]) -> int:
     """Number of a node of the upper wall among all spheres."""
     wall = _upper_wall(scene)
-    return len(rest_positions(scene)) - len(wall.rest) + int(np.ravel_multi_index(node, wall.lattice))
+    return len(rest_positions(scene)) - len(wall.rest) + int(np.ravel_multi_index(node, lattice(wall)))
 
 
 def _upper_wall(scene: Scene) -> Obstacle:
@@ -111,7 +111,7 @@ def _upper_wall(scene: Scene) -> Obstacle:
 
 def _surface_nodes(scene: Scene) -> list[tuple[int, int, int]]:
     """Middle, quarter and end of the wall, front and back, at the gap and next to the fixture."""
-    along_x, along_y, along_z = _upper_wall(scene).lattice
+    along_x, along_y, along_z = lattice(_upper_wall(scene))
     places = ((0, along_x - 1), (along_y // 2, along_y // 4, 0), sorted({0, along_z - 2}))
     return [(x, y, z) for x, y, z in itertools.product(*places)]
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import mujoco
 import numpy as np
 import pinocchio as pin
 
@@ -109,13 +110,24 @@ def simulate(
             model.update(q, v)
             error = pose_error(model.position, model.rotation, reference)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
-            force = np.maximum(force, plant.normal_forces())
+            force = np.maximum(force, normal_forces(plant))
             if watch is not None:
                 watch(model, q, v)
         before = knot
         model.update(q, v)
         motion.append((model.position.copy(), model.rotation.copy(), q.copy(), force))
     return Motion(*map(np.array, zip(*motion, strict=True)))
+
+
+def normal_forces(plant: Plant) -> Array:
+    """Sum of the normal forces of the contacts on each of `plant.contact_links`, (L,), N, without friction."""
+    sums, force = np.zeros(len(plant.contact_links)), np.zeros(6)
+    for index, contact in enumerate(plant.data.contact):
+        mujoco.mj_contactForce(plant.model, plant.data, index, force)
+        for body in plant.model.geom_bodyid[contact.geom]:
+            if (name := plant.model.body(body).name) in plant.contact_links:
+                sums[plant.contact_links.index(name)] += force[0]
+    return sums
 
 
 def bench_model(

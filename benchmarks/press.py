@@ -6,6 +6,7 @@ import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.spheres import Spheres
 
 
@@ -56,3 +57,8 @@ def stiffness_matrix(spheres: Spheres) -> Array:
         matrix[start, end] -= stiffness
         matrix[end, start] -= stiffness
     return matrix
+
+
+def lattice(obstacle: Obstacle) -> tuple[int, ...]:
+    """Numbers of nodes of a mesh along x, y and z, of which z counts fastest."""
+    return tuple(len(np.unique(np.round(places, 6))) for places in obstacle.rest.T)

@@ -1,5 +1,6 @@
 """Message packages of drivers, which no registry has as wheels: generated and compiled from their definitions."""
 
+import functools
 import hashlib
 import importlib.util
 import os
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -96,8 +98,9 @@ def message_packages(cache, numpy_headers=None):
     folder = Path(cache) / key
     if not folder.is_dir():
         with tempfile.TemporaryDirectory(dir=cache) as made:
-            for name, files in MISSING.items():
-                _build(name, files, Path(made) / "packages", numpy_headers or np.get_include())
+            build = functools.partial(_build, Path(made) / "packages", numpy_headers or np.get_include())
+            with ThreadPoolExecutor(2) as pool:
+                list(pool.map(build, MISSING, MISSING.values()))
             try:
                 os.rename(Path(made) / "packages", folder)
             except OSError:
@@ -106,45 +109,32 @@ def message_packages(cache, numpy_headers=None):
     return (str(folder),)
 
 
-def _build(name, files, folder, numpy_headers):
+def _build(folder, numpy_headers, name, files):
     package = folder / name
-    package.mkdir(parents=True)
+    package.mkdir(parents=True, exist_ok=True)
     for file, text in files.items():
         (package / file).parent.mkdir(exist_ok=True)
         (package / file).write_text("\n".join(line.strip() for line in text.split("\n")).lstrip())
     # Two of the generators give files the same names.
     beside = folder / "introspection" / name
     _generate(name, list(files), package, beside)
-    includes = [f"-I{folder}", f"-I{beside.parent}", f"-I{sysconfig.get_path('include')}", f"-I{numpy_headers}"]
     headers = _PREFIX / "include"
-    includes += [f"-I{each}" for each in (headers, *headers.iterdir()) if each.is_dir()]
-    flags = [*includes, "-O1", "-w", "-fPIC", "-shared", f"-L{_PREFIX / 'lib'}", f"-Wl,-rpath,{_PREFIX / 'lib'}"]
-    flags += ["-Wl,-rpath,$ORIGIN", "-Wl,-rpath,$ORIGIN/..", "-Wl,--no-as-needed"]
+    includes = [folder, beside.parent, sysconfig.get_path("include"), numpy_headers, headers, *headers.iterdir()]
+    flags = [*(f"-I{each}" for each in includes), "-O0", "-w", "-fPIC", "-shared", f"-L{_PREFIX / 'lib'}"]
+    flags += [f"-Wl,-rpath,{_PREFIX / 'lib'}:$ORIGIN:$ORIGIN/..", "-Wl,--no-as-needed"]
     fast, introspection = (folder / f"lib{name}__{support}.so" for support in _SUPPORTS)
-    others = sorted({line.split("/")[0] for text in files.values() for line in text.split() if "/" in line})
-    needed = [f"-l{other}__{support}" for other in others for support in ("rosidl_generator_c", *_SUPPORTS)]
-    runtime = [
-        "-lrosidl_runtime_c",
-        "-lrosidl_typesupport_c",
-        "-lrcutils",
-        "-lfastcdr",
-        "-lservice_msgs__rosidl_generator_c",
-    ]
-    runtime += [f"-lservice_msgs__{support}" for support in _SUPPORTS]
-    runtime += [
-        "-lrosidl_typesupport_fastrtps_c",
-        "-lrosidl_typesupport_fastrtps_cpp",
-        "-lrosidl_typesupport_introspection_c",
-    ]
+    others = {line.split("/")[0] for text in files.values() for line in text.split() if "/" in line} | {"service_msgs"}
+    libraries = [f"-l{other}__{part}" for other in sorted(others) for part in ("rosidl_generator_c", *_SUPPORTS)]
+    libraries += ["-lrosidl_runtime_c", "-lrosidl_typesupport_c", "-lrcutils", "-lfastcdr"]
+    libraries += ["-lrosidl_typesupport_fastrtps_cpp", *(f"-l{support}" for support in _SUPPORTS)]
     python = sorted(package.rglob("_*.c"))
     plain = sorted(set(package.rglob("*.c")) - set(python))
     both = ["-x", "c", *plain, "-x", "c++", *sorted(package.rglob("*.cpp")), "-x", "none"]
-    _compile(fast, both, [*needed, *runtime], flags)
-    _compile(introspection, sorted(beside.rglob("*.c")), [fast, *needed, *runtime], flags)
-    suffix = sysconfig.get_config_var("EXT_SUFFIX")
-    module = package / f"{name}_s__rosidl_typesupport_c{suffix}"
-    wrapped = [f"-l{other}__rosidl_generator_py" for other in (*others, "service_msgs")]
-    _compile(module, python, [fast, introspection, *needed, *wrapped, *runtime], flags)
+    _compile(fast, both, libraries, flags)
+    _compile(introspection, sorted(beside.rglob("*.c")), [fast, *libraries], flags)
+    module = package / f"{name}_s__rosidl_typesupport_c{sysconfig.get_config_var('EXT_SUFFIX')}"
+    wrapped = [f"-l{other}__rosidl_generator_py" for other in sorted(others)]
+    _compile(module, python, [fast, introspection, *libraries, *wrapped], flags)
 
 
 def _generate(name, files, package, beside):

@@ -10,6 +10,7 @@ import pytest
 from arm_simulation import ARM, HOME, TICK_NS
 from plans import make_plan
 
+from benchmarks.episode import EpisodeRobot, Silent
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
@@ -20,7 +21,7 @@ from contact_reach_ros.planning.plan import PlanningCore, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.simulation.faults import Fault, NotFinite, Silent
+from contact_reach_ros.simulation.faults import Fault, NotFinite
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack, Tick
 from contact_reach_ros.world.goal import FREE, Goal
@@ -325,7 +326,7 @@ class TestFaults:
     def test_the_goal_is_withdrawn_when_the_robot_pauses_for_long(self):
         for pause, is_left in ((0.5, True), (2.1, False)):
             faults = [Silent("driver", duration=pause)]
-            robot = SimulatedRobot(FREE_SCENE, faults=faults, noise_seed=0, period=0.005)
+            robot = EpisodeRobot(FREE_SCENE, faults=faults, noise_seed=0, period=0.005)
             stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot, period=0.005)
             stack.settle()
             stack.command(GOAL)

@@ -16,7 +16,7 @@ from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Plane, RigidBody, slab
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.spheres import by_obstacle, rest_positions
+from contact_reach_ros.world.spheres import rest_positions
 
 _GREEN = (0.35, 0.7, 0.35)
 _GREY = (0.45, 0.45, 0.45)
@@ -29,7 +29,8 @@ _STAMP_NS = _STAMP[0] * NANOSECONDS + _STAMP[1]
 def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArray:
     """The obstacles of a scene at `positions` (K, 3), m, in the order of `rest_positions`, and its rigid bodies."""
     markers: list[Marker] = []
-    for obstacle, places in by_obstacle(scene, positions):
+    ends = np.cumsum([len(obstacle.rest) for obstacle in scene.obstacles])
+    for obstacle, places in zip(scene.obstacles, np.split(positions, ends), strict=False):
         markers += _markers_of(obstacle, places)
     markers += [_rigid_marker(body, number) for number, body in enumerate(scene.environment)]
     for marker in markers:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arrays import Array, checked_array
 from contact_reach_ros.arm.capsules import shape_name, shape_segments
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
@@ -66,12 +66,9 @@ def parse_target(text: str) -> Array | None:
     if not text.strip():
         return None
     try:
-        position = np.array([float(word) for word in text.split()])
-    except ValueError:
-        position = np.empty(0)
-    if position.shape != (3,) or not np.isfinite(position).all():
-        raise SceneError(f"target '{text}': expected three finite numbers 'x y z' in m")
-    return position
+        return checked_array("target", text.split(), (3,))
+    except (InputError, ValueError) as error:
+        raise SceneError(f"target '{text}': expected three finite numbers 'x y z' in m") from error
 
 
 def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = None) -> Scene:

@@ -50,9 +50,9 @@ class Drive:
         self._hold_ns = int(HOLD_AFTER * NANOSECONDS)
         self._stop_ns = int(STOP_AFTER * NANOSECONDS)
         self._watches_silence = settings.enabled
-        self._model = RobotModel(plant.scene.arm) if settings.carries else None
+        self._model = RobotModel(plant.arm) if settings.carries else None
         share = settings.speed_share or math.inf
-        self._speed_limits = [share * limit for limit in plant.scene.arm.velocity_limits.tolist()]
+        self._speed_limits = [share * limit for limit in plant.arm.velocity_limits.tolist()]
         self._command: Array | None = None
         self._command_ns = 0
         self._steady_since_ns = 0
@@ -64,7 +64,7 @@ class Drive:
         Raises `InputError` if it has the wrong size or is not finite; it is counted, and the last one stays in force.
         """
         try:
-            checked_torque(torque, self.plant.scene.arm.n)
+            checked_torque(torque, self.plant.arm.n)
         except InputError:
             self.rejected += 1
             raise
@@ -98,9 +98,9 @@ class Drive:
         self.plant.step(torque)
 
     def _watch_speed(self) -> None:
-        for joint, (speed, limit) in enumerate(zip(self.plant.joint_velocities, self._speed_limits, strict=True)):
+        arm = self.plant.arm
+        for name, speed, limit in zip(arm.joint_names, self.plant.data.qvel.tolist(), self._speed_limits, strict=False):
             if not -limit <= speed <= limit:
-                name = self.plant.scene.arm.joint_names[joint]
                 text = f"{name} moves with {abs(speed):.2f} rad/s, permitted {limit:.2f} rad/s"
                 self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 

@@ -1,7 +1,6 @@
 """Faults of the simulation: what goes wrong, when, and what it does to messages, robot and surroundings.
 
 `SimulatedRobot(scene, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0), at=2.0, duration=0.1)])` injects them.
-`Silent` nodes other than the driver act in episodes of the benchmarks.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.simulation.plant import Plant, PointForce
+from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.timing import NANOSECONDS
 
 Vector = tuple[float, float, float]
@@ -26,22 +25,15 @@ Item = TypeVar("Item")
 
 @dataclass
 class Message:
-    """A command, a joint state or an observation of the obstacles in transit; faults change it in place.
-
-    Attributes
-    ----------
-    values
-        'effort' (n,), N m, unless it is missing; for a joint state also 'position' (n,), rad, and 'velocity' (n,),
-        rad/s; nothing for obstacles.
-    stamp_ns
-        Stamp of a joint state, ns.
-    delay
-        Time in transit, s.
-    """
+    """A command, a joint state or an observation of the obstacles in transit; faults change it in place."""
 
     values: dict[str, Array]
+    """'effort' (n,), N m, unless it is missing; for a joint state also 'position' (n,), rad, and 'velocity' (n,),
+    rad/s; nothing for obstacles."""
     stamp_ns: int = 0
+    """Stamp of a joint state, ns."""
     delay: float = 0.0
+    """Time in transit, s."""
     is_lost: bool = False
 
 
@@ -179,18 +171,6 @@ class Push(Fault):
     point: Vector = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Silent(Fault):
-    """A node does nothing, as if killed or frozen. The brakes of a silent driver close, and it comes back reset."""
-
-    node: str
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.node not in ("driver", "controller", "observer", "planner"):
-            raise SettingsError(f"{self}: expected driver, controller, observer or planner")
-
-
 AnyFault = TypeVar("AnyFault", bound=Fault)
 
 
@@ -231,10 +211,6 @@ class Faults:
         since_start = (now_ns - self._start_ns) / NANOSECONDS
         return [fault for fault in self._faults if isinstance(fault, kind) and fault.is_active(since_start)]
 
-    def is_silent(self, node: str, now_ns: int) -> bool:
-        """Whether a node is silent now."""
-        return any(fault.node == node for fault in self.active(Silent, now_ns))
-
     def send_command(self, torque: Array, now_ns: int) -> None:
         """Send a command (n,), N m, to the drive."""
         message = self._spoilt(Message({"effort": torque.copy()}), ("commands",), now_ns)
@@ -271,7 +247,7 @@ class Faults:
         plant.set_payload(sum(fault.mass for fault in acting if isinstance(fault, Payload)))
         plant.scale_friction(math.prod(fault.factor for fault in acting if isinstance(fault, Friction)))
         pushes = [fault for fault in acting if isinstance(fault, Push)]
-        plant.set_pushes([PointForce(push.link, np.array(push.force), np.array(push.point)) for push in pushes])
+        plant.set_pushes([(push.link, np.array(push.force), np.array(push.point)) for push in pushes])
         places = [np.array(fault.position) for fault in acting if isinstance(fault, UnknownObstacle)]
         plant.place_unknown(places[0] if places else None)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from enum import Enum
 
 import mujoco
@@ -45,15 +44,6 @@ class Actuation(Enum):
     """The commanded torques."""
     DAMPED_HOLD = "damped hold"
     """The robot's own gravity compensation and damping."""
-
-
-@dataclass(frozen=True, eq=False)
-class PointForce:
-    """A force (3,) N, base frame, on a point (3,) m of a link, in the frame of that link."""
-
-    link: str
-    force: Array
-    point: Array
 
 
 class Plant:
@@ -118,7 +108,7 @@ class Plant:
         self._torque_limits = scene.arm.torque_limits
         self._torque = np.full(scene.arm.n, np.nan)
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
-        self._pushes: list[PointForce] = []
+        self._pushes: Sequence[tuple[str, Array, Array]] = ()
         self._rests = rest_positions(scene)
         self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
         has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
@@ -145,12 +135,6 @@ class Plant:
     def joint_positions(self) -> Array:
         """True joint positions (n,), rad."""
         return self.data.qpos[self._arm].copy()
-
-    @property
-    def joint_velocities(self) -> list[float]:
-        """True joint velocities (n,), rad/s."""
-        velocities: list[float] = self.data.qvel[self._arm].tolist()
-        return velocities
 
     def set_actuation(self, actuation: Actuation) -> None:
         """Change the actuation of the joints."""
@@ -195,22 +179,29 @@ class Plant:
 
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of `contact_links`, (L,), N: the vector sum over its contacts."""
+        data, links = self.data, self._link_of_geom
+        if data.ncon == 0:
+            return np.zeros(len(self.contact_links))
         sums = [[0.0, 0.0, 0.0] for _ in self.contact_links]
-        for link, sign, force, frame in self._contact_rows():
-            total = sums[link]
-            for row, size in enumerate(force):
-                along = sign * size
-                total[0] += along * frame[3 * row]
-                total[1] += along * frame[3 * row + 1]
-                total[2] += along * frame[3 * row + 2]
+        # Plain numbers: arrays are slower for fewer than a dozen contacts. With an elliptic friction cone the rows of
+        # a contact among the constraints are its force: normal and, with friction, tangential. MuJoCo's frame (9,) is a
+        # rotation matrix in row order, whose first row is the normal; the force is that on the second geometry.
+        contact, forces = data.contact, data.efc_force.tolist()
+        columns = (contact.geom, contact.efc_address, contact.dim, contact.frame)
+        for geoms, address, dim, frame in zip(*(column.tolist() for column in columns), strict=True):
+            # MuJoCo leaves out contacts without an address, which carry no force.
+            if address < 0:
+                continue
+            for geom, sign in zip(geoms, (-1.0, 1.0), strict=True):
+                if links[geom] < 0:
+                    continue
+                total = sums[links[geom]]
+                for row, size in enumerate(forces[address : address + dim]):
+                    along = sign * size
+                    total[0] += along * frame[3 * row]
+                    total[1] += along * frame[3 * row + 1]
+                    total[2] += along * frame[3 * row + 2]
         return np.array([math.hypot(*total) for total in sums])
-
-    def normal_forces(self) -> Array:
-        """Sum of the normal forces of the contacts on each of `contact_links`, (L,), N, without friction."""
-        sums = [0.0 for _ in self.contact_links]
-        for link, _, force, _ in self._contact_rows():
-            sums[link] += force[0]
-        return np.array(sums)
 
     def obstacle_positions(self) -> Array:
         """Where the obstacles' spheres are seen, (K, 3), m, base frame, in the order of `rest_positions`.
@@ -241,9 +232,9 @@ class Plant:
         mujoco.mj_setConst(model, mujoco.MjData(model))
         soften_fixed(model)
 
-    def set_pushes(self, pushes: Sequence[PointForce]) -> None:
-        """Replace the external forces on links."""
-        self._pushes = list(pushes)
+    def set_pushes(self, pushes: Sequence[tuple[str, Array, Array]]) -> None:
+        """Replace the external forces: link, force (3,), N, base frame, and point (3,), m, in the frame of the link."""
+        self._pushes = pushes
         self.data.xfrc_applied[:] = 0.0
 
     def place_unknown(self, position: Array | None) -> None:
@@ -254,38 +245,12 @@ class Plant:
     def _apply_pushes(self) -> None:
         data = self.data
         data.xfrc_applied[:] = 0.0
-        for push in self._pushes:
-            body = self.model.body(push.link).id
+        for link, force, point in self._pushes:
+            body = self.model.body(link).id
             # MuJoCo applies the force at the centre of mass.
-            lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ push.point - data.xipos[body]
-            data.xfrc_applied[body, :3] += push.force
-            data.xfrc_applied[body, 3:] += np.cross(lever, push.force)
-
-    def _contact_rows(self) -> Iterator[tuple[int, float, list[float], list[float]]]:
-        """Link, sign, force and frame of each contact with one of `contact_links`, as plain numbers.
-
-        Where the arm touches itself there is a row for each of the two links. The sign is that of the force on the
-        link: MuJoCo gives the force on the second geometry of the two.
-
-        The force (1,) or (3,), N, is normal and, with friction, tangential; MuJoCo's frame (9,) is a rotation matrix in
-        row order, whose first row is the normal.
-        """
-        data = self.data
-        if data.ncon == 0:
-            return
-        # Plain numbers: arrays are slower for fewer than a dozen contacts. With an elliptic friction cone the rows of
-        # a contact among the constraints are its force.
-        contact, links, forces = data.contact, self._link_of_geom, data.efc_force.tolist()
-        columns = (contact.geom, contact.efc_address, contact.dim, contact.frame)
-        for (first, second), address, dim, frame in zip(*(column.tolist() for column in columns), strict=True):
-            # MuJoCo leaves out contacts without an address, which carry no force.
-            if address < 0:
-                continue
-            force = forces[address : address + dim]
-            if links[first] >= 0:
-                yield links[first], -1.0, force, frame
-            if links[second] >= 0:
-                yield links[second], 1.0, force, frame
+            lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point - data.xipos[body]
+            data.xfrc_applied[body, :3] += force
+            data.xfrc_applied[body, 3:] += np.cross(lever, force)
 
     def _apply_joint_settings(self) -> None:
         joints, scale = self._joints, self._friction_scale

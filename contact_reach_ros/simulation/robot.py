@@ -138,8 +138,6 @@ class SimulatedRobot:
     def _tick(self, clock_ns: int) -> list[InputError]:
         refused = []
         if self.faults is not None:
-            if self.faults.is_silent("driver", self.now_ns):
-                self.drive.reset()
             for torque in self.faults.commands(self.now_ns):
                 try:
                     self.drive.command(torque, clock_ns)
@@ -152,11 +150,7 @@ class SimulatedRobot:
     def read(self) -> list[JointState]:
         """The joint states that arrive now; without faults, the present one. Each call draws new sensor noise."""
         state = self.plant.read()._replace(stamp_ns=self.now_ns)
-        if self.faults is None:
-            return [state]
-        if self.faults.is_silent("driver", self.now_ns):
-            return []
-        return self.faults.joint_states(state)
+        return [state] if self.faults is None else self.faults.joint_states(state)
 
     def shows_obstacles(self) -> bool:
         """Whether the obstacles are published now, also where there are none: every few steps, unless they get lost."""

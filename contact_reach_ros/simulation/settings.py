@@ -29,21 +29,16 @@ class SensorSettings:
     """Noise of the joint sensors, as standard deviations, and their resolution.
 
     The defaults are those of a good arm; the mismatch of a scene multiplies them.
-
-    Attributes
-    ----------
-    position_noise, position_resolution
-        Of positions, rad; a resolution of 0 stands for none.
-    velocity_noise
-        Of velocities, rad/s.
-    torque_noise
-        Of measured torques, N m.
     """
 
     position_noise: float = 1e-5
+    """rad."""
     position_resolution: float = 1e-5
+    """rad; 0 for none."""
     velocity_noise: float = 1e-3
+    """rad/s."""
     torque_noise: float = 0.05
+    """Of measured torques, N m."""
 
 
 @dataclass(frozen=True)

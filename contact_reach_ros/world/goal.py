@@ -86,22 +86,6 @@ class Task(Protocol):
 class Goal:
     """The task of moving the tip to a pose.
 
-    Attributes
-    ----------
-    position
-        (3,), m.
-    orientation
-        'hold' for the orientation that the tip has when the goal is given, 'free' for any, or a unit quaternion
-        (x, y, z, w).
-    frame
-        Frame of position and orientation; it must be the arm's base frame, the default.
-    tolerance
-        Distance from the position that counts as reached, m.
-    angle_tolerance
-        Angle from the orientation with which the tip has settled, rad, unless any will do.
-    rest_speed
-        Speed of the tip up to which it is at rest, m/s.
-
     Raises
     ------
     InputError
@@ -109,11 +93,18 @@ class Goal:
     """
 
     position: ArrayLike
+    """(3,), m."""
     orientation: str | ArrayLike = HOLD
+    """'hold' for the orientation that the tip has when the goal is given, 'free' for any, or a unit quaternion (x, y,
+    z, w)."""
     frame: str = field(default="", kw_only=True)
+    """Frame of position and orientation; it must be the arm's base frame, the default."""
     tolerance: float = field(default=TOLERANCE, kw_only=True)
+    """Distance from the position that counts as reached, m."""
     angle_tolerance: float = field(default=ANGLE_TOLERANCE, kw_only=True)
+    """Angle from the orientation with which the tip has settled, rad, unless any will do."""
     rest_speed: float = field(default=REST_SPEED, kw_only=True)
+    """Speed of the tip up to which it is at rest, m/s."""
 
     def __post_init__(self) -> None:
         _check_numbers("position", self.position, 3, "three numbers x, y, z in m")

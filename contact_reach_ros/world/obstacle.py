@@ -24,33 +24,22 @@ those of the planner's mesh, which does not harden."""
 
 @dataclass(frozen=True)
 class Material:
-    """Properties of each sphere of an obstacle and of the edges between its spheres.
-
-    Attributes
-    ----------
-    mass
-        Mass of a sphere, kg.
-    stiffness
-        Stiffness of the spring that holds a sphere in place, N/m.
-    damping
-        Damping of a sphere's motion, N s/m.
-    contact_stiffness
-        Contact stiffness of the surface, N/m.
-    friction
-        Sliding friction coefficient.
-    edge_stiffness
-        k of the spring along an edge, N/m.
-    hardening
-        h: a simulated edge of length l whose ends have moved apart by s has the stiffness k (1 + h (s / l)²).
-    """
+    """Properties of each sphere of an obstacle and of the edges between its spheres."""
 
     mass: float
+    """Mass of a sphere, kg."""
     stiffness: float
+    """Stiffness of the spring that holds a sphere in place, N/m."""
     damping: float
+    """Damping of a sphere's motion, N s/m."""
     contact_stiffness: float
+    """Contact stiffness of the surface, N/m."""
     friction: float
+    """Sliding friction coefficient."""
     edge_stiffness: float = 0.0
+    """k of the spring along an edge, N/m."""
     hardening: float = 0.0
+    """h: a simulated edge of length l whose ends have moved apart by s has the stiffness k (1 + h (s / l)²)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,38 +47,24 @@ class Obstacle:
     """One body of a concrete scene: spheres of one radius and material, held by springs and joined by edges.
 
     An edge resists any change of the vector between its ends, in all directions alike.
-
-    Attributes
-    ----------
-    kind
-        Key of its section in the scene file.
-    name
-        Name in messages to the user, such as 'the lower wall'.
-    rest
-        (K, 3) centres of the spheres when nothing pushes them, m, base frame.
-    radius
-        Radius of each sphere, m.
-    material
-        Material of spheres and edges.
-    fixed
-        (K,) true for the spheres that cannot move.
-    id
-        Number that is unique in its scene.
-    edges
-        (E, 2) indices of the spheres that each edge joins; none by default.
-    lattice
-        Numbers of spheres along x, y and z if they form a lattice, z counting fastest; else empty.
     """
 
     kind: str
+    """Key of its section in the scene file."""
     name: str
+    """Name in messages to the user, such as 'the lower wall'."""
     rest: Array
+    """(K, 3) centres of the spheres when nothing pushes them, m, base frame."""
     radius: float
+    """Radius of each sphere, m."""
     material: Material
+    """Material of spheres and edges."""
     fixed: NDArray[np.bool_]
+    """(K,) true for the spheres that cannot move."""
     id: int = 0
+    """Number that is unique in its scene."""
     edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
-    lattice: tuple[int, ...] = ()
+    """(E, 2) indices of the spheres that each edge joins; none by default."""
 
     @property
     def is_deformable(self) -> bool:
@@ -183,10 +158,7 @@ class MeshSettings(ObstacleSettings):
     def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
         fixed = np.zeros(self.nodes, bool)
         fixed[:, :, fixed_level] = True
-        edges = self.edges()
-        return Obstacle(
-            self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=edges, lattice=self.nodes
-        )
+        return Obstacle(self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=self.edges())
 
 
 @dataclass(frozen=True)

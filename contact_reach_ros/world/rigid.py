@@ -27,7 +27,7 @@ class Plane:
 
     name: str
     """In messages to the user, such as 'floor'."""
-    point: Vector
+    point: Vector = (0.0, 0.0, 0.0)
     """Anywhere on the plane, m, base frame."""
     normal: Vector = (0.0, 0.0, 1.0)
     """Direction in which the arm is; it is made a unit vector."""

@@ -48,29 +48,6 @@ NO_MISMATCH = MismatchSettings("nominal", payload=0.0, friction_scale=1.0, noise
 class Scene:
     """A concrete scene.
 
-    Attributes
-    ----------
-    name
-        Name of the YAML file.
-    arm
-        Arm that is simulated, and that target and obstacles were placed for.
-    seed
-        Seed of target and obstacles.
-    start
-        Joint angles, (n,), rad.
-    target
-        Flange position to reach, (3,), m, base frame.
-    obstacles
-        Obstacles; arrays with a row per sphere hold them one after the other.
-    mismatch
-        Differences of the simulation from the models.
-    foam_scale
-        Factor on all stiffnesses of the obstacles in the simulation; unknown to the planner.
-    offsets
-        (len(obstacles), 3) from where each obstacle is seen to where it is in the simulation, m; empty for none.
-    environment
-        Rigid bodies, which the arm must not touch.
-
     Raises
     ------
     SceneError
@@ -78,15 +55,25 @@ class Scene:
     """
 
     name: str
+    """Name of the YAML file."""
     arm: Arm
+    """Arm that is simulated, and that target and obstacles were placed for."""
     seed: int
+    """Seed of target and obstacles."""
     start: Array
+    """Joint angles, (n,), rad."""
     target: Array
+    """Flange position to reach, (3,), m, base frame."""
     obstacles: tuple[Obstacle, ...] = ()
+    """Obstacles; arrays with a row per sphere hold them one after the other."""
     mismatch: MismatchSettings = NO_MISMATCH
+    """Differences of the simulation from the models."""
     foam_scale: float = 1.0
+    """Factor on all stiffnesses of the obstacles in the simulation; unknown to the planner."""
     environment: Environment = ()
+    """Rigid bodies, which the arm must not touch."""
     offsets: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(len(obstacles), 3) from where each obstacle is seen to where it is in the simulation, m; empty for none."""
 
     def __post_init__(self) -> None:
         identifiers = [obstacle.id for obstacle in self.obstacles]

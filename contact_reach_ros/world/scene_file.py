@@ -79,39 +79,15 @@ class TargetSettings(Settings):
         return start
 
 
-@dataclass(frozen=True)
-class PlaneSettings(Settings):
-    """A plane with everything behind it solid."""
-
-    point: tuple[float, ...] = setting((0.0, 0.0, 0.0), "anywhere on it", unit="m", minimum=-5.0, maximum=5.0)
-    normal: tuple[float, ...] = setting((0.0, 0.0, 1.0), "towards the arm, of any length", minimum=-1.0, maximum=1.0)
-
-    def body(self, name: str) -> RigidBody:
-        """The plane; raises `InputError` if it has no normal."""
-        return Plane(name, self.point, self.normal)
-
-
-@dataclass(frozen=True)
-class BlockSettings(Settings):
-    """A rigid box."""
-
-    center: tuple[float, ...] = setting((0.5, 0.0, 0.0), "its middle", unit="m", minimum=-5.0, maximum=5.0)
-    size: tuple[float, ...] = setting((0.5, 0.5, 0.1), "along its own x, y, z", unit="m", minimum=0.001, maximum=10.0)
-    angles: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "roll, pitch and yaw about the axes of the base", unit="rad", minimum=-6.3, maximum=6.3
-    )
-
-    def body(self, name: str) -> RigidBody:
-        """The block."""
-        return Block(name, self.center, self.size, Rotation.from_euler("xyz", self.angles).as_quat())
-
-
 SECTIONS: dict[str, type[Settings]] = {"target": TargetSettings, **KINDS, "mismatch": MismatchSettings}
 """Sections that a scene file may have, besides `BASE`, `OBSTACLES` and `ENVIRONMENT`."""
 OBSTACLES, KIND_KEY = "obstacles", "kind"
 """Key of a list of obstacles, and the key by which each of them names its kind."""
 ENVIRONMENT = "environment"
 """Key of the rigid bodies, each with a name of its own."""
+PLANE_KEYS, BLOCK_KEYS = ("point", "normal"), ("center", "size", "angles")
+"""Keys of a rigid body: `angles` are roll, pitch and yaw about the axes of the base, rad, the others `Plane`'s and
+`Block`'s."""
 BASE = "base"
 """Key of the scene that a file changes."""
 
@@ -265,12 +241,20 @@ def _read_environment(section: Mapping[str, Any], where: str) -> dict[str, Rigid
             continue
         if not isinstance(values, dict):
             raise SettingsError(f"{where}: {name} = {values!r}; expected a mapping of keys to values, or null")
-        is_plane = set(values) <= {entry.name for entry in PlaneSettings.declared()}
-        kind: type[PlaneSettings] | type[BlockSettings] = PlaneSettings if is_plane else BlockSettings
+        known = PLANE_KEYS if set(values) <= set(PLANE_KEYS) else BLOCK_KEYS
+        for key in values:
+            if key not in known:
+                raise SettingsError(unknown_key(str(key), known, f"{where}: {name}"))
         try:
-            found[name] = kind.from_mapping(values, f"{where}: {name}").body(str(name))
+            if known is PLANE_KEYS:
+                found[name] = Plane(str(name), **values)
+            else:
+                turn = Rotation.from_euler("xyz", values.get("angles", (0.0, 0.0, 0.0))).as_quat()
+                found[name] = Block(str(name), values.get("center", ()), values.get("size", ()), turn)
         except InputError as error:
             raise SettingsError(f"{where}: {error}") from error
+        except (TypeError, ValueError) as error:
+            raise SettingsError(f"{where}: {name}: expected three numbers for each key ({error})") from error
     return found
 
 

@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 
 from contact_reach_ros.arm.arrays import Array, checked_array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import SceneFile, anywhere
@@ -107,12 +106,6 @@ def sphere_capacity(scene: SceneFile | Scene) -> int:
 def rest_positions(scene: Scene) -> Array:
     """Positions of the obstacles' spheres when nothing pushes them, (K, 3), m, one obstacle after the other."""
     return np.concatenate([np.zeros((0, 3)), *(obstacle.rest for obstacle in scene.obstacles)])
-
-
-def by_obstacle(scene: Scene, positions: Array) -> list[tuple[Obstacle, Array]]:
-    """Each obstacle with its rows of `positions` (K, 3), which are in the order of `rest_positions`."""
-    ends = np.cumsum([len(obstacle.rest) for obstacle in scene.obstacles])
-    return list(zip(scene.obstacles, np.split(positions, ends), strict=False))
 
 
 def obstacle_spheres(scene: Scene, positions: Array) -> Spheres:

@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields
 
 from arm_simulation import ARM
 
-from benchmarks.episode import WrongPlans
+from benchmarks.episode import Silent, WrongPlans
 from benchmarks.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
 from contact_reach_ros.simulation.faults import (
     Fault,
@@ -19,7 +19,6 @@ from contact_reach_ros.simulation.faults import (
     Payload,
     Push,
     RivalCommands,
-    Silent,
     StuckEncoder,
     TorqueSensor,
     UnknownObstacle,

@@ -63,7 +63,7 @@ def test_forces_of_the_capsules_on_a_link_add_up_as_in_the_simulation():
     state = pipeline.init(system, jnp.asarray(HOME)[:, None], jnp.asarray(REST)[:, None], obstacles)
     state = jax.jit(lambda state: pipeline.step(system, state, reference))(state)
     assert state.link_force.shape == (len(SIX_AXIS.contact_links), 1)
-    force = plant.normal_forces()
+    force = plant.contact_forces()
     assert np.flatnonzero(force).tolist() == np.flatnonzero(state.link_force[:, 0]).tolist() == [0]
     assert float(state.link_force[0, 0]) == pytest.approx(force[0], rel=0.15)
 

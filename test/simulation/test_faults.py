@@ -18,14 +18,12 @@ from contact_reach_ros.simulation.faults import (
     Payload,
     Push,
     RivalCommands,
-    Silent,
     StuckEncoder,
     TorqueSensor,
     UnknownObstacle,
     WrongClock,
 )
-from contact_reach_ros.simulation.plant import Actuation, Plant, PointForce
-from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 
@@ -54,9 +52,7 @@ class TestChecks:
         [
             (lambda: Lost("command"), "expected commands or states or efforts or obstacles"),
             (lambda: NotFinite("commands", "velocity"), "expected effort, or position or velocity of joint states"),
-            (lambda: Lost("commands", share=1.5), r"a share in \(0, 1\]"),
             (lambda: Lost("commands", at=-1.0), "expected at >= 0 s"),
-            (lambda: Silent("recorder"), "expected driver, controller, observer or planner"),
             (lambda: playing(StuckEncoder("A2")), "joint 'A2' is unknown; the arm's joints are lbr_A1"),
             (lambda: playing(Push("link_4", (0.0, 50.0, 0.0))), "expected one of the links lbr_link_1"),
             (lambda: playing(OBSTACLE, OBSTACLE), "one unknown obstacle at most"),
@@ -115,51 +111,20 @@ class TestMessages:
         faults.send_command(np.ones(7), 0)
         assert [command[0] for command in faults.commands(0)] == [1.0, 3.0]
 
-    def test_those_that_run_the_nodes_ask_what_acts_on_them(self):
-        faults = playing(Silent("observer", at=0.1, duration=0.1))
-        silent = [faults.is_silent("observer", tick * MS) for tick in (99, 100, 199, 200)]
-        assert silent == [False, True, True, False]
-        assert not faults.is_silent("controller", 100 * MS)
-
-
-def test_a_driver_that_pauses_brakes_and_comes_back_reset():
-    scene = Scene("test", ARM, 0, START, np.zeros(3))
-    robot = SimulatedRobot(scene, faults=[Silent("driver", at=1.0, duration=0.3)])
-    robot.start_faults()
-    gravity = RobotModel(ARM).gravity_at(START)
-    states, actuations = [], []
-    for tick in range(2000):
-        states.append(len(robot.read()))
-        if states[-1]:
-            robot.command(gravity, tick * MS)
-        robot.step(tick * MS)
-        actuations.append(robot.plant.actuation)
-    assert sum(states) == 1700 and not any(states[1000:1300])
-    assert actuations[999] is Actuation.COMMANDED
-    assert set(actuations[1000:1790]) == {Actuation.BRAKED} and actuations[1810] is Actuation.COMMANDED
-    assert not robot.stop_reason
-
-
-def sensed(fault: Fault, states: list[JointState]) -> list[JointState]:
-    faults = playing(fault)
-    arrived = []
-    for tick, state in enumerate(states):
-        arrived += faults.joint_states(state._replace(stamp_ns=tick * MS))
-    return arrived
-
 
 class TestSensors:
     def test_stuck_encoder(self):
-        moving = [STATE._replace(q=STATE.q + tick) for tick in range(3)]
-        stuck = sensed(StuckEncoder("lbr_A2", at=0.001), moving)
+        moving = [STATE._replace(q=STATE.q + tick, stamp_ns=tick * MS) for tick in range(3)]
+        faults = playing(StuckEncoder("lbr_A2", at=0.001))
+        stuck = [state for one in moving for state in faults.joint_states(one)]
         assert [state.q[1] for state in stuck] == [STATE.q[1] + at for at in (0, 1, 1)]
         assert [state.v[1] for state in stuck] == [STATE.v[1], 0.0, 0.0]
         np.testing.assert_array_equal(stuck[2].q[2:], moving[2].q[2:])
-        (honest,) = sensed(StuckEncoder("lbr_A2", own_velocity=True), moving[:1])
+        (honest,) = playing(StuckEncoder("lbr_A2", own_velocity=True)).joint_states(STATE)
         assert honest.v[1] == STATE.v[1]
 
     def test_torque_sensor(self):
-        (wrong,) = sensed(TorqueSensor("lbr_A4", gain=-1.0, bias=2.0), [STATE])
+        (wrong,) = playing(TorqueSensor("lbr_A4", gain=-1.0, bias=2.0)).joint_states(STATE)
         assert wrong.torque[3] == -STATE.torque[3] + 2.0
         np.testing.assert_array_equal(np.delete(wrong.torque, 3), np.delete(STATE.torque, 3))
 
@@ -187,7 +152,7 @@ class TestRobot:
     def test_push_is_the_wrench_at_its_point(self):
         plant, model = make_plant(), RobotModel(ARM)
         point, force = np.array([0.0, 0.0, 0.045]), np.array([10.0, -20.0, 5.0])
-        plant.set_pushes([PointForce("lbr_link_7", force, point)])
+        plant.set_pushes([("lbr_link_7", force, point)])
         plant.set_actuation(Actuation.COMMANDED)
         plant.step(model.gravity_at(START))
         # The flange is 45 mm before link 7.

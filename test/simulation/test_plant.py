@@ -5,11 +5,9 @@ import pytest
 from arm_simulation import ARM, HOME, REST, TORQUE_LIMITS, ideal_plant, random_states
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
-from contact_reach_ros.world.scene_file import read_scene
+from contact_reach_ros.world.scene import MismatchSettings
 
 FRICTION = JointSettings()
 
@@ -23,10 +21,9 @@ def joint_speed(plant: Plant) -> float:
     return float(np.abs(plant.data.qvel[: ARM.n]).max())
 
 
-@pytest.mark.parametrize("mismatch", [NO_MISMATCH, MismatchSettings()], ids=["none", "mismatch"])
-def test_brakes_hold_the_arm_from_the_first_step_on(mismatch):
+def test_brakes_hold_the_arm_from_the_first_step_on():
     for q in 0.9 * random_states(3)[0]:
-        plant = ideal_plant(q, joints=FRICTION, mismatch=mismatch)
+        plant = ideal_plant(q, joints=FRICTION, mismatch=MismatchSettings())
         assert plant.actuation is Actuation.BRAKED
         run(plant, 0.5)
         assert np.abs(plant.data.qpos - q).max() < 1e-9
@@ -50,9 +47,6 @@ def test_damped_hold_brings_the_arm_to_rest_without_a_jolt():
         speeds.append(joint_speed(plant))
     assert speeds[-1] < 0.01
     assert speeds[50] > 0.3
-    at_rest = plant.data.qpos.copy()
-    run(plant, 0.5)
-    assert np.abs(plant.data.qpos - at_rest).max() < 1e-3
 
 
 def test_commanded_arm_needs_a_command():
@@ -87,18 +81,6 @@ def test_commands_are_capped_at_the_data_sheets_limits():
     np.testing.assert_array_equal(plants[0].read().torque, TORQUE_LIMITS)
 
 
-def test_dry_friction_holds_against_less_and_yields_to_more():
-    moved = {}
-    for share in (0.5, 2.0):
-        plant, model = ideal_plant(joints=FRICTION), RobotModel(ARM)
-        plant.set_actuation(Actuation.COMMANDED)
-        push = np.eye(ARM.n)[0] * share * FRICTION.coulomb_friction
-        for _ in range(1000):
-            plant.step(model.gravity_at(plant.data.qpos) + push)
-        moved[share] = abs(plant.data.qpos[0] - HOME[0])
-    assert moved[2.0] > 10 * moved[0.5]
-
-
 class TestMismatch:
     def test_model_error_is_as_large_as_the_inertia_sets_differ(self):
         plant = ideal_plant(mismatch=MismatchSettings(payload=0.0))
@@ -119,17 +101,11 @@ class TestMismatch:
         np.testing.assert_allclose(difference, expected, rtol=0, atol=1e-9)
 
     def test_friction_is_scaled(self):
-        speeds = {}
-        for scale in (1.0, 5.0):
-            mismatch = MismatchSettings(payload=0.0, friction_scale=scale)
-            viscous = JointSettings(viscous_friction=0.5, coulomb_friction=0.0)
-            plant = ideal_plant(joints=viscous, mismatch=mismatch)
-            plant.set_actuation(Actuation.COMMANDED)
-            model = RobotModel(ARM, "alternative")
-            for _ in range(300):
-                plant.step(model.gravity_at(plant.data.qpos) + np.eye(ARM.n)[6])
-            speeds[scale] = plant.data.qvel[6]
-        assert speeds[1.0] == pytest.approx(5.0 * speeds[5.0], rel=0.02)
+        joints = JointSettings(viscous_friction=0.5, coulomb_friction=0.1)
+        plant = ideal_plant(joints=joints, mismatch=MismatchSettings(friction_scale=5.0))
+        plant.set_actuation(Actuation.COMMANDED)
+        np.testing.assert_allclose(plant.model.dof_damping, 2.5)
+        np.testing.assert_allclose(plant.model.dof_frictionloss, 0.5)
 
     def test_noise_is_scaled(self):
         plain, noisy = (
@@ -161,40 +137,11 @@ class TestSensors:
             assert np.abs(errors.mean(axis=0)).max() < 0.1 * spread, name
             assert np.abs(np.corrcoef(errors.T) - np.eye(ARM.n)).max() < 0.1, name
 
-    @pytest.mark.parametrize("actuation", [Actuation.BRAKED, Actuation.DAMPED_HOLD])
-    def test_torque_is_unknown_unless_commanded(self, actuation):
+    def test_torque_is_unknown_unless_commanded(self):
         plant = ideal_plant(sensors=self.NOISY)
-        plant.set_actuation(Actuation.COMMANDED)
-        plant.step(REST)
-        plant.set_actuation(actuation)
-        plant.step()
-        reading = plant.read()
-        assert np.isnan(reading.torque).all()
-        assert np.isfinite(reading.q).all()
-        assert np.isfinite(reading.v).all()
-
-
-def recording(seed: int) -> np.ndarray:
-    """Everything that can be seen of a short episode among obstacles."""
-    scene = make_scene(read_scene("ball"), ARM, seed)
-    plant = Plant(scene, SensorSettings(), JointSettings())
-    plant.set_actuation(Actuation.COMMANDED)
-    rows, model = [], RobotModel(ARM)
-    for _ in range(300):
-        reading = plant.read()
-        plant.step(model.gravity_at(reading.q) + np.array([0, 8, 0, 4, 0, 0, 0]))
-        values = (
-            reading.q,
-            reading.v,
-            reading.torque,
-            plant.contact_forces(),
-            plant.obstacle_positions()[0],
-        )
-        rows.append(np.concatenate(values))
-    return np.array(rows)
-
-
-def test_same_seed_same_readings_bit_for_bit():
-    first = recording(3)
-    np.testing.assert_array_equal(first, recording(3))
-    assert not np.array_equal(first[:, :7], recording(4)[:, :7])
+        for actuation in (Actuation.COMMANDED, Actuation.DAMPED_HOLD, Actuation.BRAKED):
+            plant.set_actuation(actuation)
+            plant.step(REST)
+            reading = plant.read()
+            assert np.isfinite(reading.torque).all() == (actuation is Actuation.COMMANDED)
+            assert np.isfinite([reading.q, reading.v]).all()

@@ -1,16 +1,19 @@
-"""Scenes with several obstacles: lists, ids, materials, and obstacles that are not where they are seen."""
+"""Obstacles of scenes: lists, ids, materials, boxes, and obstacles that are not where they are seen."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from arm_simulation import ARM
+from arm_simulation import ARM, IDEAL_SENSORS
 
+from benchmarks.press import press_in_model, press_in_plant
 from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.obstacle import BallSettings, BoxSettings
 from contact_reach_ros.world.scene_file import read_scene
-from contact_reach_ros.world.spheres import rest_positions, sphere_capacity
+from contact_reach_ros.world.spheres import MAX_SPHERES, obstacle_spheres, rest_positions, sphere_capacity
 
 LIST = """
 target: {position: [0.5, 0.2, 0.3]}
@@ -22,17 +25,19 @@ obstacles:
 """
 
 
-@pytest.fixture
-def read(tmp_path):
+@pytest.fixture(scope="module")
+def read(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scenes")
+
     def read(content):
-        file = tmp_path / "own.yaml"
+        file = folder / "own.yaml"
         file.write_text(content)
         return read_scene(str(file))
 
     return read
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def scene(read):
     return make_scene(read(LIST), ARM, 0)
 
@@ -46,8 +51,9 @@ def test_a_list_has_any_number_of_obstacles_of_each_kind(read, scene):
 
 
 def test_a_list_replaces_that_of_its_base(read, tmp_path):
-    (tmp_path / "below.yaml").write_text(LIST)
-    file = read("base: below.yaml\nobstacles: [{kind: ball, center: [0.7, 0, 0.9]}]")
+    below = tmp_path / "below.yaml"
+    below.write_text(LIST)
+    file = read(f"base: {below}\nobstacles: [{{kind: ball, center: [0.7, 0, 0.9]}}]")
     assert file.obstacles == (BallSettings(center=(0.7, 0.0, 0.9)),)
     assert file.target.position == (0.5, 0.2, 0.3)
 
@@ -58,6 +64,21 @@ def test_boxes_are_turned_about_their_centre(scene):
     lowest = box.rest[box.fixed]
     edge = lowest[1] - lowest[0]
     np.testing.assert_allclose(np.arctan2(-edge[0], edge[1]), 0.5)
+
+
+def test_a_box_stands_where_the_file_says_and_gives_way_as_the_planner_expects(read):
+    file = read("box: {center: [0.5, -0.3, 0.2]}\n")
+    scene = make_scene(file, ARM, 0)
+    (box,) = scene.obstacles
+    np.testing.assert_allclose(box.rest.mean(axis=0), (0.5, -0.3, 0.2))
+    np.testing.assert_allclose(np.ptp(box.rest, axis=0) + 2 * box.radius, (0.2, 0.2, 0.3))
+    np.testing.assert_array_equal(box.fixed, np.isclose(box.rest[:, 2], box.rest[:, 2].min()))
+    assert sphere_capacity(file) == sphere_capacity(scene) == MAX_SPHERES
+    top, force = len(box.rest) - 1, np.array([3.0, 0.0, 0.0])
+    moved = press_in_plant(Plant(scene, IDEAL_SENSORS, JointSettings()), top, force, 2000)[-1]
+    expected = press_in_model(obstacle_spheres(scene, rest_positions(scene)), top, force, np.array([np.inf]))[0]
+    assert moved[0] > 0.01
+    np.testing.assert_allclose(moved, expected, rtol=0.02, atol=1e-4)
 
 
 def test_every_obstacle_is_simulated_with_its_own_material(scene):
