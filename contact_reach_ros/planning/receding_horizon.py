@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -56,10 +56,11 @@ class Memory(NamedTuple):
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
+_WARM_UP_PLANS = 5
+"""Two that compile, and three of which the quickest tells how long a step takes."""
+
 _PLANS_KEPT = 16
 """How many of its last plans a planner keeps: one of them is in force when the next is made."""
-
-_T = TypeVar("_T")
 
 
 class RecedingHorizonPlanner:
@@ -126,18 +127,15 @@ class RecedingHorizonPlanner:
         SettingsError
             If the deadline is too short for one step of the solver on this machine.
         """
-        begin = time.perf_counter()
-        q, v = np.array(self._arm.home), np.zeros(self._arm.n)
-        target = Target(hold_at(self._arm, q).position)
-        request = self._detours.target(Request(q, v, 0, 0, target, Spheres.none()), None)
-        obstacles, _ = self._obstacles.read(q, request.spheres)
-        hold = self._hold(q)
-        pieces = pieces_between((), hold, 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the programs (seconds if this machine has done it before, else up to a minute)")
-        predicted = self._predictor.predict(q, v, obstacles, pieces)
-        problem = self._problem(*predicted, request, self._bodies(q, ()), self._before(hold))
-        jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
-        step = self._solver.warm_up(problem, self._solver.init(np.zeros(self.size), self._spread))
+        begin = time.perf_counter()
+        q = np.array(self._arm.home)
+        request = Request(q, np.zeros(self._arm.n), 0, 0, Target(hold_at(self._arm, q).position), Spheres.none())
+        # The first one compiles what a plan needs, the second what it needs to continue the one before.
+        _, _, *plans = [self.plan(request) for _ in range(_WARM_UP_PLANS)]
+        self.reset()
+        self._number = 0
+        step = min(plan.solve_s / plan.steps for plan in plans)
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
         if 0.0 < self._settings.deadline < step:
             raise SettingsError(
@@ -306,7 +304,7 @@ class RecedingHorizonPlanner:
             before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
             detour=None if detour is None else single(detour.posture[:, None]),
         )
-        return _on_device(problem)
+        return jax.device_put(problem)
 
     def _weights_for(self, request: Request) -> dict[str, Number]:
         """The weights of the settings, with those that a free orientation, the approach and a detour change."""
@@ -385,9 +383,3 @@ class RecedingHorizonPlanner:
 def _pair(first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
     """Two points (N, 2) for the evaluation, the first one twice if there is no second."""
     return np.stack([first, first if second is None else second], axis=1).astype(np.float32)
-
-
-@jax.jit
-def _on_device(values: _T) -> _T:
-    """Turn the arguments of many programs into JAX arrays, all at once."""
-    return values
