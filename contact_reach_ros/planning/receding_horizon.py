@@ -181,6 +181,10 @@ class RecedingHorizonPlanner:
         state_ns, effect_ns, spheres = request.state_ns, request.effect_ns, request.spheres
         self._check_times(state_ns, effect_ns)
         self._reset_if_jumped(q, state_ns)
+        last = None if self.memory is None else self.memory.request
+        request = self._detours.target(request._replace(q=q, v=v), last)
+        # The search of a posture takes longer than a plan.
+        until = time.perf_counter() + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         hold = self._hold(q)
@@ -188,15 +192,9 @@ class RecedingHorizonPlanner:
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(plans, effect_ns) or hold)
-        last = None if self.memory is None else self.memory.request
-        searched = time.perf_counter()
-        request = self._detours.target(request._replace(q=q, v=v), last)
-        searched = time.perf_counter() - searched
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before)
 
         state, start_cost = self._start(problem, request)
-        # The search of a posture takes longer than a plan, and the first plan on a detour has a new cost.
-        until = begin + searched + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         memory = self.memory
         since_reset = 0 if memory is None else memory.plans
         solution = self._solver.solve(problem, state, start_cost, since_reset, until)
@@ -327,9 +325,7 @@ class RecedingHorizonPlanner:
                 passed = elapsed * count / self._settings.horizon
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                last = memory.request
-                is_same = request.goal.same_as(last.goal) and request.on_detour == last.on_detour
-                carried = memory.state if is_same else None
+                carried = memory.state if request.continues(memory.request) else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
         costs = np.where(np.isfinite(costs), costs, np.inf)
