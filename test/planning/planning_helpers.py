@@ -1,12 +1,14 @@
 """Problems and planners for the tests of planning."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from arm_simulation import ARM, HOME
 
+from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning import cost
 from contact_reach_ros.planning.cost import Objective
@@ -24,17 +26,30 @@ SMALL = PlanningSettings(deadline=0.0, population=32, line_search_points=16)
 As many as in all other tests, which then share the compiled programs: to compile them takes longer than the tests.
 """
 
+MS = 1_000_000
+"""ns."""
+
 LANES = 60
 """Candidates that the shared rollout takes."""
 
 FAR_BALL = np.array([0.0, 0.0, -100.0])
+ROTATIONS, ORIGINS = link_frames(ARM, HOME)
+FLANGE = ORIGINS[-1]
 
 
-def ball(center: np.ndarray, stiffness: float = 100.0, damping: float = 30.0) -> Obstacles:
-    """One sphere of 0.1 m radius, as the transfer model takes it."""
-    return obstacles_of(
-        Spheres(center[None], center[None], np.full(1, 0.1), np.full(1, stiffness), np.full(1, damping))
-    )
+def beside_forearm(gap: float) -> np.ndarray:
+    """Centre of a ball of 0.1 m beside the forearm of the arm at home, `gap` m from its surface."""
+    return ORIGINS[4] + ROTATIONS[4] @ (0.0, 0.0, 0.11) + (0.075 + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
+
+
+def ball_at(center: np.ndarray, stiffness: float = 100.0, damping: float = 30.0) -> Spheres:
+    """One sphere of 0.1 m radius, at rest."""
+    return Spheres(center[None], center[None], np.full(1, 0.1), np.full(1, stiffness), np.full(1, damping))
+
+
+def ball(*values: Any) -> Obstacles:
+    """The sphere of `ball_at`, as the transfer model takes it."""
+    return obstacles_of(ball_at(*values))
 
 
 def obstacles_of(spheres: Spheres, capacity: int | None = None) -> Obstacles:

@@ -13,7 +13,6 @@ from brax.envs.wrappers import training
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
 from contact_reach_ros.planning.prediction import hold_at
-from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.planning.transfer.pipeline import Reference
 from contact_reach_ros.scenes.generate import load_scene
 
@@ -32,19 +31,14 @@ def env(quick_compilation) -> ContactReach:
     return ContactReach(dataclasses.replace(scene, obstacles=(near,)))
 
 
-def problem_of(env: ContactReach) -> Problem:
-    """The planner's problem with the start of an episode."""
-    hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
-    before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
-    return env._problem._replace(before=before)
-
-
 def test_episode_is_the_rollout_of_the_planner(env):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (KNOTS, env.action_size)).astype(np.float32)
     actions[:, 1] = -1.0
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
     states = [state := step(state, action) for action in actions]
-    objective, problem = dataclasses.replace(env._loop.objective, horizon=KNOTS), problem_of(env)
+    hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
+    before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
+    objective, problem = dataclasses.replace(env._loop.objective, horizon=KNOTS), env._problem._replace(before=before)
     scaled = (actions * np.asarray(env._bounds))[..., None]
 
     def run(actions: jax.Array) -> tuple:

@@ -6,8 +6,7 @@ import jax
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
-from planning_helpers import PERMITTED_FORCE, SMALL
-from test_receding_horizon import FLANGE, MS, ball_at
+from planning_helpers import FLANGE, MS, PERMITTED_FORCE, SMALL, ball_at
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request, request_parts
@@ -28,8 +27,6 @@ def request_at(time: int, goal: Target = GOAL) -> Request:
 
 class Found:
     """Stands in for a solver that finds a known solution."""
-
-    max_steps = 1
 
     def init(self, mean, spread):
         return None
@@ -59,23 +56,18 @@ def check_same(again: Plan, first: Plan) -> None:
 
 
 @pytest.mark.parametrize("goal", [GOAL, Target(FLANGE)], ids=["the same goal", "another goal"])
-def test_a_plan_is_made_again_from_its_message_alone(planner, evaluator, goal):
-    for time in range(0, 90, 30):
-        planner.plan(request_at(time))
+@pytest.mark.parametrize("before", [0, 3], ids=["the first plan", "a later one"])
+def test_a_plan_is_made_again_from_its_message_alone(planner, evaluator, before, goal):
+    for time in range(before):
+        planner.plan(request_at(30 * time))
     memory, request = planner.memory, request_at(90, goal)
     first = planner.plan(request)
     parts = request_parts(first.number, request, memory, planner.memory.best)
     check_same(plan_again(evaluator, parts, request), first)
-    # What it started from matters.
-    alone = plan_again(evaluator, {name: part for name, part in parts.items() if name != "best"}, request)
-    assert alone.cost != pytest.approx(first.cost, rel=1e-3)
-
-
-def test_the_first_plan_after_a_reset_starts_from_nothing(planner, evaluator):
-    first = planner.plan(request_at(0))
-    parts = request_parts(first.number, request_at(0), None, planner.memory.best)
-    assert read_memory(parts, request_at(0), SMALL.knot_duration, RAMP_S) is None
-    check_same(plan_again(evaluator, parts, request_at(0)), first)
+    if before:
+        # What it started from matters.
+        alone = plan_again(evaluator, {name: part for name, part in parts.items() if name != "best"}, request)
+        assert alone.cost != pytest.approx(first.cost, rel=1e-3)
 
 
 def test_a_plan_on_a_detour_is_made_again(planner, evaluator):
@@ -110,11 +102,12 @@ def test_only_what_can_be_in_force_is_kept(planner):
     assert [each.effect_ns for each in read.trajectories] == [100 * MS, 130 * MS]
 
 
-def test_planning_compiles_nothing_after_the_warm_up(planner):
+def test_planning_compiles_nothing_after_the_warm_up_and_for_other_weights(planner, monkeypatch):
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
     )
-    for time in range(0, 120, 30):
+    for time, weight in ((0, 1.0), (30, 1.0), (60, 2.0)):
+        monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, goal_weight=weight))
         planner.plan(request_at(time))
     assert not compiled

@@ -15,7 +15,7 @@ from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.planning.plan import Request
-from contact_reach_ros.planning.planner import Planner, ReplanningSettings
+from contact_reach_ros.planning.planner import LatencyEstimate, Planner, ReplanningSettings
 from contact_reach_ros.planning.unexpected_contact import RETREAT, ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.rigid import Block
@@ -100,8 +100,7 @@ class TestRequests:
         np.testing.assert_array_equal(request.goal.position, GOAL.position)
         assert request.spheres is spheres
 
-    @pytest.mark.parametrize("field", ["q", "v"])
-    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    @pytest.mark.parametrize(("field", "value"), [("q", math.nan), ("v", math.inf)])
     def test_a_state_that_is_not_finite_is_refused_and_forgotten(self, planner, field, value):
         before = planner.state
         bad = state(30)._replace(**{field: np.where(np.arange(ARM.n) == 2, value, 0.0)})
@@ -264,3 +263,11 @@ class TestRigidBodies:
         with pytest.raises(InputError, match=r"there lbr_link_7 lies 45\.0 mm deep in the table"):
             planner.command(GOAL)
         assert planner.goal is before
+
+
+def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted():
+    latency = LatencyEstimate(40 * TICK_NS)
+    for took, expected in ((30, 40), (90, 90), (50, 90), *7 * [(50, None)]):
+        latency.add(took * TICK_NS)
+        assert expected is None or latency() == expected * TICK_NS
+    assert latency() == 50 * TICK_NS
