@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from arm_simulation import TICK_NS
-from test_planner import BEYOND, GOAL, SETTINGS, TIP, Core, make, report, requests, state, touch
+from test_planner import GOAL, SETTINGS, TIP, Core, make, report, state, touch
 
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
 from contact_reach_ros.planning.unexpected_contact import IGNORE, RETREAT
@@ -89,13 +89,6 @@ class TestPlanner:
         assert self.phases(planner, 100, 200) == [GoalPhase.RUNNING, GoalPhase.TIMED_OUT]
         assert planner.goal is None
         assert noted == [("goals", "not settled within 0.1 s: the goal is withdrawn")]
-
-    def test_one_that_waited_and_is_refused_says_why(self):
-        planner = make(refuse=lambda what, error: None)
-        planner.command(BEYOND)
-        assert planner.goal_state.phase is GoalPhase.ACCEPTED
-        requests(planner, 0, 0)
-        assert planner.goal_state.phase is GoalPhase.REFUSED and "position is" in planner.goal_state.reason
 
     @pytest.mark.parametrize(("reaction", "phase"), [(RETREAT, GoalPhase.WITHDRAWN), (IGNORE, GoalPhase.RUNNING)])
     def test_a_retreat_gives_it_up(self, reaction, phase):

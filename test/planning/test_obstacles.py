@@ -23,9 +23,7 @@ def row_of_spheres(order: list[int], **changes: np.ndarray) -> Spheres:
     ("name", "value", "message"),
     [
         ("center", np.zeros((1, 3)), "sphere center: expected shape"),
-        ("rest", np.full((2, 3), np.inf), "sphere rest: expected finite"),
         ("radius", np.array([0.1, 0.0]), "sphere radius: expected positive"),
-        ("stiffness", np.array([0.0, 1.0]), "sphere stiffness: nothing holds sphere 0"),
         ("edges", np.array([[0, 2]]), "sphere edge_stiffness: expected shape"),
     ],
 )

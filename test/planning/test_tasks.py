@@ -2,22 +2,16 @@
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import ARM
-from planning_helpers import PERMITTED_FORCE, SMALL
+from planning_helpers import PERMITTED_FORCE, SMALL, simulate
 from six_axis import SIX_AXIS
 
-from benchmarks.law import ImpedanceLaw, pose_error
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames, tip_positions
-from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.law import ImpedanceLaw, pose_error
-from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.plan import Request
@@ -42,25 +36,6 @@ CASES = {
 LANES = 4
 
 
-def simulate(arm: Arm, gains: ImpedanceSettings, q: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    """Joint angles (n,) after knots of 0.1 s under law (3), in MuJoCo at 1 ms."""
-    plant = mujoco.MjModel.from_xml_string(build_mjcf(arm))
-    data = mujoco.MjData(plant)
-    data.qpos[:] = q
-    law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
-    for action in actions:
-        position, rotation = model.tip_pose(data.qpos)
-        # The two rotations that turn one axis are in the tip's axes.
-        turn = rotation @ action[3:6] if gains.task == AXIS.task else action[3:6]
-        knot = Reference(position + action[:3], pin.exp3(turn) @ rotation, data.qpos + action[6:])
-        for _ in range(100):
-            model.update(data.qpos, data.qvel)
-            error = pose_error(model.position, model.rotation, knot, gains.task)
-            data.qfrc_applied[:] = law.torque(model, data.qvel, data.qpos - knot.posture, error) + model.bias
-            mujoco.mj_step(plant, data)
-    return data.qpos.copy()
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(case):
     arm, gains, variables = CASES[case]
@@ -82,7 +57,7 @@ def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(ca
     assert (actions != 0.0).any(axis=(0, 2)).sum() == variables
     rollout = jax.jit(space.objective.roll_out)(problem, jnp.asarray(actions))
     for lane in range(LANES):
-        expected = simulate(arm, gains, starts[:, lane], actions[:, :, lane])
+        expected = simulate(arm, gains, starts[:, lane], actions[:, :, lane])[-1]
         moved = np.abs(expected - starts[:, lane]).max()
         # As for the iiwa with pose: the tip is predicted better than the null space.
         tip = tip_positions(arm, expected[None])[0]

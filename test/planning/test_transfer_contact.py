@@ -1,13 +1,11 @@
 """Contact of the transfer model: directions, energy and equilibrium."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from planning_helpers import LANES, ball, ball_at, beside_forearm, make_problem, obstacles_of
+from planning_helpers import ball, ball_at, beside_forearm, obstacles_of
 
 from contact_reach_ros.arm.kinematics import link_frames as table_frames
 from contact_reach_ros.planning.transfer import pipeline
@@ -135,18 +133,3 @@ def test_joined_spheres_rest_where_their_springs_hold_the_force(settled, capacit
         local = frames[0][4].T @ (center - frames[1][4])
         depths.append(0.075 + 0.03 - np.linalg.norm(local[:2]))
     assert STIFFNESS * np.maximum(depths, 0.0).sum() == pytest.approx(float(state.link_force.sum()), rel=0.1)
-
-
-def test_smaller_time_steps_change_a_push_little(roll_out, objective):
-    """The arm pushes into the ball for a whole plan: coarse and fine steps agree on force and motion."""
-    problem = make_problem(HOME, np.zeros(3), ball(beside_forearm(-0.01)))
-    push = np.zeros((3, 13, 1))
-    push[:, 6 + 0] = 0.1
-    fine_system = dataclasses.replace(objective.system, timestep=objective.system.timestep / 5)
-    fine = dataclasses.replace(objective, system=fine_system, substeps=5 * objective.substeps)
-    fine_rollout = jax.jit(fine.roll_out)(problem, push)
-    coarse_rollout, _ = roll_out(problem, np.broadcast_to(push, (3, 13, LANES)))
-    fine_force, coarse_force = fine_rollout.contact[-1, 0], coarse_rollout.contact[-1, 0]
-    assert float(fine_force) > 1.0
-    assert float(coarse_force) == pytest.approx(float(fine_force), rel=0.1)
-    np.testing.assert_allclose(coarse_rollout.q[-1, :, 0], fine_rollout.q[-1, :, 0], rtol=0, atol=2e-3)
