@@ -38,8 +38,8 @@ def test_episode_is_the_rollout_of_the_planner(env):
     states = [state := step(state, action) for action in actions]
     hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
     before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
-    objective, problem = dataclasses.replace(env._loop.objective, horizon=KNOTS), env._problem._replace(before=before)
-    scaled = (actions * np.asarray(env._bounds))[..., None]
+    objective, problem = dataclasses.replace(env._space.objective, horizon=KNOTS), env._problem._replace(before=before)
+    scaled = (actions * np.asarray(env._space.bounds))[..., None]
 
     def run(actions: jax.Array) -> tuple:
         rollout = objective.roll_out(problem, actions)
@@ -49,10 +49,10 @@ def test_episode_is_the_rollout_of_the_planner(env):
     assert float(rollout.link_force.max()) > 1.0
     for knot, state in enumerate(states):
         pipeline_state = state.pipeline_state
-        np.testing.assert_allclose(pipeline_state.q[3:], rollout.q[knot + 1, :, 0], rtol=0, atol=2e-6)
+        np.testing.assert_allclose(pipeline_state.q, rollout.q[knot + 1, :, 0], rtol=0, atol=2e-6)
         np.testing.assert_allclose(pipeline_state.link_force, rollout.link_force[knot], rtol=1e-4, atol=1e-3)
         # Brax's own kinematics.
-        flange = hold_at(ARM, np.asarray(pipeline_state.q[3:], float))
+        flange = hold_at(ARM, np.asarray(pipeline_state.q, float))
         last = pipeline_state.x.pos[-1] + flange.rotation @ np.array(ARM.tip_offset)
         np.testing.assert_allclose(last, flange.position, rtol=0, atol=1e-5)
     for name, value in terms.items():
@@ -95,7 +95,7 @@ def test_brax_knows_the_environment_and_another_system_is_refused(env):
 
     def varied(mass: jax.Array) -> jax.Array:
         other = env.sys.tree_replace({"link.inertia.mass": mass})
-        return env._loop.init(other, jnp.zeros(10), jnp.zeros(10)).q
+        return env._pipeline.init(other, jnp.zeros(7), jnp.zeros(7)).q
 
     with pytest.raises(SettingsError, match="domains cannot be randomised"):
         jax.jit(varied)(env.sys.link.inertia.mass)
