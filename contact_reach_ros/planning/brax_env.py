@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import brax
@@ -365,8 +365,21 @@ class ContactReach(PipelineEnv):
             bodies=nearest_bodies(arm, scene.start, scene.environment),
         )
         self._space = ReferenceSpace(arm, settings, gains)
-        self._backend, self._pipeline = NAME, ClosedLoop(self._space.objective, self.sys, self._problem)
+        self._loop = ClosedLoop(self._space.objective, self.sys, self._problem)
         self._spread = start_spread
+
+    @property
+    def backend(self) -> str:
+        """Name of the pipeline, which is none of Brax's own."""
+        return NAME
+
+    def pipeline_init(self, q: jax.Array, qd: jax.Array, *_: Any) -> State:
+        """State of the pipeline at joint angles and speeds (n,)."""
+        return self._loop.init(self.sys, q, qd)
+
+    def pipeline_step(self, pipeline_state: State, action: jax.Array) -> State:
+        """State of the pipeline after one knot under the action {Δx, Δq} (6 + n,), m and rad."""
+        return self._loop.step(self.sys, pipeline_state, action)
 
     @property
     def action_size(self) -> int:

@@ -92,10 +92,11 @@ def test_return_has_a_gradient(env):
 def test_brax_knows_the_environment_and_another_system_is_refused(env):
     made = envs.get_environment(NAME, scene=load_scene("free", arm=ARM))
     assert isinstance(made, ContactReach) and made.action_size == 6 + ARM.n
+    assert made.backend == NAME
 
     def varied(mass: jax.Array) -> jax.Array:
         other = env.sys.tree_replace({"link.inertia.mass": mass})
-        return env._pipeline.init(other, jnp.zeros(7), jnp.zeros(7)).q
+        return env._loop.init(other, jnp.zeros(7), jnp.zeros(7)).q
 
     with pytest.raises(SettingsError, match="domains cannot be randomised"):
         jax.jit(varied)(env.sys.link.inertia.mass)
