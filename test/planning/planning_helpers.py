@@ -10,11 +10,12 @@ import numpy as np
 import pinocchio as pin
 from arm_simulation import ARM, HOME
 
+from benchmarks.law import ImpedanceLaw, pose_error
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.law import ImpedanceLaw, blend, pose_error
+from contact_reach_ros.control.controller import blend
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
 from contact_reach_ros.planning import cost

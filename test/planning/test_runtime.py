@@ -4,12 +4,6 @@ import os
 import subprocess
 import sys
 
-import jax
-import pytest
-
-from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.planning.runtime import configure_jax
-
 SCRIPT = """
 import os, sys
 from pathlib import Path
@@ -37,10 +31,3 @@ def start(cache) -> list[str]:
 def test_one_worker_thread_computes_and_the_next_process_finds_the_programs(tmp_path):
     assert start(tmp_path) == ["1", "None", "True"]
     assert start(tmp_path) == ["1", "None", "False"]
-
-
-def test_gpu_that_is_not_there_is_refused(objective):
-    if jax.default_backend() == "gpu":
-        pytest.skip("it is there")
-    with pytest.raises(SettingsError, match=r"device = 'gpu': JAX computes on 'cpu' here; expected a GPU"):
-        configure_jax(device="gpu")
