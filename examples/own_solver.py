@@ -48,10 +48,6 @@ class Mppi:
             costs.append(min(costs[-1], float(cost)))
         return Solution(jax.device_get(best), costs[-1], state, self.max_steps, "max_steps", 0, tuple(costs))
 
-    def warm_up(self, problem, state: Samples) -> float:
-        self.solve(problem, state, math.inf, 0)
-        return 0.0
-
 
 scene = cr.load_scene("ball", arm=cr.load_arm("iiwa14"), seed=0)
 planner = cr.make_planner(scene.arm, 1, planning=cr.PlanningSettings(max_steps=10, deadline=0.0), solver=Mppi)

@@ -23,8 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import brax
@@ -41,11 +40,11 @@ from brax.generalized.base import State as BraxState
 from flax import struct
 
 from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf, numbers
+from contact_reach_ros.arm.mjcf import OBSTACLE_CONTACT_TYPE, ROBOT_CONTACT_TYPE, build_mjcf
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.planning.cost import Objective, Step, knot_bounds, make_objective, planned
+from contact_reach_ros.planning.cost import Objective, ReferenceSpace, Step
 from contact_reach_ros.planning.obstacles import ObstacleReader, nearest_bodies
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, Problem, Rollout, term_weights, weighted_terms
@@ -236,20 +235,13 @@ def _load(count: int, arm: Arm) -> brax.System:
         return system.replace(dof=system.dof.replace(limit=None))
 
 
-def _sphere_body(index: int, rest: Iterable[float] = (0.0, 0.0, 0.0), radius: float = 0.1) -> Element:
-    """A sphere on sliders along x, y and z, at `rest` (3,) and with this radius, m."""
-    body = Element("body", name=f"sphere_{index}", pos=numbers(rest))
+def _sphere_body(index: int) -> Element:
+    """A sphere on sliders along x, y and z; a problem has its place and size."""
+    body = Element("body", name=f"sphere_{index}")
     for axis in ("1 0 0", "0 1 0", "0 0 1"):
         SubElement(body, "joint", type="slide", axis=axis)
-    SubElement(
-        body,
-        "geom",
-        type="sphere",
-        size=repr(radius),
-        mass="0.1",
-        contype=str(OBSTACLE_CONTACT_TYPE),
-        conaffinity=str(ROBOT_CONTACT_TYPE),
-    )
+    contact = {"contype": str(OBSTACLE_CONTACT_TYPE), "conaffinity": str(ROBOT_CONTACT_TYPE)}
+    SubElement(body, "geom", contact, type="sphere", size="0.1", mass="0.1")
     return body
 
 
@@ -259,6 +251,8 @@ class State(base.State):
 
     before: Reference | None
     """Reference in force; None if it steps."""
+    obstacles: Obstacles | None
+    """Spheres; None in free space."""
     reference: Reference
     """That of the last knot."""
     link_force: jax.Array
@@ -278,7 +272,7 @@ class ClosedLoop:
     objective
         Has the arm, the gains, the contact stiffness, the time step and the steps of a knot.
     sys
-        The system that `init` and `step` get: the arm's links, and obstacle spheres on three sliders each.
+        The system that `init` and `step` get: the arm's links.
     problem
         With the spheres at rest, their springs and dampers; the start counts for nothing.
     """
@@ -287,9 +281,6 @@ class ClosedLoop:
         self.objective = objective
         self._problem = problem
         self._sys = sys
-        # The spheres come first.
-        sliders = sys.qd_size() - objective.system.arm.n
-        self.hinges, self._sliders = slice(sliders, None), slice(sliders)
 
     def init(
         self,
@@ -300,7 +291,7 @@ class ClosedLoop:
         ctrl: jax.Array | None = None,
         debug: bool = False,
     ) -> State:
-        """State at positions and velocities of all links, with the arm held where it is; the rest is ignored.
+        """State at joint angles and speeds (n,), with the arm held where it is; the rest is ignored.
 
         Raises
         ------
@@ -312,31 +303,23 @@ class ClosedLoop:
                 "the system is not the one that this pipeline was made for; expected that one, whose fields are "
                 "constants of the compiled program: domains cannot be randomised"
             )
-        system, joints = self.objective.system, q[self.hinges, None]
+        system, joints = self.objective.system, q[:, None]
         pose = pipeline.tip_pose(system, joints)
         before = self.objective.before(self._problem, joints, pose)
         hold = Reference(pose.position, pose.rotation, joints)
         x, xd = kinematics.forward(sys, q, qd)
         none = jnp.zeros((len(system.arm.contact_links), 1), q.dtype)
-        return State(q, qd, x, xd, None, before, hold, none, none.max(axis=0))
+        return State(q, qd, x, xd, None, before, self._problem.obstacles, hold, none, none.max(axis=0))
 
     def step(self, sys: brax.System, state: State, act: jax.Array, debug: bool = False) -> State:
-        """One knot under the action {Δx, Δq} (6 + n,), m and rad; spheres then have their mean velocity."""
-        objective, problem, q, qd = self.objective, self._problem, state.q, state.qd
-        obstacles = problem.obstacles
-        if obstacles is not None:
-            displacement = q[self._sliders].reshape(-1, 3).T
-            obstacles = obstacles._replace(center=obstacles.rest + displacement[:, :, None])
-        problem = problem._replace(q=q[self.hinges, None], v=qd[self.hinges, None], obstacles=obstacles)
+        """One knot under the action {Δx, Δq} (6 + n,), m and rad."""
+        objective, q, v = self.objective, state.q[:, None], state.qd[:, None]
+        problem = self._problem._replace(q=q, v=v, obstacles=state.obstacles)
         lanes, step = objective.transfer(problem, 1)
         carry = lanes, pipeline.tip_pose(objective.system, lanes.q), state.before
         (lanes, _, before), (_, _, *outcome, _) = objective.knot(problem, step, carry, act[:, None])
-        q, qd = q.at[self.hinges].set(lanes.q[:, 0]), qd.at[self.hinges].set(lanes.qd[:, 0])
-        if lanes.obstacles is not None:
-            moved = (lanes.obstacles.center - lanes.obstacles.rest)[..., 0].T.ravel()
-            speed = (moved - q[self._sliders]) / (objective.substeps * objective.system.timestep)
-            q, qd = q.at[self._sliders].set(moved), qd.at[self._sliders].set(speed)
-        return State(q, qd, *kinematics.forward(sys, q, qd), None, before, *outcome)
+        q, qd = lanes.q[:, 0], lanes.qd[:, 0]
+        return State(q, qd, *kinematics.forward(sys, q, qd), None, before, lanes.obstacles, *outcome)
 
 
 class ContactReach(PipelineEnv):
@@ -368,11 +351,7 @@ class ContactReach(PipelineEnv):
         settings, gains, arm = settings or PlanningSettings(), gains or ImpedanceSettings(), scene.arm
         spheres = obstacle_spheres(scene, rest_positions(scene))
         obstacles, _ = ObstacleReader(arm, sphere_capacity(scene)).read(scene.start, spheres)
-        bodies = []
-        if obstacles is not None:
-            spheres_at = zip(obstacles.rest[..., 0].T.tolist(), obstacles.radius[:, 0].tolist(), strict=True)
-            bodies = [_sphere_body(index, rest, radius) for index, (rest, radius) in enumerate(spheres_at)]
-        sys = load_system(build_mjcf(arm, obstacles=bodies))
+        sys = load_system(build_mjcf(arm))
         super().__init__(sys.tree_replace({"opt.timestep": settings.knot_duration}), "generalized")
         settings = dataclasses.replace(settings, pipeline="closed_loop", null_space="planned", horizon=1)
         self._problem = Problem(
@@ -385,23 +364,33 @@ class ContactReach(PipelineEnv):
             permitted_force=single(ContactBudget().permitted_force),
             bodies=nearest_bodies(arm, scene.start, scene.environment),
         )
-        self._loop = ClosedLoop(make_objective(arm, settings, gains), self.sys, self._problem)
-        self._backend, self._pipeline = NAME, self._loop
-        self._planned = np.flatnonzero(planned(arm, settings, gains))
-        self._bounds = jnp.asarray(knot_bounds(arm, settings)[self._planned], jnp.float32)
-        self._start = jnp.zeros(sys.q_size()).at[self._loop.hinges].set(scene.start)
+        self._space = ReferenceSpace(arm, settings, gains)
+        self._loop = ClosedLoop(self._space.objective, self.sys, self._problem)
         self._spread = start_spread
+
+    @property
+    def backend(self) -> str:
+        """Name of the pipeline, which is none of Brax's own."""
+        return NAME
+
+    def pipeline_init(self, q: jax.Array, qd: jax.Array, *_: Any) -> State:
+        """State of the pipeline at joint angles and speeds (n,)."""
+        return self._loop.init(self.sys, q, qd)
+
+    def pipeline_step(self, pipeline_state: State, action: jax.Array) -> State:
+        """State of the pipeline after one knot under the action {Δx, Δq} (6 + n,), m and rad."""
+        return self._loop.step(self.sys, pipeline_state, action)
 
     @property
     def action_size(self) -> int:
         """The variables of a knot, in units of their bounds γ: Δx and Δq, without what has no effect."""
-        return len(self._bounds)
+        return len(self._space.bounds)
 
     def reset(self, rng: jax.Array) -> EpisodeState:
         """The start of the scene, at rest."""
-        hinges = self._loop.hinges
-        noise = jax.random.uniform(rng, self._problem.q.shape[:1], minval=-self._spread, maxval=self._spread)
-        pipeline_state = self.pipeline_init(self._start.at[hinges].add(noise), jnp.zeros(self.sys.qd_size()))
+        q, v = self._problem.q[:, 0], self._problem.v[:, 0]
+        noise = jax.random.uniform(rng, q.shape, minval=-self._spread, maxval=self._spread)
+        pipeline_state = self.pipeline_init(q + noise, jnp.asarray(v))
         start, zero = pipeline_state.reference.position, jnp.zeros(())
         metrics = dict.fromkeys((*self._problem.weights, "distance", "contact_force"), zero)
         info = {"start": start, "lead": jnp.zeros((3, 1))}
@@ -409,11 +398,10 @@ class ContactReach(PipelineEnv):
 
     def step(self, state: EpisodeState, action: jax.Array) -> EpisodeState:
         """One knot; `action` is clipped to [-1, 1]."""
-        before, objective = state.pipeline_state, self._loop.objective
-        scaled = jnp.clip(action, -1.0, 1.0) * self._bounds
-        action = jnp.zeros(objective.system.action_size).at[self._planned].set(scaled)
+        before, objective = state.pipeline_state, self._space.objective
+        action = self._space.actions(jnp.clip(action, -1.0, 1.0)[:, None], self._problem)[0, :, 0]
         after = self.pipeline_step(before, action)
-        q = jnp.stack([before.q, after.q])[:, self._loop.hinges, None]
+        q = jnp.stack([before.q, after.q])[..., None]
         tip, capsules = objective.end_of_knot(self._problem, q[1])
         # Progress counts from where the episode started.
         pose = Pose(jnp.stack([state.info["start"], tip.position]), jnp.stack([tip.rotation] * 2))
@@ -434,9 +422,8 @@ class ContactReach(PipelineEnv):
         )
 
     def _observe(self, state: State, position: jax.Array) -> jax.Array:
-        hinges, to_target = self._loop.hinges, self._problem.goal_position - position
-        lanes = (position, to_target, state.link_force)
-        return jnp.concatenate([state.q[hinges], state.qd[hinges], *(array[:, 0] for array in lanes)])
+        lanes = (position, self._problem.goal_position - position, state.link_force)
+        return jnp.concatenate([state.q, state.qd, *(array[:, 0] for array in lanes)])
 
 
 envs.register_environment(NAME, ContactReach)

@@ -19,7 +19,7 @@ from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import make_keep, single
+from contact_reach_ros.planning.transfer.lanes import collect, make_keep, single
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
 
@@ -225,11 +225,7 @@ class ReferenceSpace:
         """Actions (H, 6 + n, B) of points (N, B), with zeros for the components that points leave out."""
         actions = points * self.bounds[:, None] * problem.speed_scale
         actions = actions.reshape(self.objective.horizon, -1, points.shape[1])
-        missing = self.objective.system.action_size - actions.shape[1]
-        if self._planned[-1] < len(self._planned):
-            return jnp.pad(actions, ((0, 0), (0, missing), (0, 0)))
-        whole = jnp.zeros((len(actions), self.objective.system.action_size, points.shape[1]), actions.dtype)
-        return whole.at[:, self._planned].set(actions)
+        return collect(actions, self._planned, self.objective.system.action_size)
 
     def cost(self, problem: Problem, points: jax.Array) -> jax.Array:
         """Cost (B,) of points (N, B), for the solver to minimise."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -152,11 +151,6 @@ def nearest_bodies(arm: Arm, q: Array, environment: Environment) -> Bodies:
 
         planes = tuple(sorted(planes, key=distance)[:PLANES])
         blocks = tuple(sorted(blocks, key=distance)[:BLOCKS])
-    return _bodies(planes, blocks)
-
-
-@functools.lru_cache(maxsize=16)
-def _bodies(planes: tuple[Plane, ...], blocks: tuple[Block, ...]) -> Bodies:
     return bodies_of(planes, blocks, (PLANES, BLOCKS))
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -56,10 +56,11 @@ class Memory(NamedTuple):
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
+_WARM_UP_PLANS = 5
+"""Two that compile, and three of which the quickest tells how long a step takes."""
+
 _PLANS_KEPT = 16
 """How many of its last plans a planner keeps: one of them is in force when the next is made."""
-
-_T = TypeVar("_T")
 
 
 class RecedingHorizonPlanner:
@@ -126,18 +127,15 @@ class RecedingHorizonPlanner:
         SettingsError
             If the deadline is too short for one step of the solver on this machine.
         """
-        begin = time.perf_counter()
-        q, v = np.array(self._arm.home), np.zeros(self._arm.n)
-        target = Target(hold_at(self._arm, q).position)
-        request = self._detours.target(Request(q, v, 0, 0, target, Spheres.none()), None)
-        obstacles, _ = self._obstacles.read(q, request.spheres)
-        hold = self._hold(q)
-        pieces = pieces_between((), hold, 0, 10_000_000, self._settings.knot_duration)
         progress("planner: preparing the programs (seconds if this machine has done it before, else up to a minute)")
-        predicted = self._predictor.predict(q, v, obstacles, pieces)
-        problem = self._problem(*predicted, request, self._bodies(q, ()), self._before(hold))
-        jax.block_until_ready(self._evaluate(problem, _pair(np.zeros(self.size))))
-        step = self._solver.warm_up(problem, self._solver.init(np.zeros(self.size), self._spread))
+        begin = time.perf_counter()
+        q = np.array(self._arm.home)
+        request = Request(q, np.zeros(self._arm.n), 0, 0, Target(hold_at(self._arm, q).position), Spheres.none())
+        # The first one compiles what a plan needs, the second what it needs to continue the one before.
+        _, _, *plans = [self.plan(request) for _ in range(_WARM_UP_PLANS)]
+        self.reset()
+        self._number = 0
+        step = min(plan.solve_s / plan.steps for plan in plans)
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
         if 0.0 < self._settings.deadline < step:
             raise SettingsError(
@@ -183,6 +181,10 @@ class RecedingHorizonPlanner:
         state_ns, effect_ns, spheres = request.state_ns, request.effect_ns, request.spheres
         self._check_times(state_ns, effect_ns)
         self._reset_if_jumped(q, state_ns)
+        last = None if self.memory is None else self.memory.request
+        request = self._detours.target(request._replace(q=q, v=v), last)
+        # The search of a posture takes longer than a plan.
+        until = time.perf_counter() + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         obstacles, left_out = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         hold = self._hold(q)
@@ -190,15 +192,9 @@ class RecedingHorizonPlanner:
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = self._bodies(q, spheres.environment)
         before = self._before(reference_at(plans, effect_ns) or hold)
-        last = None if self.memory is None else self.memory.request
-        searched = time.perf_counter()
-        request = self._detours.target(request._replace(q=q, v=v), last)
-        searched = time.perf_counter() - searched
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before)
 
         state, start_cost = self._start(problem, request)
-        # The search of a posture takes longer than a plan, and the first plan on a detour has a new cost.
-        until = begin + searched + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
         memory = self.memory
         since_reset = 0 if memory is None else memory.plans
         solution = self._solver.solve(problem, state, start_cost, since_reset, until)
@@ -306,7 +302,7 @@ class RecedingHorizonPlanner:
             before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
             detour=None if detour is None else single(detour.posture[:, None]),
         )
-        return _on_device(problem)
+        return jax.device_put(problem)
 
     def _weights_for(self, request: Request) -> dict[str, Number]:
         """The weights of the settings, with those that a free orientation, the approach and a detour change."""
@@ -329,9 +325,7 @@ class RecedingHorizonPlanner:
                 passed = elapsed * count / self._settings.horizon
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
-                last = memory.request
-                is_same = request.goal.same_as(last.goal) and request.on_detour == last.on_detour
-                carried = memory.state if is_same else None
+                carried = memory.state if request.continues(memory.request) else None
         _, terms = self._evaluate(problem, points)
         costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
         costs = np.where(np.isfinite(costs), costs, np.inf)
@@ -385,9 +379,3 @@ class RecedingHorizonPlanner:
 def _pair(first: np.ndarray, second: np.ndarray | None = None) -> np.ndarray:
     """Two points (N, 2) for the evaluation, the first one twice if there is no second."""
     return np.stack([first, first if second is None else second], axis=1).astype(np.float32)
-
-
-@jax.jit
-def _on_device(values: _T) -> _T:
-    """Turn the arguments of many programs into JAX arrays, all at once."""
-    return values

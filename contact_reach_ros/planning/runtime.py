@@ -63,7 +63,7 @@ def _is_running() -> bool:
     """Whether the backend is running already: JAX then refuses another number of devices."""
     import jax
 
-    devices = int(jax.config.values["jax_num_cpu_devices"])
+    devices: int = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
     try:
         jax.config.update("jax_num_cpu_devices", devices + 2)
     except RuntimeError:

@@ -118,11 +118,6 @@ class PlanningSettings(Settings):
     seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 
     @property
-    def takes_detours(self) -> bool:
-        """Whether plans may lead through another posture, which law (6), with one of its own, cannot follow."""
-        return self.detour_patience > 0.0 and self.null_space == "planned"
-
-    @property
     def elite(self) -> int:
         """k_top: candidates averaged into the next mean, the paper's quarter of k."""
         return self.population // 4

@@ -168,8 +168,6 @@ def term_weights(settings: PlanningSettings, changed: Mapping[str, float] | None
     if settings.clearance_weight == 0.0:
         # Its program then does without the term.
         del weights["clearance"]
-    if not settings.takes_detours:
-        del weights["detour"]
     return weights
 
 

@@ -90,10 +90,6 @@ class _RecordedSolution:
         """The recorded solution."""
         return Solution(self.best, 0.0, state, 1, "max_steps", 0, (0.0,))
 
-    def warm_up(self, problem: Problem, state: None) -> float:
-        """There is nothing to compile."""
-        return 0.0
-
 
 class RecordedPlans:
     """The plans of a bag, each with what it was made from; raises `BagError` if the bag lacks what is needed.

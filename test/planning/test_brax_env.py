@@ -13,7 +13,6 @@ from brax.envs.wrappers import training
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
 from contact_reach_ros.planning.prediction import hold_at
-from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.planning.transfer.pipeline import Reference
 from contact_reach_ros.scenes.generate import load_scene
 
@@ -32,20 +31,15 @@ def env(quick_compilation) -> ContactReach:
     return ContactReach(dataclasses.replace(scene, obstacles=(near,)))
 
 
-def problem_of(env: ContactReach) -> Problem:
-    """The planner's problem with the start of an episode."""
-    hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
-    before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
-    return env._problem._replace(before=before)
-
-
 def test_episode_is_the_rollout_of_the_planner(env):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (KNOTS, env.action_size)).astype(np.float32)
     actions[:, 1] = -1.0
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
     states = [state := step(state, action) for action in actions]
-    objective, problem = dataclasses.replace(env._loop.objective, horizon=KNOTS), problem_of(env)
-    scaled = (actions * np.asarray(env._bounds))[..., None]
+    hold = hold_at(ARM, np.asarray(env._problem.q, float)[:, 0])
+    before = Reference(*(jnp.asarray(part, jnp.float32)[..., None] for part in hold))
+    objective, problem = dataclasses.replace(env._space.objective, horizon=KNOTS), env._problem._replace(before=before)
+    scaled = (actions * np.asarray(env._space.bounds))[..., None]
 
     def run(actions: jax.Array) -> tuple:
         rollout = objective.roll_out(problem, actions)
@@ -55,10 +49,10 @@ def test_episode_is_the_rollout_of_the_planner(env):
     assert float(rollout.link_force.max()) > 1.0
     for knot, state in enumerate(states):
         pipeline_state = state.pipeline_state
-        np.testing.assert_allclose(pipeline_state.q[3:], rollout.q[knot + 1, :, 0], rtol=0, atol=2e-6)
+        np.testing.assert_allclose(pipeline_state.q, rollout.q[knot + 1, :, 0], rtol=0, atol=2e-6)
         np.testing.assert_allclose(pipeline_state.link_force, rollout.link_force[knot], rtol=1e-4, atol=1e-3)
         # Brax's own kinematics.
-        flange = hold_at(ARM, np.asarray(pipeline_state.q[3:], float))
+        flange = hold_at(ARM, np.asarray(pipeline_state.q, float))
         last = pipeline_state.x.pos[-1] + flange.rotation @ np.array(ARM.tip_offset)
         np.testing.assert_allclose(last, flange.position, rtol=0, atol=1e-5)
     for name, value in terms.items():
@@ -95,16 +89,14 @@ def test_return_has_a_gradient(env):
     assert abs(slope) > 0.01
 
 
-def test_environment_is_known_to_brax():
+def test_brax_knows_the_environment_and_another_system_is_refused(env):
     made = envs.get_environment(NAME, scene=load_scene("free", arm=ARM))
     assert isinstance(made, ContactReach) and made.action_size == 6 + ARM.n
     assert made.backend == NAME
 
-
-def test_another_system_is_refused(env):
     def varied(mass: jax.Array) -> jax.Array:
         other = env.sys.tree_replace({"link.inertia.mass": mass})
-        return env._loop.init(other, jnp.zeros(10), jnp.zeros(10)).q
+        return env._loop.init(other, jnp.zeros(7), jnp.zeros(7)).q
 
     with pytest.raises(SettingsError, match="domains cannot be randomised"):
         jax.jit(varied)(env.sys.link.inertia.mass)

@@ -11,15 +11,11 @@ from planning_helpers import SMALL, make_problem
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import load_budget
-from contact_reach_ros.planning.cost import Objective, knot_bounds, make_objective
-from contact_reach_ros.planning.settings import PlanningSettings, ReplanningSettings
+from contact_reach_ros.planning.cost import knot_bounds, make_objective
+from contact_reach_ros.planning.settings import PIPELINES, ReplanningSettings
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.stack import Stack, make_planner
 from contact_reach_ros.world.goal import Goal
-
-
-def objective(pipeline: str) -> Objective:
-    return make_objective(ARM, dataclasses.replace(SMALL, pipeline=pipeline), ImpedanceSettings())
 
 
 def test_it_moves_the_arm_as_the_closed_loop_does():
@@ -33,8 +29,10 @@ def test_it_moves_the_arm_as_the_closed_loop_does():
     actions = share * bounds[None, :, None]
     rollouts = [
         # To compile takes nearly all of the time.
-        jax.jit(objective(name).roll_out, compiler_options={"xla_backend_optimization_level": 0})(problem, actions)
-        for name in ("closed_loop", "generalized")
+        jax.jit(objective.roll_out, compiler_options={"xla_backend_optimization_level": 0})(problem, actions)
+        for objective in (
+            make_objective(ARM, dataclasses.replace(SMALL, pipeline=name), ImpedanceSettings()) for name in PIPELINES
+        )
     ]
     ours, theirs = (np.asarray(rollout.pose.position) for rollout in rollouts)
     way = np.linalg.norm(np.diff(ours, axis=0), axis=1).sum(axis=0)
@@ -46,13 +44,7 @@ def test_it_moves_the_arm_as_the_closed_loop_does():
 @pytest.mark.slow
 def test_generalized_pipeline_makes_whole_plans_that_lead_around_the_ball():
     """In lockstep, with a small budget: ten plans a second of three solver steps with 32 candidates each."""
-    planning = dataclasses.replace(
-        PlanningSettings(deadline=0.0),
-        pipeline="generalized",
-        population=32,
-        line_search_points=32,
-        max_steps=3,
-    )
+    planning = dataclasses.replace(SMALL, pipeline="generalized", line_search_points=32, max_steps=3)
     scene = load_scene("ball", arm=ARM, seed=0)
     planner = make_planner(ARM, 1, planning=planning, replanning=ReplanningSettings(period=0.1))
     result = Stack(scene, planner=planner).run(Goal(scene.target), timeout=8.0)

@@ -8,9 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from planning_helpers import FAR_BALL, LANES, PERMITTED_FORCE, SMALL, ball, make_problem
+from planning_helpers import (
+    FAR_BALL,
+    FLANGE,
+    LANES,
+    PERMITTED_FORCE,
+    ROTATIONS,
+    SMALL,
+    ball,
+    beside_forearm,
+    make_problem,
+)
 
-from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.arm.kinematics import rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
@@ -20,23 +30,13 @@ from contact_reach_ros.settings import setting
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
-FLANGE = link_frames(ARM, HOME)[1][-1]
 STILL = np.zeros((3, 13, LANES))
 
 
-def at_forearm(depth: float) -> np.ndarray:
-    """Centre of a ball that the forearm of the arm at home enters by `depth`, m."""
-    rotations, origins = link_frames(ARM, HOME)
-    return origins[4] + rotations[4] @ (0.0, 0.0, 0.11) + (0.075 + 0.1 - depth) * np.array([0.0, 1.0, 0.0])
-
-
-def test_goal_term_is_the_distance_summed_over_the_knots(roll_out):
+def test_the_distance_from_the_goal_costs_and_moving_away_from_the_start_is_rewarded(roll_out):
     _, terms = roll_out(make_problem(HOME, FLANGE + np.array([0.3, 0.0, 0.4]), ball(FAR_BALL)), STILL)
     assert terms["goal"][0] == pytest.approx(3 * 0.5 * SMALL.goal_weight, abs=1e-3)
     assert abs(terms["progress"][0]) < 1e-3
-
-
-def test_moving_away_from_the_start_is_rewarded(roll_out):
     actions = STILL.copy()
     actions[:, 0, 0] = 0.01
     rollout, terms = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), actions)
@@ -47,7 +47,7 @@ def test_moving_away_from_the_start_is_rewarded(roll_out):
 
 def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out):
     for depth, over in ((0.005, False), (0.02, True)):
-        rollout, terms = roll_out(make_problem(HOME, FLANGE, ball(at_forearm(depth))), STILL)
+        rollout, terms = roll_out(make_problem(HOME, FLANGE, ball(beside_forearm(-depth))), STILL)
         force = np.asarray(rollout.contact[:, 0])
         assert (force.max() > PERMITTED_FORCE) == over
         excess = np.maximum(force - PERMITTED_FORCE, 0.0).sum()
@@ -56,9 +56,8 @@ def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out)
 
 
 def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):
-    rotation = link_frames(ARM, HOME)[0][-1]
     for angle in (0.1, 3.0):
-        goal_rotation = rotation_about((0.0, 1.0, 0.0), angle) @ rotation
+        goal_rotation = rotation_about((0.0, 1.0, 0.0), angle) @ ROTATIONS[-1]
         problem = make_problem(HOME, FLANGE, ball(FAR_BALL), orientation=0.2)
         problem = problem._replace(goal_rotation=jnp.asarray(goal_rotation)[:, :, None])
         _, terms = roll_out(problem, STILL)
@@ -70,13 +69,10 @@ def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):
 
 @pytest.mark.parametrize("limit", [ARM.lower[6], ARM.upper[6]])
 def test_joint_limit_term_begins_at_the_margin(roll_out, limit):
-    inside, outside, inwards = HOME.copy(), HOME.copy(), -np.sign(limit)
-    inside[6] = limit + inwards * (JOINT_LIMIT_MARGIN + 0.01)
-    outside[6] = limit + inwards * (JOINT_LIMIT_MARGIN - 0.1)
-    _, terms = roll_out(make_problem(inside, FLANGE, ball(FAR_BALL)), STILL)
-    assert terms["joint_limit"][0] < 1e-6
-    _, terms = roll_out(make_problem(outside, FLANGE, ball(FAR_BALL)), STILL)
-    assert terms["joint_limit"][0] == pytest.approx(3 * TERMS["joint_limit"].weight * 0.1**2, rel=1e-3)
+    for beyond, expected in ((-0.01, 0.0), (0.1, 3 * TERMS["joint_limit"].weight * 0.1**2)):
+        q = np.append(HOME[:6], limit - np.sign(limit) * (JOINT_LIMIT_MARGIN - beyond))
+        _, terms = roll_out(make_problem(q, FLANGE, ball(FAR_BALL)), STILL)
+        assert terms["joint_limit"][0] == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
 def test_references_are_the_pose_half_a_ramp_later_plus_the_action(roll_out):
@@ -114,7 +110,7 @@ def test_gradient_agrees_with_finite_differences(costs_and_slopes, touching):
     """To 1e-6 in double and to 1e-2 in single precision, relative to the steepest slope."""
     point = np.random.default_rng(1).uniform(-0.5, 0.5, 39)
     points = np.tile(point[:, None], (1, 39))
-    obstacle = ball(at_forearm(0.005) if touching else FAR_BALL)
+    obstacle = ball(beside_forearm(-0.005) if touching else FAR_BALL)
     problem = make_problem(HOME, FLANGE + np.array([0.2, 0.1, -0.1]), obstacle, orientation=0.1)
     _, single = costs_and_slopes(cast(problem, np.float32), points.astype(np.float32))
     assert single.dtype == np.float32
@@ -176,11 +172,10 @@ class TestTerms:
         class Raised(PlanningSettings):
             height_weight: float = setting(2.0, "height", minimum=0.0, maximum=10.0)
 
-        before = term_weights(SMALL)
         # Over lanes alone, and over knots and lanes.
         monkeypatch.setitem(TERMS, "height", Term(lambda context: context.position[2, -1], "height_weight", True))
         monkeypatch.setitem(TERMS, "heights", Term(lambda context: context.position[2, 1:], "height_weight", False))
-        assert term_weights(SMALL) == before
+        assert not {"height", "heights"} & set(term_weights(SMALL))
         problem = make_problem(HOME, FLANGE, None, Raised(deadline=0.0))
 
         def run(actions):
@@ -192,15 +187,6 @@ class TestTerms:
         np.testing.assert_allclose(terms["height"], -2.0 * heights[-1], rtol=1e-6)
         np.testing.assert_allclose(terms["heights"], 2.0 * heights.sum(axis=0), rtol=1e-6)
         np.testing.assert_allclose(cost, sum(terms.values()), rtol=1e-5)
-
-    def test_other_weights_take_no_other_program(self, objective, monkeypatch):
-        traced = []
-        counting = Term(lambda context: traced.append(1) or context.position[0], "progress_weight", False)
-        monkeypatch.setitem(TERMS, "progress", counting)
-        program = jax.jit(objective.cost)
-        costs = [program(make_problem(HOME, FLANGE, None, progress=weight), STILL[:, :, :2]) for weight in (1.0, 2.0)]
-        assert len(traced) == 1
-        assert not np.array_equal(*costs)
 
     def test_a_clearance_weight_of_zero_leaves_the_term_out(self):
         assert "clearance" in term_weights(SMALL)

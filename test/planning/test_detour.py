@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
-from planning_helpers import PERMITTED_FORCE, SMALL, make_planner
+from planning_helpers import MS, ORIGINS, PERMITTED_FORCE, ROTATIONS, SMALL, ball_at
 
 from benchmarks.clutter_scenes import clutter_name, clutter_scene
 from benchmarks.grid import Cell, EpisodeTask, Setup, run_cell
@@ -18,27 +18,21 @@ from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import MAX_SPHERES, Spheres
 
-ROTATIONS, ORIGINS = link_frames(ARM, HOME)
 GOAL = Target(ORIGINS[-1] + np.array([0.1, 0.15, -0.1]), ROTATIONS[-1])
 PERIOD = 0.04
-
-
-def ball_at(center: np.ndarray, stiffness: float) -> Spheres:
-    return Spheres(center[None], center[None], np.array([0.1]), np.array([stiffness]), np.array([30.0]))
+DETOURS = Detours(ARM, SMALL, PERMITTED_FORCE)
 
 
 def followed(last: Request, q: np.ndarray, seconds: float = PERIOD, **changes: Any) -> Request:
     """The last of the requests of some seconds at joint angles `q`; `changes` are of their other fields."""
-    detours = Detours(ARM, SMALL, PERMITTED_FORCE)
     for _ in range(round(seconds / PERIOD)):
         request = last._replace(q=q, effect_ns=last.effect_ns + round(PERIOD * 1e9), **changes)
-        last = detours.target(request, last)
+        last = DETOURS.target(request, last)
     return last
 
 
 def begin(**changes: Any) -> Request:
-    request = Request(HOME, REST, 0, 0, GOAL, Spheres.none())._replace(**changes)
-    return Detours(ARM, SMALL, PERMITTED_FORCE).target(request, None)
+    return DETOURS.target(Request(HOME, REST, 0, 0, GOAL, Spheres.none())._replace(**changes), None)
 
 
 def test_without_progress_a_detour_leads_to_another_posture_at_the_goal():
@@ -105,21 +99,10 @@ def test_a_retreat_takes_none():
     assert not followed(begin(detours=False), HOME, 4.0).on_detour
 
 
-@pytest.fixture(scope="module")
-def stuck():
-    """A planner whose arm does not move, with the last plans before and on a detour."""
-    planner = make_planner()
-    plans = [
-        planner.plan(Request(HOME, REST, step * 40_000_000, (step + 1) * 40_000_000, GOAL, Spheres.none()))
-        for step in range(31)
-    ]
-    return planner, plans
-
-
-def test_plans_on_a_detour_lead_to_its_posture(stuck):
-    planner, plans = stuck
+def test_plans_on_a_detour_lead_to_its_posture(planner):
+    requests = [Request(HOME, REST, time * MS, (time + 40) * MS, GOAL, Spheres.none()) for time in range(0, 1240, 40)]
+    before, *_, on = [planner.plan(request) for request in requests]
     posture = planner.memory.request.detour.posture
-    before, on = plans[10], plans[-1]
     assert before.cost_terms["goal"] > 0.0 == before.cost_terms["detour"]
     assert on.cost_terms["detour"] > 0.0 == on.cost_terms["goal"]
     start, end = (np.linalg.norm(on.predicted_q[knot] - posture) for knot in (0, -1))
@@ -127,12 +110,10 @@ def test_plans_on_a_detour_lead_to_its_posture(stuck):
 
 
 def test_time_without_plans_is_no_lack_of_progress():
-    planner = make_planner(max_steps=1)
-    for seconds in (0, 5, 10):
-        start = seconds * 1_000_000_000
-        planner.plan(Request(HOME, REST, start, start + 40_000_000, GOAL, Spheres.none()))
-    request = planner.memory.request
-    assert not request.on_detour and request.detour.waited < 0.7
+    last = begin()
+    for seconds in (5, 10):
+        last = DETOURS.target(last._replace(effect_ns=seconds * 1000 * MS), last)
+    assert not last.on_detour and last.detour.waited < 0.7
 
 
 @pytest.mark.slow

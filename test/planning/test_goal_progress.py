@@ -1,21 +1,18 @@
 """What happened to a goal: from accepted to settled, or to another end."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, TICK_NS
-from test_planner import BEYOND, GOAL, SETTINGS, TIP, Core, make, report, requests, state, touch
+from arm_simulation import TICK_NS
+from test_planner import GOAL, SETTINGS, TIP, Core, make, report, state, touch
 
-from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
 from contact_reach_ros.planning.unexpected_contact import IGNORE, RETREAT
 from contact_reach_ros.world.goal import Goal, Target
 
-HERE = Goal(TIP)
-MOVING = np.eye(ARM.n)[0] * 0.05
-"""rad/s, of the first joint."""
 TARGET = Target(np.zeros(3), np.eye(3))
 FAR, NEAR = np.array([0.1, 0.0, 0.0]), np.array([0.009, 0.0, 0.0])
 
@@ -66,22 +63,20 @@ class TestProgress:
 
 
 class TestPlanner:
-    def phases(self, planner, first, last, q=HOME, v=REST):
+    def phases(self, planner, first, last):
         """Phases in their order, from the state of one tick to that of another, with a plan for each request."""
         seen = [planner.goal_state.phase]
         for tick in range(first, last + 1):
-            request = planner.request(JointState(tick * TICK_NS, q, v, None))
-            phase = planner.goal_state.phase
+            request = planner.request(state(tick))
+            seen.append(planner.goal_state.phase)
             if request is not None:
                 planner.solve(request)
-            for seen_now in (phase, planner.goal_state.phase):
-                if seen_now is not seen[-1]:
-                    seen.append(seen_now)
-        return seen
+            seen.append(planner.goal_state.phase)
+        return [phase for phase, _ in itertools.groupby(seen)]
 
     def test_one_where_the_arm_is_settles(self):
         planner = make(Core())
-        planner.command(HERE)
+        planner.command(Goal(TIP))
         assert self.phases(planner, 0, 200) == [GoalPhase.ACCEPTED, GoalPhase.REACHED, GoalPhase.SETTLED]
         assert planner.goal is not None
 
@@ -94,13 +89,6 @@ class TestPlanner:
         assert self.phases(planner, 100, 200) == [GoalPhase.RUNNING, GoalPhase.TIMED_OUT]
         assert planner.goal is None
         assert noted == [("goals", "not settled within 0.1 s: the goal is withdrawn")]
-
-    def test_one_that_waited_and_is_refused_says_why(self):
-        planner = make(refuse=lambda what, error: None)
-        planner.command(BEYOND)
-        assert planner.goal_state.phase is GoalPhase.ACCEPTED
-        requests(planner, 0, 0)
-        assert planner.goal_state.phase is GoalPhase.REFUSED and "position is" in planner.goal_state.reason
 
     @pytest.mark.parametrize(("reaction", "phase"), [(RETREAT, GoalPhase.WITHDRAWN), (IGNORE, GoalPhase.RUNNING)])
     def test_a_retreat_gives_it_up(self, reaction, phase):

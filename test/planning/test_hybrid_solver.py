@@ -1,7 +1,6 @@
 """Algorithm 1 on objectives whose minimum is known."""
 
 import dataclasses
-import functools
 import math
 import time
 
@@ -12,7 +11,7 @@ import pytest
 
 from contact_reach_ros.planning.settings import SAMPLINGS, SOLVERS, PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver
+from contact_reach_ros.planning.solver.solver import Solution
 
 N = 6
 CENTER = np.zeros(N)
@@ -34,18 +33,12 @@ def undefined(target: jax.Array, points: jax.Array) -> jax.Array:
     return jnp.full(points.shape[1], jnp.nan)
 
 
-@functools.cache
-def solver(cost: CostFunction, settings: PlanningSettings) -> Solver:
-    """Each compiles its programs once."""
-    return HybridSolver(cost, N, settings)
-
-
 def solve(cost=quadratic, target=MINIMUM, start=CENTER, number=1, until=math.inf, **changes) -> Solution:
     """With a wide spread about `start`."""
     target = jnp.asarray(target, jnp.float32)
     start_cost = float(cost(target, jnp.asarray(start)[:, None])[0])
     start_cost = start_cost if math.isfinite(start_cost) else math.inf
-    searching = solver(cost, dataclasses.replace(SETTINGS, **changes))
+    searching = HybridSolver(cost, N, dataclasses.replace(SETTINGS, **changes))
     searching.stagnation_steps = 30
     state = searching.init(np.asarray(start), np.full(N, 0.3))
     return searching.solve(target, state, start_cost, number, until)
@@ -66,9 +59,7 @@ def test_solution_stays_within_the_bounds(sampling):
 
 
 def test_same_input_gives_the_same_solution_bit_for_bit():
-    first = solve()
-    solver.cache_clear()
-    second = solve()
+    first, second = solve(), solve()
     np.testing.assert_array_equal(first.best, second.best)
     assert first.costs == second.costs
     for a, b in zip(first.state, second.state, strict=True):
@@ -86,13 +77,10 @@ def test_non_finite_candidates_are_counted_and_never_win():
     assert all(np.isfinite(part).all() for part in solution.state)
 
 
-def test_deadline_that_has_passed_leaves_one_step():
+def test_a_deadline_that_has_passed_leaves_one_step_and_the_limit_of_steps_ends_the_search():
+    limited = solve(max_steps=2)
+    assert (limited.stop_reason, limited.steps) == ("max_steps", 2)
     solution = solve(until=time.perf_counter() - 1.0)
     assert (solution.stop_reason, solution.steps) == ("deadline", 1)
     assert solution.cost < solution.costs[0]
     assert solution.cost == float(quadratic(jnp.asarray(MINIMUM), jnp.asarray(solution.best)[:, None])[0])
-
-
-def test_the_limit_of_steps_ends_the_search():
-    solution = solve(max_steps=2)
-    assert (solution.stop_reason, solution.steps) == ("max_steps", 2)

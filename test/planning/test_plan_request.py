@@ -5,16 +5,17 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST
-from planning_helpers import PERMITTED_FORCE, SMALL
-from test_receding_horizon import FLANGE, MS, ball_at
+from arm_simulation import HOME, REST
+from planning_helpers import FLANGE, MS, SMALL, ball_at
+from plans import make_plan
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request, request_parts
 from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.plan import Plan, Request
-from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
 from contact_reach_ros.planning.solver.solver import Solution
+from contact_reach_ros.planning.terms import Approach
 from contact_reach_ros.world.goal import Target
 
 GOAL = Target(FLANGE + np.array([0.1, 0.2, 0.0]), np.eye(3))
@@ -29,7 +30,8 @@ def request_at(time: int, goal: Target = GOAL) -> Request:
 class Found:
     """Stands in for a solver that finds a known solution."""
 
-    max_steps = 1
+    def __init__(self, best):
+        self.best = best
 
     def init(self, mean, spread):
         return None
@@ -38,18 +40,12 @@ class Found:
         return Solution(self.best, 0.0, None, 1, "max_steps", 0, (0.0,))
 
 
-@pytest.fixture(scope="module")
-def evaluator() -> tuple[RecedingHorizonPlanner, Found]:
-    found = Found()
-    planner = RecedingHorizonPlanner(ARM, SMALL, ImpedanceSettings(), PERMITTED_FORCE, 1, solver=lambda *_: found)
-    return planner, found
-
-
-def plan_again(evaluator: tuple[RecedingHorizonPlanner, Found], parts: Parts, like: Request) -> Plan:
-    planner, found = evaluator
+def plan_again(planner: RecedingHorizonPlanner, parts: Parts, like: Request) -> Plan:
     request = read_request(parts, like.state_ns, like.effect_ns)._replace(spheres=like.spheres)
-    planner.memory, found.best = read_memory(parts, request, SMALL.knot_duration, RAMP_S), parts["found"]
-    return planner.plan(request)
+    planner.memory = read_memory(parts, request, SMALL.knot_duration, RAMP_S)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner, "_solver", Found(parts["found"]))
+        return planner.plan(request)
 
 
 def check_same(again: Plan, first: Plan) -> None:
@@ -59,26 +55,21 @@ def check_same(again: Plan, first: Plan) -> None:
 
 
 @pytest.mark.parametrize("goal", [GOAL, Target(FLANGE)], ids=["the same goal", "another goal"])
-def test_a_plan_is_made_again_from_its_message_alone(planner, evaluator, goal):
-    for time in range(0, 90, 30):
-        planner.plan(request_at(time))
+@pytest.mark.parametrize("before", [0, 3], ids=["the first plan", "a later one"])
+def test_a_plan_is_made_again_from_its_message_alone(planner, before, goal):
+    for time in range(before):
+        planner.plan(request_at(30 * time))
     memory, request = planner.memory, request_at(90, goal)
     first = planner.plan(request)
     parts = request_parts(first.number, request, memory, planner.memory.best)
-    check_same(plan_again(evaluator, parts, request), first)
-    # What it started from matters.
-    alone = plan_again(evaluator, {name: part for name, part in parts.items() if name != "best"}, request)
-    assert alone.cost != pytest.approx(first.cost, rel=1e-3)
+    check_same(plan_again(planner, parts, request), first)
+    if before:
+        # What it started from matters.
+        alone = plan_again(planner, {name: part for name, part in parts.items() if name != "best"}, request)
+        assert alone.cost != pytest.approx(first.cost, rel=1e-3)
 
 
-def test_the_first_plan_after_a_reset_starts_from_nothing(planner, evaluator):
-    first = planner.plan(request_at(0))
-    parts = request_parts(first.number, request_at(0), None, planner.memory.best)
-    assert read_memory(parts, request_at(0), SMALL.knot_duration, RAMP_S) is None
-    check_same(plan_again(evaluator, parts, request_at(0)), first)
-
-
-def test_a_plan_on_a_detour_is_made_again(planner, evaluator):
+def test_a_plan_on_a_detour_is_made_again(planner):
     planner.plan(request_at(0))
     detour = Detour(2.0, 0.1, 3, True, False, HOME + 0.4)
     memory = planner.memory._replace(request=planner.memory.request._replace(detour=detour))
@@ -86,17 +77,14 @@ def test_a_plan_on_a_detour_is_made_again(planner, evaluator):
     first = planner.plan(request_at(40))
     assert first.cost_terms["detour"] > 0.0
     parts = request_parts(2, request_at(40), memory, planner.memory.best)
-    check_same(plan_again(evaluator, parts, request_at(40)), first)
+    check_same(plan_again(planner, parts, request_at(40)), first)
 
 
 def test_references_that_step_have_none_before():
-    gains = dataclasses.replace(ImpedanceSettings(), reference_ramp=0.0)
-    planner = RecedingHorizonPlanner(ARM, dataclasses.replace(SMALL, max_steps=1), gains, PERMITTED_FORCE, 0)
-    planner.plan(request_at(0))
-    memory = planner.memory
+    expected = make_plan(FLANGE + np.eye(3), np.tile(np.eye(3), (3, 1, 1)), np.tile(HOME, (3, 1)), effect_ns=40 * MS)
+    memory = Memory((expected,), request_at(0), np.zeros(39), None, Approach.begin(0.1), 1)
     parts = request_parts(2, request_at(30), memory, memory.best)
-    read = read_memory(parts, request_at(30), SMALL.knot_duration, 0.0)
-    (trajectory,), (expected,) = read.trajectories, memory.trajectories
+    (trajectory,) = read_memory(parts, request_at(30), SMALL.knot_duration, 0.0).trajectories
     assert trajectory.before is None and trajectory.effect_ns == expected.effect_ns
     np.testing.assert_allclose(trajectory.positions, expected.positions, rtol=0, atol=1e-6)
 
@@ -110,11 +98,12 @@ def test_only_what_can_be_in_force_is_kept(planner):
     assert [each.effect_ns for each in read.trajectories] == [100 * MS, 130 * MS]
 
 
-def test_planning_compiles_nothing_after_the_warm_up(planner):
+def test_planning_compiles_nothing_after_the_warm_up_and_for_other_weights(planner, monkeypatch):
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
     )
-    for time in range(0, 120, 30):
+    for time, weight in ((0, 1.0), (30, 1.0), (60, 2.0)):
+        monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, goal_weight=weight))
         planner.plan(request_at(time))
     assert not compiled

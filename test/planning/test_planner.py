@@ -14,8 +14,9 @@ from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Request
-from contact_reach_ros.planning.planner import Planner, ReplanningSettings
+from contact_reach_ros.planning.planner import LatencyEstimate, Planner, ReplanningSettings
 from contact_reach_ros.planning.unexpected_contact import RETREAT, ContactReaction, UnexpectedContactSettings
 from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.rigid import Block
@@ -84,11 +85,9 @@ def planner(core) -> Planner:
 
 
 class TestRequests:
-    def test_without_a_goal_nothing_is_requested(self):
-        assert requests(make(), 0, 100) == {}
-
-    def test_one_is_made_at_once_and_then_whenever_the_period_is_over(self, planner):
+    def test_with_a_goal_one_is_made_at_once_and_then_whenever_the_period_is_over(self, planner):
         assert list(requests(planner, 1, 100)) == [30, 60, 90]
+        assert requests(make(), 0, 100) == {}
 
     def test_it_is_all_that_a_plan_depends_on(self, planner):
         spheres = Spheres(TIP[None] + 1.0, TIP[None] + 1.0, np.array([0.1]), np.array([100.0]), np.array([30.0]))
@@ -100,8 +99,7 @@ class TestRequests:
         np.testing.assert_array_equal(request.goal.position, GOAL.position)
         assert request.spheres is spheres
 
-    @pytest.mark.parametrize("field", ["q", "v"])
-    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    @pytest.mark.parametrize(("field", "value"), [("q", math.nan), ("v", math.inf)])
     def test_a_state_that_is_not_finite_is_refused_and_forgotten(self, planner, field, value):
         before = planner.state
         bad = state(30)._replace(**{field: np.where(np.arange(ARM.n) == 2, value, 0.0)})
@@ -143,10 +141,9 @@ class TestGoals:
         planner.command(BEYOND)
         with pytest.raises(InputError, match="goal: position is "):
             planner.request(state(0))
+        assert planner.goal_state.phase is GoalPhase.REFUSED and "position is" in planner.goal_state.reason
         assert requests(planner, 1, 60) == {}
 
-
-class TestWithdrawal:
     def test_a_stop_withdraws_the_goal_and_only_another_one_leads_to_plans(self, planner, core):
         planner.hear(report())
         assert planner.goal is not None
@@ -157,9 +154,7 @@ class TestWithdrawal:
         planner.command(OTHER_GOAL)
         assert list(requests(planner, 101, 140)) == [101, 131]
 
-
-class TestPause:
-    @pytest.mark.parametrize(("pause_ms", "stays"), [(100, True), (1999, True), (2100, False), (5000, False)])
+    @pytest.mark.parametrize(("pause_ms", "stays"), [(1999, True), (2100, False)])
     def test_after_a_long_one_the_arm_goes_on_only_when_asked_again(self, planner, pause_ms, stays):
         noted = []
         planner._note = lambda what, error: noted.append((what, str(error)))
@@ -186,13 +181,9 @@ class TestContacts:
         np.testing.assert_allclose(request.goal.position, TIP, atol=1e-12)
         assert list(requests(planner, 54, 100)) == [83]
 
-    def test_another_goal_ends_the_retreat(self, planner):
-        for tick in (10, 21):
-            planner.request(state(tick))
-            planner.touched(touch())
         planner.command(GOAL)
         assert not planner.reaction.reason
-        np.testing.assert_array_equal(planner.request(state(60)).goal.position, GOAL.position)
+        np.testing.assert_array_equal(planner.request(state(120)).goal.position, GOAL.position)
 
 
 class TestObstacles:
@@ -233,34 +224,26 @@ class TestObstacles:
         planner.see(Spheres.none(), 321 * TICK_NS)
         assert list(requests(planner, 322, 400)) == [330, 360, 390]
 
-
-class TestPlans:
-    def test_the_core_is_asked_for_what_was_requested(self, planner, core):
-        request = planner.request(state(30))
-        plan = planner.solve(request)
-        assert core.asked == [request]
-        assert planner.plan is plan and plan.effect_ns == request.effect_ns
-
-    def test_without_a_core_only_requests_can_be_made(self):
-        planner = make(None)
-        planner.command(GOAL)
-        request = planner.request(state(0))
-        assert request is not None
-        with pytest.raises(PlanningError, match="no core"):
-            planner.solve(request)
-        planner.withdraw()
-        assert planner.goal is None
-
-
-class TestRigidBodies:
-    TABLE = Block("table", (0.5, 0.1, 0.15), (0.3, 0.3, 0.3))
-
-    def test_a_goal_in_one_is_refused_and_the_one_before_stays(self):
-        planner = make()
-        planner.see(Spheres.none((self.TABLE,)))
-        planner.request(state(0))
-        planner.command(OTHER_GOAL)
+    def test_a_goal_in_a_rigid_body_is_refused_and_the_one_before_stays(self, planner):
+        planner.see(Spheres.none((Block("table", (0.4, -0.2, 0.25), (0.3, 0.3, 0.3)),)))
         before = planner.goal
-        with pytest.raises(InputError, match=r"there lbr_link_7 lies 45\.0 mm deep in the table"):
-            planner.command(GOAL)
+        with pytest.raises(InputError, match=r"deep in the table"):
+            planner.command(OTHER_GOAL)
         assert planner.goal is before
+
+
+def test_the_core_is_asked_for_what_was_requested_and_without_one_no_plan_is_made(planner, core):
+    request = planner.request(state(30))
+    plan = planner.solve(request)
+    assert core.asked == [request]
+    assert planner.plan is plan and plan.effect_ns == request.effect_ns
+    with pytest.raises(PlanningError, match="no core"):
+        make(None).solve(request)
+
+
+def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted():
+    latency = LatencyEstimate(40 * TICK_NS)
+    for took, expected in ((30, 40), (90, 90), (50, 90), *7 * [(50, None)]):
+        latency.add(took * TICK_NS)
+        assert expected is None or latency() == expected * TICK_NS
+    assert latency() == 50 * TICK_NS

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
-from planning_helpers import make_objective
+from planning_helpers import MS
 from plans import make_plan
 
 from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.control.controller import blend
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.plan import Plan
-from contact_reach_ros.planning.prediction import HeldReference, Predictor, pieces_between, reference_at
+from contact_reach_ros.planning.prediction import Predictor, hold_at, pieces_between, reference_at
 
-MS = 1_000_000
-HOLD = HeldReference(link_frames(ARM, HOME)[1][-1], link_frames(ARM, HOME)[0][-1], HOME)
+HOLD = hold_at(ARM, HOME)
 
 
 def plan_at(effect_ms: int, label: float, knots: int = 3) -> Plan:
@@ -61,11 +60,12 @@ def test_time_is_cut_where_the_reference_changes():
 
 def test_a_plan_that_is_no_longer_in_force_cuts_nothing():
     """So that a bag needs only the plans in force to make a plan again."""
-    replaced, current = plan_at(0, 10.0), plan_at(50, 20.0)
+    current = plan_at(50, 20.0)
     whole, needed = (
-        pieces_between(plans, HOLD, 60 * MS, 140 * MS, 0.025) for plans in ([replaced, current], [current])
+        [piece.duration for piece in pieces_between(plans, HOLD, 60 * MS, 140 * MS, 0.025)]
+        for plans in ([plan_at(0, 10.0), current], [current])
     )
-    assert [piece.duration for piece in whole] == [piece.duration for piece in needed]
+    assert whole == needed
 
 
 @pytest.mark.parametrize(("milliseconds", "share"), [(101, 0.02), (125, 0.5), (150, 1.0), (180, 1.0)])
@@ -78,8 +78,8 @@ def test_reference_moves_between_knots_as_the_controller_moves_it(milliseconds, 
         np.testing.assert_allclose(found, part, rtol=0, atol=1e-9)
 
 
-def test_predicted_arm_moves_to_the_reference():
-    predictor = Predictor(make_objective().system)
+def test_predicted_arm_moves_to_the_reference(objective):
+    predictor = Predictor(objective.system)
     q, v, _ = predictor.predict(HOME, REST, None, pieces_between([], HOLD, 0, 0, 0.025))
     np.testing.assert_allclose(q[:, 0], HOME, rtol=0, atol=1e-6)
     plan = plan_at(0, 0.0, knots=10)

@@ -1,11 +1,12 @@
 """A planner that plans again and again."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
-from planning_helpers import PERMITTED_FORCE, make_planner
+from planning_helpers import FLANGE, MS, PERMITTED_FORCE, SMALL, ball_at, beside_forearm
 
-from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.plan import Plan, Request
@@ -14,14 +15,7 @@ from contact_reach_ros.planning.settings import POSTURE_BOUND
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
-MS = 1_000_000
-ROTATIONS, ORIGINS = link_frames(ARM, HOME)
-FLANGE = ORIGINS[-1]
 GOAL = Target(FLANGE + np.array([0.1, 0.15, -0.1]))
-
-
-def ball_at(center: np.ndarray) -> Spheres:
-    return Spheres(center[None], center[None], np.array([0.1]), np.array([100.0]), np.array([30.0]))
 
 
 def plan_from(planner, q=HOME, v=REST, state=0, effect=0, goal=GOAL, spheres=None) -> Plan:
@@ -31,16 +25,15 @@ def plan_from(planner, q=HOME, v=REST, state=0, effect=0, goal=GOAL, spheres=Non
 
 def test_plan_moves_towards_the_goal_within_the_bounds(planner):
     plan = plan_from(planner)
-    settings = planner._settings
     distances = np.linalg.norm(plan.predicted_positions - GOAL.position, axis=1)
     assert (np.diff(distances) < 0.0).all()
     np.testing.assert_allclose(plan.predicted_q[0], HOME, rtol=0, atol=1e-6)
     moves = np.abs(plan.positions - plan.predicted_positions[:-1])
-    assert moves[0].max() <= settings.translation_bound + 1e-6
+    assert moves[0].max() <= SMALL.translation_bound + 1e-6
     # From where the moving arm is half a ramp later.
     gains = ImpedanceSettings()
     ahead = 0.5 * gains.reference_ramp * gains.task_stiffness / gains.task_damping
-    assert settings.translation_bound < moves[1:].max() <= (1.0 + ahead) * settings.translation_bound
+    assert SMALL.translation_bound < moves[1:].max() <= (1.0 + ahead) * SMALL.translation_bound
     assert np.abs(plan.postures - plan.predicted_q[:-1]).max() <= POSTURE_BOUND + 1e-6
     np.testing.assert_allclose(
         plan.rotations @ plan.rotations.transpose(0, 2, 1), np.tile(np.eye(3), (3, 1, 1)), atol=1e-5
@@ -48,8 +41,7 @@ def test_plan_moves_towards_the_goal_within_the_bounds(planner):
 
 
 def test_ball_in_the_way_is_pushed_with_less_than_the_permitted_force(planner):
-    elbow = ORIGINS[4] + ROTATIONS[4] @ (0.0, 0.0, 0.11) + np.array([0.0, 0.185, 0.0])
-    q, v, spheres = HOME, REST, ball_at(elbow)
+    q, v, spheres = HOME, REST, ball_at(beside_forearm(0.01))
     goal = Target(FLANGE + np.array([0.0, 0.25, 0.0]))
     for number in range(10):
         plan = plan_from(planner, q, v, 100 * number, 100 * number, goal, spheres)
@@ -122,11 +114,11 @@ def test_a_plan_whose_x_d_is_too_far_to_be_followed_is_expected_to_be_dropped(pl
     np.testing.assert_allclose(followed.before.position, plan.in_force(120 * MS).position, rtol=0, atol=1e-6)
 
 
-def test_deadline_too_short_for_one_step_is_refused_and_ends_a_search_after_one():
-    hurried = make_planner(deadline=1e-6)
+def test_deadline_too_short_for_one_step_is_refused_and_ends_a_search_after_one(planner, monkeypatch):
+    monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, deadline=1e-6))
     with pytest.raises(SettingsError, match=r"planning.deadline = 1e-06 s: one solver step takes \d+\.\d+ s here"):
-        hurried.warm_up(lambda line: None)
-    plan = plan_from(hurried)
+        planner.warm_up(lambda line: None)
+    plan = plan_from(planner)
     assert (plan.stop_reason, plan.steps) == ("deadline", 1)
     assert np.isfinite(plan.cost)
 

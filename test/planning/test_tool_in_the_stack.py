@@ -18,16 +18,16 @@ REST_MS = 500
 LONGEST_MS = 3000
 
 
-def stack_for(arm: Arm) -> Stack:
+def stack_for(arm: Arm, **planner) -> Stack:
     """A stack that believes in `arm`, and a robot with the tool."""
     scene = load_scene("free", arm=arm)
     robot = SimulatedRobot(dataclasses.replace(scene, arm=WITH_TOOL), noise_seed=0)
-    return Stack(scene, robot=robot, planning=SMALL)
+    return Stack(scene, robot=robot, **planner)
 
 
 @pytest.mark.slow
 def test_with_the_tool_known_its_tip_reaches_the_goal_and_rests_without_residual():
-    stack = stack_for(WITH_TOOL)
+    stack = stack_for(WITH_TOOL, planning=SMALL)
     result = stack.run(Goal(stack.scene.target), linger=0.001 * REST_MS)
     assert result.reached
     plant = stack.robot.plant
@@ -38,8 +38,8 @@ def test_with_the_tool_known_its_tip_reaches_the_goal_and_rests_without_residual
     assert np.abs(stack.observer.momentum.residual).max() < 1.0
 
 
-def test_an_unknown_tool_is_the_residual_and_not_carried():
-    stack = stack_for(ARM)
+def test_an_unknown_tool_is_the_residual_and_not_carried(planner):
+    stack = stack_for(ARM, planner=planner)
     for _ in range(LONGEST_MS):
         stack.step()
         if stack.stop_reason:

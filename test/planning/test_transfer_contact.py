@@ -1,13 +1,11 @@
 """Contact of the transfer model: directions, energy and equilibrium."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from planning_helpers import LANES, ball, make_objective, make_problem, obstacles_of
+from planning_helpers import ball, ball_at, beside_forearm, obstacles_of
 
 from contact_reach_ros.arm.kinematics import link_frames as table_frames
 from contact_reach_ros.planning.transfer import pipeline
@@ -26,13 +24,6 @@ AN_INSTANT = 1e-6
 
 FOREARM = 3
 """Place of link 5 among the capsules."""
-
-
-def beside_forearm(gap: float) -> np.ndarray:
-    """Centre of a ball beside the forearm of the arm at home, `gap` m from its surface."""
-    rotations, origins = table_frames(ARM, HOME)
-    middle = origins[4] + rotations[4] @ (0.0, 0.0, 0.11)
-    return middle + (0.075 + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -54,31 +45,31 @@ def test_force_is_stiffness_times_depth_on_the_touched_link_alone(touch):
 
 def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):
     center = beside_forearm(-0.01)
-    spheres = Spheres(center[None], center[None], np.array([0.1]), np.array([100.0]), np.array([30.0]))
 
     def energy(q: np.ndarray) -> float:
-        return 0.5 * STIFFNESS * min(clearances(ARM, q, spheres)[0], 0.0) ** 2
+        return 0.5 * STIFFNESS * min(clearances(ARM, q, ball_at(center))[0], 0.0) ** 2
 
     step = 1e-5
     expected = [-(energy(HOME + step * axis) - energy(HOME - step * axis)) / (2 * step) for axis in np.eye(7)]
     np.testing.assert_allclose(touch(HOME, ball(center)).joint_torque[:, 0], expected, rtol=0, atol=0.01)
 
 
-def settled(obstacles: Obstacles) -> pipeline.State:
+@pytest.fixture(scope="module")
+def settled(objective):
     """What the arm comes to when it is told to stay at home, and obstacles are in its way."""
-    system = make_objective().system
+    system = objective.system
 
     @jax.jit
-    def settle(q: jax.Array) -> pipeline.State:
+    def settle(q: jax.Array, obstacles: Obstacles) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
         held = pipeline.latch(system, state.q, pipeline.tip_pose(system, state.q), jnp.zeros((system.action_size, 1)))
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
-    return settle(jnp.asarray(HOME)[:, None])
+    return lambda obstacles: settle(jnp.asarray(HOME)[:, None], obstacles)
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(100.0, 30.0), (5000.0, 1.0)])
-def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(stiffness, damping):
+def test_ball_that_is_pushed_comes_to_rest_where_its_spring_holds_the_force(settled, stiffness, damping):
     """A stiff anchor with hardly any damping too: no step is too long for the ball."""
     obstacles = ball(beside_forearm(-0.02), stiffness, damping)
     state = settled(obstacles)
@@ -124,7 +115,7 @@ def test_network_of_springs_and_dampers_is_followed_exactly():
 
 
 @pytest.mark.parametrize("capacity", [5, 2])
-def test_joined_spheres_rest_where_their_springs_hold_the_force(capacity):
+def test_joined_spheres_rest_where_their_springs_hold_the_force(settled, capacity):
     """With all spheres, and with two of them while the others are condensed away."""
     spheres = chain(5)
     obstacles = obstacles_of(spheres, capacity)
@@ -142,18 +133,3 @@ def test_joined_spheres_rest_where_their_springs_hold_the_force(capacity):
         local = frames[0][4].T @ (center - frames[1][4])
         depths.append(0.075 + 0.03 - np.linalg.norm(local[:2]))
     assert STIFFNESS * np.maximum(depths, 0.0).sum() == pytest.approx(float(state.link_force.sum()), rel=0.1)
-
-
-def test_smaller_time_steps_change_a_push_little(roll_out, objective):
-    """The arm pushes into the ball for a whole plan: coarse and fine steps agree on force and motion."""
-    problem = make_problem(HOME, np.zeros(3), ball(beside_forearm(-0.01)))
-    push = np.zeros((3, 13, 1))
-    push[:, 6 + 0] = 0.1
-    fine_system = dataclasses.replace(objective.system, timestep=objective.system.timestep / 5)
-    fine = dataclasses.replace(objective, system=fine_system, substeps=5 * objective.substeps)
-    fine_rollout = jax.jit(fine.roll_out)(problem, push)
-    coarse_rollout, _ = roll_out(problem, np.broadcast_to(push, (3, 13, LANES)))
-    fine_force, coarse_force = fine_rollout.contact[-1, 0], coarse_rollout.contact[-1, 0]
-    assert float(fine_force) > 1.0
-    assert float(coarse_force) == pytest.approx(float(fine_force), rel=0.1)
-    np.testing.assert_allclose(coarse_rollout.q[-1, :, 0], fine_rollout.q[-1, :, 0], rtol=0, atol=2e-3)

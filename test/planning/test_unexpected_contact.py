@@ -42,13 +42,14 @@ def test_by_default_the_flange_goes_back_the_way_it_came_and_stays_there():
     assert it.report(touch(), HOME, Spheres.none(), 0) is False
     assert it.report(touch(), HOME, Spheres.none(), 10 * TICK_NS)
     target = it.goal(GOAL).position
+    assert it.values() == {"retreat to": json.dumps(target.tolist())}
     assert 0.05 <= np.linalg.norm(target - [0.499, 0.0, 0.4]) < 0.06 and target[0] < 0.45
     assert it.reason == "retreat: unexpected contact at lbr_link_7, 10 N"
     # Only a new goal ends it.
     assert not it.report(None, HOME, Spheres.none(), 50 * TICK_NS)
     np.testing.assert_array_equal(it.goal(GOAL).position, target)
     it.reset()
-    assert it.goal(GOAL) is GOAL and not it.reason
+    assert it.goal(GOAL) is GOAL and not it.reason and not it.values()
 
 
 def test_what_is_known_weak_or_short_is_no_reason():
@@ -67,13 +68,3 @@ def test_one_that_ignores_contact_does_nothing():
     it = reaction("ignore")
     assert not any(it.report(touch(), HOME, Spheres.none(), tick * TICK_NS) for tick in range(100))
     assert it.goal(GOAL) is GOAL and not it.reason
-
-
-def test_plan_statistics_have_the_retreat_in_force():
-    it = reaction("retreat")
-    assert it.values() == {}
-    for tick in (0, 10):
-        it.report(touch(), HOME, Spheres.none(), tick * TICK_NS)
-    ((key, value),) = it.values().items()
-    assert key == "retreat to"
-    np.testing.assert_array_equal(json.loads(value), it.goal(GOAL).position)

@@ -36,15 +36,14 @@ class Distribution(NamedTuple):
     """(n,) p_σ."""
     covariance_path: jax.Array
     """(n,) p_c."""
-    generation: jax.Array
+    generation: jax.Array | np.int32
     """() number of updates since the paths were zero."""
 
 
-@jax.jit
-def fresh(mean: jax.Array, spread: jax.Array) -> Distribution:
+def fresh(mean: FloatArray, spread: FloatArray) -> Distribution:
     """A distribution about `mean` (n,) with independent variables of standard deviations `spread` (n,)."""
-    zero = jnp.zeros_like(mean)
-    return Distribution(mean, jnp.ones((), mean.dtype), jnp.diag(spread**2), zero, zero, jnp.zeros((), jnp.int32))
+    zero = single(np.zeros(len(mean)))
+    return Distribution(single(mean), single(1.0), single(np.diag(single(spread) ** 2)), zero, zero, np.int32(0))
 
 
 @dataclass(frozen=True)

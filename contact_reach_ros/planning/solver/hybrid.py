@@ -30,8 +30,6 @@ _BOUNDARY_WEIGHT = 0.3
 GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
 
-_REPETITIONS = 5
-
 _VECTOR = 8
 """Numbers in a vector register of common CPUs."""
 
@@ -44,7 +42,7 @@ class Search(NamedTuple):
     """(n,) best mean so far."""
     best_cost: jax.Array
     """()."""
-    rejected: jax.Array
+    rejected: jax.Array | np.int32
     """() number of points so far with a non-finite cost."""
 
 
@@ -114,7 +112,7 @@ class HybridSolver(Generic[ProblemT]):
 
     def init(self, mean: FloatArray, spread: FloatArray) -> Distribution:
         """Independent variables about `mean` (n,) with standard deviations `spread` (n,)."""
-        return fresh(single(mean), single(spread))
+        return fresh(mean, spread)
 
     def shift(
         self, state: Distribution, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float
@@ -126,7 +124,7 @@ class HybridSolver(Generic[ProblemT]):
         self, problem: ProblemT, state: Distribution, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
         """Run Algorithm 1, as `Solver.solve`."""
-        search = _search_from(state, start_cost)
+        search = Search(state, state.mean, single(start_cost), np.int32(0))
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
@@ -153,17 +151,6 @@ class HybridSolver(Generic[ProblemT]):
             costs=tuple(costs),
         )
 
-    def warm_up(self, problem: ProblemT, state: Distribution) -> float:
-        """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
-        search = _search_from(state, 0.0)
-        self.shift(search.distribution, np.zeros(len(search.best)), np.zeros(len(search.best)), 1, 0.0)
-        times = []
-        for repetition in range(1 + _REPETITIONS):
-            begin = time.perf_counter()
-            jax.block_until_ready(self._step(problem, search, (self._seed, 0, repetition)))
-            times.append(time.perf_counter() - begin)
-        return min(times[1:])
-
     def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
         sample = self._draw_sample(search.distribution, draw)
@@ -173,54 +160,42 @@ class HybridSolver(Generic[ProblemT]):
         def select(costs: jax.Array) -> Elite:
             return self._select_elite(search.distribution, sample, costs, outside)
 
-        if not self._gradient_steps:
+        if self._gradient_steps:
+            elite, points, costs = self._search_lines(problem, sample, draw, select)
+        else:
             elite = select(self._cost(problem, sample.repaired))
             points = elite.mean[:, None]
             costs = self._cost(problem, points)
-        elif self._settings.line_search_points == self._settings.population:
-            elite, points, costs = self._search_in_rounds(problem, sample, draw, select)
-        else:
-            elite = select(self._cost(problem, sample.repaired))
-            points, costs = self._search_lines(problem, elite.mean, draw)
         return self._update_search(search, sample, elite, points, costs)
 
-    def _search_in_rounds(
+    def _search_lines(
         self, problem: ProblemT, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
     ) -> tuple[Elite, jax.Array, jax.Array]:
-        """The elite, the points of the last line search and their costs, where all batches have the same size.
+        """The elite, the points (n, L) of the last line search and their costs (L,).
 
         Candidates and lines are rounds of one loop, so that the program has the code of their costs, half of the time
-        to compile it, only once.
+        to compile it, only once. The smaller batch is filled up with zeros.
         """
-        points, costs = jnp.zeros_like(sample.points), jnp.zeros_like(sample.points[0])
-        nothing = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(select, costs))
+        candidates, lines = self._settings.population, self._settings.line_search_points
+        points = jnp.zeros((len(sample.points), max(candidates, lines)), sample.points.dtype)
+        repaired, costs = points.at[:, :candidates].set(sample.repaired), jnp.zeros_like(points[0])
+        shapes = jax.eval_shape(select, costs[:candidates])
+        nothing = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes)
 
         def search(index: jax.Array, last: tuple[Elite, jax.Array, jax.Array]) -> tuple[Elite, jax.Array, jax.Array]:
             def line() -> tuple[Elite, jax.Array]:
                 elite, points, costs = last
                 is_first = index == 1
-                elite = jax.tree.map(functools.partial(jnp.where, is_first), select(costs), elite)
-                mean = jnp.where(is_first, elite.mean, cheapest(points, costs)[0])
-                return elite, self._points_on_line(problem, mean, (*draw, index - 1))
+                elite = jax.tree.map(functools.partial(jnp.where, is_first), select(costs[:candidates]), elite)
+                mean = jnp.where(is_first, elite.mean, cheapest(points[:, :lines], costs[:lines])[0])
+                on_line = self._points_on_line(problem, mean, (*draw, index - 1))
+                return elite, jnp.zeros_like(points).at[:, :lines].set(on_line)
 
-            elite, points = jax.lax.cond(index == 0, lambda: (last[0], sample.repaired), line)
+            elite, points = jax.lax.cond(index == 0, lambda: (last[0], repaired), line)
             return elite, points, self._cost(problem, points)
 
-        found: tuple[Elite, jax.Array, jax.Array]
-        found = jax.lax.fori_loop(0, 1 + self._gradient_steps, search, (nothing, points, costs))
-        return found
-
-    def _search_lines(self, problem: ProblemT, mean: jax.Array, draw: Draw) -> tuple[jax.Array, jax.Array]:
-        """The points of the last line search and their costs."""
-        costs = jnp.zeros(self._settings.line_search_points, mean.dtype)
-
-        def search(index: jax.Array, last: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            points = self._points_on_line(problem, cheapest(*last)[0], (*draw, index))
-            return points, self._cost(problem, points)
-
-        start = jnp.broadcast_to(mean[:, None], (len(mean), len(costs)))
-        found: tuple[jax.Array, jax.Array] = jax.lax.fori_loop(0, self._gradient_steps, search, (start, costs))
-        return found
+        elite, points, costs = jax.lax.fori_loop(0, 1 + self._gradient_steps, search, (nothing, points, costs))
+        return elite, points[:, :lines], costs[:lines]
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
@@ -269,11 +244,6 @@ class HybridSolver(Generic[ProblemT]):
             best_cost=jnp.where(better, cost, search.best_cost),
             rejected=search.rejected + elite.rejected + rejected,
         )
-
-
-@jax.jit
-def _search_from(distribution: Distribution, cost: jax.Array | float) -> Search:
-    return Search(distribution, distribution.mean, jnp.asarray(cost, jnp.float32), jnp.zeros((), jnp.int32))
 
 
 def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Array:

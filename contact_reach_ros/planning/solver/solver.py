@@ -79,9 +79,6 @@ class Solver(Protocol[AnyProblem]):
             Instant of `time.perf_counter` by which to return, checked between steps; at least one is taken.
         """
 
-    def warm_up(self, problem: AnyProblem, state: State) -> float:
-        """Compile what `solve` needs for problems of this shape; returns the time of one step afterwards, s."""
-
 
 FloatArray = NDArray[np.floating]
 
