@@ -1,10 +1,11 @@
-"""Pinocchio, MuJoCo and Brax read one MJCF, and must see one robot."""
+"""Pinocchio, MuJoCo and Brax read one MJCF, others the URDF, and must see one robot."""
 
 import warnings
 
 import jax
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from arm_simulation import ARM, WITH_TOOL, random_states
 
@@ -12,6 +13,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import ARMS, load_arm
 
 SHIPPED = [load_arm(name) for name in ARMS]
@@ -84,11 +86,22 @@ def test_pinocchio_agrees_with_brax(arm):
             np.testing.assert_allclose(result[index], value, rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("arm", [ARM, WITH_TOOL])
-def test_pinocchio_agrees_with_the_table(arm):
-    model = RobotModel(arm)
+@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (WITH_TOOL, "nominal")])
+def test_urdf_and_table_agree_with_the_mjcf(arm, inertia_set):
+    model = pin.buildModelFromXML(build_urdf(arm, inertia_set))
+    model.armature[:] = arm.joints[0].armature  # URDF cannot say it.
+    data = model.createData()
+    frames = [model.getFrameId(name) for name in (*arm.link_names, arm.tip_frame)]
+    from_mjcf = RobotModel(arm, inertia_set)
     for q, v in zip(*random_states(100), strict=True):
-        model.update(q, v)
+        from_mjcf.update(q, v)
+        pin.computeAllTerms(model, data, q, v)
+        pin.updateFramePlacements(model, data)
+        np.testing.assert_allclose(data.M, from_mjcf.mass_matrix, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(data.nle, from_mjcf.bias, rtol=0, atol=TOLERANCE)
         rotations, origins = link_frames(arm, q)
-        np.testing.assert_allclose(model.position, origins[-1], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(model.rotation, rotations[-1], rtol=0, atol=1e-12)
+        for frame, rotation, origin in zip(frames, rotations, origins, strict=True):
+            np.testing.assert_allclose(data.oMf[frame].translation, origin, rtol=0, atol=TOLERANCE)
+            np.testing.assert_allclose(data.oMf[frame].rotation, rotation, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(from_mjcf.position, origins[-1], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(from_mjcf.rotation, rotations[-1], rtol=0, atol=1e-12)
