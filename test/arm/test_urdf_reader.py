@@ -80,18 +80,15 @@ def test_the_urdf_that_the_package_writes_is_the_same_arm(tmp_path):
     arm = read_arm(file, ArmOptions(home=ARM.home)).arm
     assert (arm.base_frame, arm.tip_frame, arm.joint_names) == (ARM.base_frame, ARM.tip_frame, ARM.joint_names)
     assert arm.shoulder == ARM.shoulder and arm.reach == pytest.approx(ARM.reach, abs=0.002)
-    ours, theirs = RobotModel(arm), RobotModel(ARM)
-    for q, v in states(ARM)[:20]:
-        ours.update(q, v)
-        theirs.update(q, v)
-        np.testing.assert_allclose(ours.mass_matrix, theirs.mass_matrix, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(ours.bias, theirs.bias, rtol=0, atol=1e-9)
+    for ours, theirs in zip(arm.joints, ARM.joints, strict=True):
+        np.testing.assert_allclose((*ours.offset, ours.lower, ours.upper), (*theirs.offset, theirs.lower, theirs.upper))
+    for ours, theirs in zip(arm.inertias(), ARM.inertias(), strict=True):
+        np.testing.assert_allclose((ours.mass, *ours.center), (theirs.mass, *theirs.center), rtol=0, atol=1e-12)
     # Spheres and cylinders are capsules again.
     assert [capsule.link for capsule in arm.capsules] == [capsule.link for capsule in ARM.capsules]
-    for ours_, theirs_ in zip(arm.capsules, ARM.capsules, strict=True):
-        assert ours_.radius == pytest.approx(theirs_.radius, abs=2e-4)
-        lengths = [np.linalg.norm(np.subtract(each.end, each.start)) for each in (ours_, theirs_)]
-        assert lengths[0] == pytest.approx(lengths[1], abs=2e-4)
+    for ours, theirs in zip(arm.capsules, ARM.capsules, strict=True):
+        assert ours.radius == pytest.approx(theirs.radius, abs=2e-4)
+        assert math.dist(ours.start, ours.end) == pytest.approx(math.dist(theirs.start, theirs.end), abs=2e-4)
 
 
 def test_options_lie_beside_the_urdf_and_either_path_leads_to_the_arm(tmp_path):
