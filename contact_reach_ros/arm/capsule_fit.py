@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError
 
@@ -20,6 +19,8 @@ _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""
 _ROUGH = 0.01
 """Share of a radius by which the polygon around a cylinder may stand out of the spheres at its ends."""
+_SPIRAL = 500
+"""Points that stand for a sphere in the volume of shapes."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,10 @@ def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
 def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
     if np.linalg.norm(end - start) < _SHORTEST:
         end = start + np.array([0.0, 0.0, _SHORTEST])
-    unit = np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
+    # Points on a spiral around the unit sphere.
+    height = np.linspace(-1.0, 1.0, _SPIRAL)
+    turn, width = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(_SPIRAL), np.sqrt(1.0 - height**2)
+    unit = np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
     points = [ball[:3] + ball[3] * unit if ball[3] > 0.0 else ball[None, :3] for ball in balls]
     try:
         bare = float(ConvexHull(np.concatenate(points)).volume)

@@ -184,14 +184,13 @@ def _mesh_balls(shape: Element, urdf: Path, options: ArmOptions, where: str) -> 
     if path is None:
         raise SettingsError(f"{where}: mesh '{name}' is not found; {mend}")
     try:
-        vertices = np.array(
-            coal.MeshLoader().load(str(path), _unit(path) * _numbers(shape, "scale", "1 1 1")).vertices()
-        )
+        scale = _unit(path) * _numbers(shape, "scale", "1 1 1")
+        vertices = np.array(coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), scale).vertices())
         outer = vertices[ConvexHull(vertices).vertices]
     except QhullError:
         # A flat one: all of it is outside.
         outer = vertices
-    except (ValueError, RuntimeError) as error:
+    except (ValueError, RuntimeError, ElementTree.ParseError) as error:
         raise SettingsError(f"{where}: mesh '{path}' cannot be read; expected a file with triangles; {mend}") from error
     return _with_radius(np.unique(outer, axis=0), 0.0)
 
