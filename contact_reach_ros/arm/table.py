@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -17,6 +18,7 @@ from contact_reach_ros.settings import unknown_key
 
 _WIDTH = 100
 """Of lines in tables."""
+_ROUNDING = 1e-10
 
 _ARMATURE = 0.01
 """Reflected inertia of motor and gears unless it is given, kg m²."""
@@ -105,18 +107,14 @@ def table_of(arm: Arm) -> dict[str, Any]:
 
 
 def table_text(arm: Arm, digits: int = 6) -> str:
-    """The table of an arm as YAML, with numbers of so many significant digits."""
-    text: str = yaml.dump(_rounded(table_of(arm), digits), sort_keys=False, default_flow_style=None, width=_WIDTH)
+    """The table of an arm as YAML, with numbers of so many significant digits, and 0 for rounding errors."""
+
+    def rounded(number: str) -> float:
+        return float(f"{float(number):.{digits}g}") if abs(float(number)) > _ROUNDING else 0.0
+
+    table = json.loads(msgspec.json.encode(arm), parse_float=rounded)
+    text: str = yaml.dump(table, sort_keys=False, default_flow_style=None, width=_WIDTH)
     return text
-
-
-def _rounded(value: Any, digits: int) -> Any:
-    """Numbers of so many significant digits, and 0 for what is only rounding."""
-    if isinstance(value, dict):
-        return {key: _rounded(each, digits) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_rounded(each, digits) for each in value]
-    return float(f"{value:.{digits}g}") * (abs(value) > 1e-10) if isinstance(value, float) else value
 
 
 def converted(content: Mapping[str, Any], kind: type[T], source: str) -> T:
