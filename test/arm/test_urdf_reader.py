@@ -16,7 +16,7 @@ from urdf_texts import ball, collision, joint, link, odd_arm, written
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.table import ArmOptions, arm_of_table, table_of, table_text
+from contact_reach_ros.arm.table import ArmOptions, GivenCapsule, arm_of_table, table_of, table_text
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arm.urdf_reader import read_arm, read_arm_file
 from contact_reach_ros.errors import SettingsError
@@ -238,22 +238,24 @@ def meshes(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "mesh",
+    "shape",
     [
+        collision('<box size="0.04 0.12 0.04"/>', '<origin xyz="0 0 0.05"/>'),
         collision('<mesh filename="../meshes/box.stl"/>', '<origin xyz="0 0 0.05"/>'),
         collision('<mesh filename="package://arm_description/meshes/box.stl"/>', '<origin xyz="0 0 0.05"/>'),
         collision('<mesh filename="../meshes/flat.obj" scale="1 2 4"/>', '<origin xyz="0 0 0.05"/>'),
         collision('<mesh filename="../meshes/box.dae"/>'),
     ],
-    ids=["beside", "package", "scaled", "collada"],
+    ids=["box", "beside", "package", "scaled", "collada"],
 )
-def test_a_mesh_counts_in_metres_where_its_file_and_the_urdf_place_it(mesh, meshes):
-    found = capsule_of(meshes, mesh)
-    expected = capsule_of(meshes, collision('<box size="0.04 0.12 0.04"/>', '<origin xyz="0 0 0.05"/>'))
-    assert found.radius == pytest.approx(expected.radius, abs=2e-4)
-    assert sorted([found.start, found.end]) == [
-        pytest.approx(end, abs=2e-4) for end in sorted([expected.start, expected.end])
-    ]
+def test_a_box_counts_in_metres_where_its_file_and_the_urdf_place_it(shape, meshes):
+    found = capsule_of(meshes, shape)
+    # Part 2 turns about y, so that y is the z axis of its frame.
+    low, high = sorted([found.start, found.end], key=lambda end: end[2])
+    assert low == pytest.approx((0.0, -0.05, -0.0549), abs=5e-4) and high == pytest.approx(
+        (0.0, -0.05, 0.0549), abs=5e-4
+    )
+    assert found.radius == pytest.approx(0.0289, abs=2e-4)
 
 
 def test_other_shapes_become_capsules_too(tmp_path):
@@ -268,6 +270,14 @@ def test_other_shapes_become_capsules_too(tmp_path):
     for capsule, (radius, length) in zip(found, expected, strict=True):
         assert capsule.radius == pytest.approx(radius, abs=1e-3)
         assert math.dist(capsule.start, capsule.end) == pytest.approx(length, abs=2e-3)
+
+
+def test_capsules_can_be_given_in_the_frames_of_the_urdf(tmp_path):
+    given = GivenCapsule((0.0, 0.0, 0.0), (0.0, 0.1, 0.0), 0.03)
+    options = dataclasses.replace(ODD, capsules={"part_2": (given,), "part_3": ()})
+    capsules = read_arm(written(tmp_path, odd_arm()), options).arm.capsules
+    assert [capsule.link for capsule in capsules] == [1, 2, 4, 5, 6, 7]
+    assert capsules[1].end == pytest.approx((0.0, 0.0, 0.1)) and capsules[1].radius == 0.03
 
 
 @pytest.mark.parametrize(
