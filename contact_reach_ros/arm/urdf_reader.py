@@ -34,6 +34,8 @@ _OF_TABLES = "joints"
 """Key that only a table has."""
 _TURN = round(2.0 * math.pi, 4)
 _ROUNDING = 1e-10
+_LINK = "link "
+"""Before the names of links for Pinocchio, which finds frames by names: no joint has such a name, nor its universe."""
 
 
 class Reading(NamedTuple):
@@ -193,24 +195,22 @@ class _Reader:
                 waiting.append(joint.child)
                 # Limits are read here; held joints of other types are at 0, where their type does not count.
                 kind = joint.kind if joint.kind in ("fixed", "prismatic") else "revolute"
-                # A name that no link has: Pinocchio finds frames by their names.
                 label = f"joint of {joint.child}"
                 copied = SubElement(robot, "joint", name=label, type=kind)
-                copied.extend(each for each in joint.element if each.tag in ("origin", "parent", "child", "axis"))
+                copied.extend(each for each in joint.element if each.tag in ("origin", "axis"))
+                SubElement(copied, "parent", link=_LINK + name)
+                SubElement(copied, "child", link=_LINK + joint.child)
                 SubElement(copied, "limit", dict.fromkeys(LIMITS, "0"))
                 if joint not in moving and kind != "fixed":
                     held[label] = self._held_position(joint)
-        try:
-            model = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"))
-        except ValueError as error:
-            raise SettingsError(f"{self.file}: Pinocchio cannot read it: {error}") from error
+        model = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"))
         q = pin.neutral(model)
         for name, position in held.items():
             q[model.idx_qs[model.getJointId(name)]] = position
         return pin.buildReducedModel(model, [model.getJointId(name) for name in held], q)
 
     def _add_link(self, robot: Element, name: str) -> None:
-        link = SubElement(robot, "link", name=name)
+        link = SubElement(robot, "link", name=_LINK + name)
         given, own = self.options.inertias.get(name), self.tree.links[name].find("inertial")
         if given is not None:
             inertial = SubElement(link, "inertial")
@@ -287,7 +287,7 @@ def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Par
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
             part = parts[frame.parentJoint]
-            part.places[frame.name] = part.turn.actInv(frame.placement)
+            part.places[frame.name.removeprefix(_LINK)] = part.turn.actInv(frame.placement)
     return parts
 
 
