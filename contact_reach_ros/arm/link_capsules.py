@@ -37,9 +37,9 @@ class Part(NamedTuple):
 
     link: str
     turn: pin.SE3
-    """Of the frame that turns about its z axis, in the link's own."""
+    """Frame that turns about its z axis, in the link's frame."""
     places: dict[str, pin.SE3]
-    """Of the frames of the link and those that are fixed to it, in the turned frame."""
+    """Frames of the link and of those that are fixed to it, in the turned frame."""
 
 
 class LinkCapsules(NamedTuple):
@@ -196,7 +196,7 @@ def _mesh_balls(shape: Element, urdf: Path, options: ArmOptions, where: str) -> 
 
 
 def _unit(mesh: Path) -> float:
-    """Metres in a unit of a mesh: COLLADA files say it, which coal leaves aside."""
+    """Metres in a unit of a mesh, which COLLADA files give and coal leaves aside."""
     unit = ElementTree.parse(mesh).find("{*}asset/{*}unit") if mesh.suffix.lower() == ".dae" else None
     return 1.0 if unit is None else float(unit.get("meter", "1"))
 

@@ -35,7 +35,7 @@ _OF_TABLES = "joints"
 _TURN = round(2.0 * math.pi, 4)
 _ROUNDING = 1e-10
 _LINK = "link "
-"""Before the names of links for Pinocchio, which finds frames by names: no joint has such a name, nor its universe."""
+"""Prefix of links for Pinocchio, which finds frames by name: neither joints nor its universe have such a name."""
 
 
 class Reading(NamedTuple):
@@ -193,7 +193,7 @@ class _Reader:
             self._add_link(robot, name)
             for joint in self.tree.below(name):
                 waiting.append(joint.child)
-                # Limits are read here; held joints of other types are at 0, where their type does not count.
+                # Limits are checked elsewhere; joints of other types are only held, at 0 as a rule.
                 kind = joint.kind if joint.kind in ("fixed", "prismatic") else "revolute"
                 label = f"joint of {joint.child}"
                 copied = SubElement(robot, "joint", name=label, type=kind)
@@ -210,6 +210,7 @@ class _Reader:
         return pin.buildReducedModel(model, [model.getJointId(name) for name in held], q)
 
     def _add_link(self, robot: Element, name: str) -> None:
+        """Add a link with its inertia: the given one, or the URDF's."""
         link = SubElement(robot, "link", name=_LINK + name)
         given, own = self.options.inertias.get(name), self.tree.links[name].find("inertial")
         if given is not None:

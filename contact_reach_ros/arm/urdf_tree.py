@@ -35,7 +35,7 @@ class UrdfJoint(NamedTuple):
     element: Element
 
     def limits(self) -> dict[str, float]:
-        """Those of `LIMITS` that the file has, rad, rad/s, N m; zero range, speed or effort stand for unknown ones."""
+        """Limits in the file by `LIMITS`, rad, rad/s, N m; zero range, speed or effort stand for unknown ones."""
         limit = self.element.find("limit")
         found = {} if limit is None else {key: float(limit.get(key, "")) for key in LIMITS if key in limit.attrib}
         if found.get("lower", 0.0) == found.get("upper", 0.0) or self.kind == "continuous":
