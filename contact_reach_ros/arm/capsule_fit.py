@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError
 
 from contact_reach_ros.arm.arrays import Array
 
@@ -20,8 +19,8 @@ _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""
 _ROUGH = 0.01
 """Share of a radius by which the polygon around a cylinder may stand out of the spheres at its ends."""
-_SAMPLES = 4000
-"""Points on the surface of the shapes, against which the overhang is measured."""
+_SPIRAL = 500
+"""Points that stand for a sphere in the volume of shapes."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +35,6 @@ class Fit:
     """m."""
     volume_ratio: float
     """Volume of the capsule by that of the shapes' convex hull; NaN for shapes that are flat."""
-    overhang: float
-    """Largest distance of the capsule's surface from that hull, m."""
-
-    @property
-    def volume(self) -> float:
-        """m³."""
-        length = float(np.linalg.norm(self.end - self.start))
-        return math.pi * self.radius**2 * (length + 4.0 / 3.0 * self.radius)
 
 
 def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
@@ -55,11 +46,11 @@ def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
     center = 0.5 * (balls[:, :3].min(axis=0) + balls[:, :3].max(axis=0))
     size = float(np.ptp(balls[:, :3], axis=0).max()) + float(balls[:, 3].max())
     principal = np.linalg.svd(balls[:, :3] - balls[:, :3].mean(axis=0))[2]
-    frames = [_frame(axis) for axis in (principal if direction is None else [direction])]
+    frames = [frame_about(axis) for axis in (principal if direction is None else [direction])]
 
     def capsule(frame: Array, values: Array) -> tuple[Array, Array, float]:
         """Of an axis shifted by two distances, in units of the size, widened, and tilted in two directions."""
-        turned = frame if direction is not None else _frame(frame @ (values[3], values[4], 1.0))
+        turned = frame if direction is not None else frame_about(frame @ (values[3], values[4], 1.0))
         local = (balls[:, :3] - center) @ turned
         aside = np.hypot(local[:, 0] - size * values[0], local[:, 1] - size * values[1])
         radius = float((aside + balls[:, 3]).max()) * (1.0 + abs(values[2]))
@@ -71,8 +62,7 @@ def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
         return offset + low * turned[:, 2], offset + high * turned[:, 2], radius
 
     def volume(values: Array, frame: Array) -> float:
-        start, end, radius = capsule(frame, values)
-        return math.pi * radius**2 * (float(np.linalg.norm(end - start)) + 4.0 / 3.0 * radius) / size**3
+        return _volume(*capsule(frame, values)) / size**3
 
     variables = 3 if direction is not None else 5
     simplex = np.vstack([np.zeros(variables), 0.1 * np.eye(variables)])
@@ -85,26 +75,21 @@ def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
 def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
     if np.linalg.norm(end - start) < _SHORTEST:
         end = start + np.array([0.0, 0.0, _SHORTEST])
-    around = hull(balls)
-    bare = Fit(start, end, radius, math.nan, math.nan)
-    if around is None:
-        return bare
-    surface = trimesh.creation.capsule(float(np.linalg.norm(end - start)), radius, count=(24, 24))
-    turned = np.asarray(surface.vertices) @ _frame(end - start).T
-    middle = 0.5 * (start + end) + turned - turned.mean(axis=0)
-    points = trimesh.sample.sample_surface(around, _SAMPLES, seed=0)[0]
-    overhang = float(cKDTree(points).query(middle)[0].max())
-    return Fit(start, end, radius, bare.volume / float(around.volume), overhang)
-
-
-def hull(balls: Array) -> trimesh.Trimesh | None:
-    """Convex hull of the balls as a mesh, None if they are flat."""
-    unit = np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
+    # Points on a spiral around the unit sphere.
+    height = np.linspace(-1.0, 1.0, _SPIRAL)
+    turn, width = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(_SPIRAL), np.sqrt(1.0 - height**2)
+    unit = np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
     points = [ball[:3] + ball[3] * unit if ball[3] > 0.0 else ball[None, :3] for ball in balls]
     try:
-        return trimesh.Trimesh(np.concatenate(points)).convex_hull
-    except (QhullError, ValueError):
-        return None
+        bare = float(ConvexHull(np.concatenate(points)).volume)
+    except QhullError:
+        bare = math.nan
+    return Fit(start, end, radius, _volume(start, end, radius) / bare)
+
+
+def _volume(start: Array, end: Array, radius: float) -> float:
+    """Of a capsule, m³."""
+    return math.pi * radius**2 * (float(np.linalg.norm(end - start)) + 4.0 / 3.0 * radius)
 
 
 def _outer(balls: Array) -> Array:
@@ -129,14 +114,9 @@ def _outer(balls: Array) -> Array:
     return balls
 
 
-def _frame(axis: Array) -> Array:
-    """A rotation (3, 3) whose third column is along `axis` (3,)."""
-    return frame_about(np.asarray(axis) / np.linalg.norm(axis))
-
-
 def frame_about(axis: Array) -> Array:
-    """The smallest rotation (3, 3) that turns z into the unit vector `axis` (3,); exact for ±x, ±y and ±z."""
-    x, y, z = axis
+    """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
+    x, y, z = axis / np.linalg.norm(axis)
     if z < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
     share = 1.0 / (1.0 + z)

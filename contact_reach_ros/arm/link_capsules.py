@@ -1,37 +1,45 @@
-"""The capsules of an arm that is read from a URDF."""
+"""The capsules of an arm that is read from a URDF: given ones, or those around its collision geometry."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
+import coal
 import numpy as np
+import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
 
 from contact_reach_ros.arm.arm import Capsule, Joint, Vector3
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
-from contact_reach_ros.arm.collision_shapes import shape_balls
 from contact_reach_ros.arm.kinematics import rotation_about, rotation_from_quaternion
 from contact_reach_ros.arm.table import ArmOptions
-from contact_reach_ros.arm.urdf_tree import UrdfTree
 from contact_reach_ros.errors import SettingsError
 
 _SWEEP = 12
 """Angles of the first joint at which its link is part of the base's capsule."""
 _WIDE = 1.3
 """Factor on the radius of the base's capsule up to which the swept first link belongs to it."""
+_RIM = 24
+"""Points on the rim of a cylinder; their polygon is around the circle."""
+_SCHEME = "package://"
+_PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
 
 class Part(NamedTuple):
-    """A moving link, or the base, with all that is fixed to it."""
+    """A moving link, or the base, with all links that are fixed to it."""
 
     link: str
-    turn: Array
-    """(4, 4) of the frame that turns about its z axis in the link's own."""
-    places: dict[str, Array]
-    """Frames (4, 4) of the link and those that are fixed to it in the link's own."""
+    turn: pin.SE3
+    """Frame that turns about its z axis, in the link's frame."""
+    places: dict[str, pin.SE3]
+    """Frames of the link and of those that are fixed to it, in the turned frame."""
 
 
 class LinkCapsules(NamedTuple):
@@ -43,11 +51,11 @@ class LinkCapsules(NamedTuple):
     """Those that were fitted, by link."""
     bare: list[str]
     """Moving links without collision geometry, which have none."""
-    geometry: list[list[Array]]
-    """What they were fitted to: of the base and each link, the balls (N, 4) of each shape in the link's frame, m."""
 
 
-def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequence[Part], first: Joint) -> LinkCapsules:
+def link_capsules(
+    links: Mapping[str, Element], file: Path, options: ArmOptions, parts: Sequence[Part], first: Joint
+) -> LinkCapsules:
     """Find the capsules of the base and the moving links: given ones, or one around all collision geometry of a link.
 
     The base's stands upright. A first link that only turns about the base's axis is part of it, unless that would make
@@ -55,8 +63,8 @@ def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequen
 
     Parameters
     ----------
-    tree, file, options
-        The URDF, its path, and what it leaves open.
+    links, file, options
+        Links of the URDF by name, its path, and what it leaves open.
     parts
         The base, then the moving links.
     first
@@ -68,10 +76,10 @@ def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequen
         If a mesh cannot be read, or the base or all moving links have neither collision geometry nor given capsules.
     """
     given = [_given(options, number, part) for number, part in enumerate(parts)]
-    geometry = [
-        _balls(tree, file, options, part) if own is None else [] for own, part in zip(given, parts, strict=True)
+    shapes = [
+        _part_balls(links, file, options, part) if own is None else np.zeros((0, 4))
+        for own, part in zip(given, parts, strict=True)
     ]
-    shapes = [np.concatenate([np.zeros((0, 4)), *balls]) for balls in geometry]
     fits: dict[str, Fit] = {}
     begin, base = 1, given[0][0] if given[0] else None
     if base is None:
@@ -103,7 +111,7 @@ def link_capsules(tree: UrdfTree, file: Path, options: ArmOptions, parts: Sequen
         raise SettingsError(
             f"{file}: no moving link has collision geometry; expected some in the URDF, or some under capsules"
         )
-    return LinkCapsules(base, tuple(capsules), fits, bare, geometry)
+    return LinkCapsules(base, tuple(capsules), fits, bare)
 
 
 def vector(values: Array) -> Vector3:
@@ -118,35 +126,113 @@ def _given(options: ArmOptions, number: int, part: Part) -> list[Capsule] | None
     for name, place in part.places.items():
         if name in options.capsules:
             found = found or []
-            to_part = part.turn.T @ place
             for each in options.capsules[name]:
-                start, end = (vector(to_part[:3, :3] @ point + to_part[:3, 3]) for point in (each.start, each.end))
+                start, end = (vector(place.act(np.array(point))) for point in (each.start, each.end))
                 found.append(Capsule(number, start, end, each.radius))
     return found
 
 
-def _balls(tree: UrdfTree, file: Path, options: ArmOptions, part: Part) -> list[Array]:
-    """The collision shapes of a part as balls (N, 4), in its turned frame."""
-    found = []
+def _part_balls(links: Mapping[str, Element], file: Path, options: ArmOptions, part: Part) -> Array:
+    """Balls (N, 4) whose convex hulls cover the collision shapes of a part, in its turned frame."""
+    found = [np.zeros((0, 4))]
     for name, place in part.places.items():
-        to_part = part.turn.T @ place
-        for shape in tree.links[name].shapes:
-            balls = shape_balls(shape, file, options.packages, f"{file}: link '{name}'")
-            found.append(_moved(balls, to_part[:3, :3], to_part[:3, 3]))
-    return found
+        where = f"{file}: link '{name}'"
+        for element in links[name].findall("collision"):
+            at = place * _placement(element.find("origin"))
+            for shape in element.findall("geometry/*"):
+                balls = _mesh_balls(shape, file, options, where) if shape.tag == "mesh" else _balls(shape, where)
+                found.append(_moved(balls, at.rotation, at.translation))
+    return np.concatenate(found)
+
+
+def _placement(origin: Element | None) -> pin.SE3:
+    if origin is None:
+        return pin.SE3.Identity()
+    return pin.SE3(pin.rpy.rpyToMatrix(_numbers(origin, "rpy", "0 0 0")), _numbers(origin, "xyz", "0 0 0"))
+
+
+def _balls(shape: Element, where: str) -> Array:
+    """Centres and radii (N, 4), m, of balls whose convex hull covers a box, cylinder, sphere or capsule."""
+    sizes = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+    if shape.tag not in sizes:
+        raise SettingsError(
+            f"{where}: collision: geometry <{shape.tag}> is unknown; expected box, cylinder, sphere, capsule or mesh"
+        )
+    for key in sizes[shape.tag]:
+        if key not in shape.attrib:
+            raise SettingsError(f"{where}: collision: {shape.tag} has no {key}; expected one, m")
+    if shape.tag == "box":
+        corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)])
+        return _with_radius(corners * _numbers(shape, "size"), 0.0)
+    radius = float(shape.get("radius", ""))
+    if shape.tag == "sphere":
+        return _with_radius(np.zeros((1, 3)), radius)
+    length = float(shape.get("length", ""))
+    ends = np.array([[0.0, 0.0, -0.5 * length], [0.0, 0.0, 0.5 * length]])
+    if shape.tag == "capsule":
+        return _with_radius(ends, radius)
+    angles = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
+    rim = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1) * radius / np.cos(np.pi / _RIM)
+    return _with_radius(np.concatenate([rim + end for end in ends]), 0.0)
+
+
+def _mesh_balls(shape: Element, urdf: Path, options: ArmOptions, where: str) -> Array:
+    """The outer vertices of a mesh as balls (N, 4) without a radius, m."""
+    name = shape.get("filename", "")
+    path = _mesh_file(name, urdf, options.packages)
+    mend = "give the folder of its package under packages, or the link's capsules under capsules ([] for none)"
+    if path is None:
+        raise SettingsError(f"{where}: mesh '{name}' is not found; {mend}")
+    try:
+        scale = _unit(path) * _numbers(shape, "scale", "1 1 1")
+        vertices = np.array(coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), scale).vertices())
+        outer = vertices[ConvexHull(vertices).vertices]
+    except QhullError:
+        # A flat one: all of it is outside.
+        outer = vertices
+    except (ValueError, RuntimeError, ElementTree.ParseError) as error:
+        raise SettingsError(f"{where}: mesh '{path}' cannot be read; expected a file with triangles; {mend}") from error
+    return _with_radius(np.unique(outer, axis=0), 0.0)
+
+
+def _unit(mesh: Path) -> float:
+    """Metres in a unit of a mesh, which COLLADA files give and coal leaves aside."""
+    unit = ElementTree.parse(mesh).find("{*}asset/{*}unit") if mesh.suffix.lower() == ".dae" else None
+    return 1.0 if unit is None else float(unit.get("meter", "1"))
+
+
+def _mesh_file(name: str, urdf: Path, packages: Mapping[str, str]) -> Path | None:
+    """The file that a URDF names: beside it, or in a package that is given, above it, or installed."""
+    if not name.startswith(_SCHEME):
+        path = urdf.parent / name.removeprefix("file://")
+        return path if path.is_file() else None
+    package, _, rest = name.removeprefix(_SCHEME).partition("/")
+    given = [urdf.parent / packages[package]] if package in packages else []
+    installed = [Path(prefix) for key in _PREFIX_PATHS for prefix in os.environ.get(key, "").split(":") if prefix]
+    around = [*urdf.resolve().parents, *(prefix / "share" for prefix in installed), *installed]
+    folders = [*given, *(folder / package for folder in around)]
+    return next((folder / rest for folder in folders if (folder / rest).is_file()), None)
+
+
+def _numbers(element: Element, key: str, default: str = "") -> Array:
+    return np.array(element.get(key, default).split(), float)
+
+
+def _with_radius(points: Array, radius: float) -> Array:
+    return np.column_stack([points, np.full(len(points), radius)])
+
+
+def _moved(balls: Array, rotation: Array, offset: Array) -> Array:
+    return np.column_stack([balls[:, :3] @ rotation.T + offset, balls[:, 3]])
 
 
 def _swept(first: Joint, balls: Array) -> Array:
-    """The first link's balls at all angles of its joint, in the base's frame; none if that turns about another axis."""
+    """The first link's balls at all angles of its joint, in the base's frame; none if it turns about another axis."""
     at_zero = rotation_from_quaternion(first.rotation)
     if at_zero[2, 2] < 1.0 - 1e-9 or math.hypot(*first.offset[:2]) > 1e-6:
         return balls[:0]
     turns = [rotation_about((0.0, 0.0, 1.0), angle) for angle in np.linspace(0.0, 2.0 * np.pi, _SWEEP, endpoint=False)]
     return np.concatenate([_moved(balls, at_zero @ turn, np.array(first.offset)) for turn in turns])
-
-
-def _moved(balls: Array, rotation: Array, offset: Array) -> Array:
-    return np.column_stack([balls[:, :3] @ rotation.T + offset, balls[:, 3]])
 
 
 def _capsule(link: int, fit: Fit) -> Capsule:

@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
-from contact_reach_ros.arm.capsules import self_pairs
 
 ROBOT_CONTACT_TYPE = 1
 OBSTACLE_CONTACT_TYPE = 2
@@ -17,10 +16,6 @@ _WORLD = "world"
 """Name that MuJoCo keeps for the world itself, and that URDFs like to give to the base."""
 TIP_SITE = "flange"
 """Name of the site at the tip, which the last link carries."""
-VELOCITY_LIMITS = "velocity_limits"
-"""Custom field of the joints' speed limits, rad/s."""
-SELF_PAIRS = "self_pairs"
-"""Custom field of the pairs of geometries that can touch each other: indices into `capsule_names`, two by two."""
 
 PAYLOAD_CENTER = (0.0, 0.0, 0.05)
 """Position of the payload in the flange's frame, m."""
@@ -68,7 +63,7 @@ def build_mjcf(
     contacts
         Pairs of geometries that touch although their types would not.
     fields
-        Custom fields to add to those of the arm.
+        Custom fields by name.
 
     Raises
     ------
@@ -119,13 +114,10 @@ def build_mjcf(
     for joint in arm.joints:
         limit = numbers((-joint.torque_limit, joint.torque_limit))
         SubElement(actuators, "motor", name=joint.name, joint=joint.name, ctrlrange=limit)
-    pairs = [index for pair in self_pairs(arm) for index in pair]
-    limits = [joint.velocity_limit for joint in arm.joints]
-    custom = SubElement(root, "custom")
-    all_fields: dict[str, Iterable[float]] = {VELOCITY_LIMITS: limits, SELF_PAIRS: pairs, **(fields or {})}
-    for name, values in all_fields.items():
-        if data := numbers(values):
-            SubElement(custom, "numeric", name=name, data=data)
+    if fields:
+        custom = SubElement(root, "custom")
+        for name, values in fields.items():
+            SubElement(custom, "numeric", name=name, data=numbers(values))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -17,6 +18,7 @@ from contact_reach_ros.settings import unknown_key
 
 _WIDTH = 100
 """Of lines in tables."""
+_ROUNDING = 1e-10
 
 _ARMATURE = 0.01
 """Reflected inertia of motor and gears unless it is given, kg m²."""
@@ -78,13 +80,24 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     lists: dict[str, Any] = {"link_names": arm.link_names, "home": arm.home}
     lists |= {f"inertia_sets: {name}": values for name, values in arm.inertia_sets.items()}
     lists |= {f"defaults: {name}": values for name, values in arm.defaults.items()}
-    for key, values in lists.items():
-        if len(values) != arm.n:
-            raise SettingsError(f"{source}: {key} has {len(values)} values; expected {arm.n}, one for each joint")
+    check_lengths(lists, arm.n, source)
     for capsule in arm.capsules:
         if not 1 <= capsule.link <= arm.n:
             raise SettingsError(f"{source}: capsules: link = {capsule.link}; expected a number from 1 to {arm.n}")
     return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
+
+
+def check_lengths(lists: Mapping[str, Sequence[Any]], n: int, source: str) -> None:
+    """Check that lists by key have a value for each of n joints.
+
+    Raises
+    ------
+    SettingsError
+        If one has not; the message begins with `source`.
+    """
+    for key, values in lists.items():
+        if len(values) != n:
+            raise SettingsError(f"{source}: {key} has {len(values)} values; expected {n}, one for each joint")
 
 
 def table_of(arm: Arm) -> dict[str, Any]:
@@ -94,36 +107,14 @@ def table_of(arm: Arm) -> dict[str, Any]:
 
 
 def table_text(arm: Arm, digits: int = 6) -> str:
-    """The table of an arm as YAML, with numbers of so many significant digits."""
-    lines = []
-    for key, value in _rounded(table_of(arm), digits).items():
-        if key == "defaults" and not value:
-            continue
-        if isinstance(value, list) and isinstance(value[0], dict):
-            lines += [f"{key}:", *(f"  - {_flow(each, 4)}" for each in value)]
-        elif isinstance(value, dict) and key == "inertia_sets":
-            for name, inertias in value.items():
-                lines += [f"{key}:", f"  {name}:", *(f"    - {_flow(each, 6)}" for each in inertias)]
-        elif isinstance(value, dict) and key == "defaults":
-            lines += [f"{key}:", *(f"  {name}: {_flow(values, 4)}" for name, values in value.items())]
-        else:
-            lines.append(f"{key}: {_flow(value, 2)}")
-    return "\n".join(lines) + "\n"
+    """The table of an arm as YAML, with numbers of so many significant digits, and 0 for rounding errors."""
 
+    def rounded(number: str) -> float:
+        return float(f"{float(number):.{digits}g}") if abs(float(number)) > _ROUNDING else 0.0
 
-def _flow(value: Any, indent: int) -> str:
-    """A value between brackets; further lines are indented."""
-    text: str = yaml.dump(value, sort_keys=False, default_flow_style=True, width=_WIDTH)
-    return text.removesuffix("\n").removesuffix("\n...").replace("\n", "\n" + indent * " ")
-
-
-def _rounded(value: Any, digits: int) -> Any:
-    """Numbers of so many significant digits, and 0 for what is only rounding."""
-    if isinstance(value, dict):
-        return {key: _rounded(each, digits) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_rounded(each, digits) for each in value]
-    return float(f"{value:.{digits}g}") * (abs(value) > 1e-10) if isinstance(value, float) else value
+    table = json.loads(msgspec.json.encode(arm), parse_float=rounded)
+    text: str = yaml.dump(table, sort_keys=False, default_flow_style=None, width=_WIDTH)
+    return text
 
 
 def converted(content: Mapping[str, Any], kind: type[T], source: str) -> T:

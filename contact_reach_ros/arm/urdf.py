@@ -7,19 +7,11 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm, Capsule
-from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
-
-
-def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
-    """Fixed-axis angles of a rotation matrix (3, 3), as URDF writes them, rad."""
-    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[2, 1], rotation[2, 2]))
-    if math.hypot(rotation[2, 1], rotation[2, 2]) < 1e-9:
-        return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
-    return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
@@ -47,7 +39,7 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
                 _add_capsule(link, capsule)
         element = SubElement(robot, "joint", name=joint.name, type="revolute")
         rotation = rotation_from_quaternion(joint.rotation)
-        SubElement(element, "origin", xyz=numbers(joint.offset), rpy=numbers(roll_pitch_yaw(rotation)))
+        SubElement(element, "origin", xyz=numbers(joint.offset), rpy=numbers(pin.rpy.matrixToRpy(rotation)))
         SubElement(element, "parent", link=parent)
         SubElement(element, "child", link=name)
         SubElement(element, "axis", xyz="0 0 1")
@@ -62,7 +54,7 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
     SubElement(robot, "link", name=arm.tip_frame)
     flange = SubElement(robot, "joint", name=f"{arm.tip_frame}_joint", type="fixed")
     turn = rotation_from_quaternion(arm.tip_rotation)
-    SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy=numbers(roll_pitch_yaw(turn)))
+    SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy=numbers(pin.rpy.matrixToRpy(turn)))
     SubElement(flange, "parent", link=parent)
     SubElement(flange, "child", link=arm.tip_frame)
     ElementTree.indent(robot)

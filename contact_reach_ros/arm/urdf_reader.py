@@ -1,4 +1,7 @@
-"""Arms in files: a URDF with the few choices that it leaves open, or a table."""
+"""Arms in files: a URDF with the few choices that it leaves open, or a table.
+
+Pinocchio reads frames and inertias of a URDF, and lumps what is fixed.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,21 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Inertia, Joint
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, frame_about
-from contact_reach_ros.arm.kinematics import tensor_matrix
 from contact_reach_ros.arm.link_capsules import Part, link_capsules, vector
-from contact_reach_ros.arm.table import ArmOptions, arm_of_table, converted
-from contact_reach_ros.arm.urdf_tree import TURNING, UrdfJoint, UrdfTree, read_urdf
+from contact_reach_ros.arm.mjcf import numbers
+from contact_reach_ros.arm.table import ArmOptions, arm_of_table, check_lengths, converted
+from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR, TURNING, UrdfJoint, UrdfTree, read_urdf
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import read_yaml
 
@@ -28,6 +34,8 @@ _OF_TABLES = "joints"
 """Key that only a table has."""
 _TURN = round(2.0 * math.pi, 4)
 _ROUNDING = 1e-10
+_LINK = "link "
+"""Prefix of links for Pinocchio, which finds frames by name: neither joints nor its universe have such a name."""
 
 
 class Reading(NamedTuple):
@@ -38,8 +46,6 @@ class Reading(NamedTuple):
     """The capsules that were fitted, by link."""
     assumed: list[str]
     """What neither the URDF nor the options say, in words."""
-    geometry: list[list[Array]]
-    """What the capsules were fitted to, see `LinkCapsules`."""
 
 
 def read_arm(file: Path, options: ArmOptions | None = None) -> Reading:
@@ -76,18 +82,19 @@ class _Reader:
                     f"{self.file}: {key} = '{link}' is no link; expected one of {', '.join(tree.links)}"
                 )
         moving = self._moving(base, tip)
-        self._check_lengths(len(moving))
         armature = options.armature if isinstance(options.armature, tuple) else (options.armature,) * len(moving)
-        parts = self._parts(base, moving)
+        lists: dict[str, Sequence[float]] = {f"thresholds: {key}": list_ for key, list_ in options.thresholds.items()}
+        lists |= {"armature": armature} | ({} if options.home is None else {"home": options.home})
+        check_lengths(lists, len(moving), str(self.file))
+        model = self._model(base, moving)
+        parts = _parts(model, base, moving)
         joints, inertias = [], []
-        frame = np.eye(4)
-        for before, part, joint, own_armature in zip(parts, parts[1:], moving, armature, strict=False):
-            place = frame @ before.places[joint.parent] @ joint.place
-            joints.append(self._joint(joint, place @ part.turn, own_armature))
-            inertias.append(self._inertia(part))
-            frame = part.turn.T
-        tip_place = frame @ parts[-1].places[tip]
-        found = link_capsules(tree, self.file, options, parts, joints[0])
+        for number, (joint, own_armature) in enumerate(zip(moving, armature, strict=True), 1):
+            place = parts[number - 1].turn.actInv(model.jointPlacements[number]) * parts[number].turn
+            joints.append(self._joint(joint, place, own_armature))
+            inertias.append(self._inertia(parts[number], model.inertias[number]))
+        tip_place = parts[-1].places[tip]
+        found = link_capsules(tree.links, self.file, options, parts, joints[0])
         self.assumed += [f"capsules: none on {link}, which has no collision geometry" for link in found.bare]
         arm = Arm(
             name=options.name or tree.name,
@@ -95,8 +102,8 @@ class _Reader:
             link_names=tuple(part.link for part in parts[1:]),
             base_frame=base,
             tip_frame=tip if tip != parts[-1].link else f"{tip}_tip",
-            tip_offset=vector(tip_place[:3, 3]),
-            tip_rotation=_quaternion(tip_place[:3, :3]),
+            tip_offset=vector(tip_place.translation),
+            tip_rotation=_quaternion(tip_place.rotation),
             capsules=found.links,
             base_capsule=found.base,
             inertia_sets={"nominal": tuple(inertias)},
@@ -105,7 +112,7 @@ class _Reader:
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
         )
-        return Reading(self._completed(arm), found.fits, self.assumed, found.geometry)
+        return Reading(self._completed(arm), found.fits, self.assumed)
 
     def _completed(self, arm: Arm) -> Arm:
         """The arm with shoulder, reach, home and thresholds."""
@@ -128,14 +135,6 @@ class _Reader:
         defaults = {**assumptions.defaults(arm), **options.thresholds}
         return dataclasses.replace(arm, home=home, defaults=defaults)
 
-    def _check_lengths(self, n: int) -> None:
-        lists = {"home": self.options.home, **{f"thresholds: {k}": v for k, v in self.options.thresholds.items()}}
-        if isinstance(self.options.armature, tuple):
-            lists["armature"] = self.options.armature
-        for key, values in lists.items():
-            if values is not None and len(values) != n:
-                raise SettingsError(f"{self.file}: {key} has {len(values)} values; expected {n}, one for each joint")
-
     def _check_names(self, key: str, given: Mapping[str, object], known: Mapping[str, object], what: str) -> None:
         for name in given:
             if name not in known:
@@ -144,7 +143,7 @@ class _Reader:
     def _only_tip(self, base: str) -> str:
         """The only link that ends a chain of joints, or the only one of them that is a mere frame."""
         ends = [link for link in self.tree.links if not self.tree.below(link) and self._turns(base, link)]
-        frames = [link for link in ends if not self.tree.links[link].shapes]
+        frames = [link for link in ends if self.tree.links[link].find("collision") is None]
         for found, what in ((ends, "the last link"), (frames, "the only frame at the end of a chain of joints")):
             if len(found) == 1:
                 self.assumed.append(f"tip: {found[0]}, {what}")
@@ -173,9 +172,9 @@ class _Reader:
             where = f"{self.file}: joint '{joint.name}', between base '{base}' and tip '{tip}',"
             if joint.kind not in TURNING:
                 raise SettingsError(f"{where} is of type {joint.kind}; expected {' or '.join(TURNING)}: {hold}")
-            if joint.mimics:
+            if (mimic := joint.element.find("mimic")) is not None:
                 raise SettingsError(
-                    f"{where} mimics joint '{joint.mimics}'; expected joints that move on their own: {hold}"
+                    f"{where} mimics joint '{mimic.get('joint')}'; expected joints that move on their own: {hold}"
                 )
         if not 2 <= len(moving) <= MAX_JOINTS:
             names = ", ".join(joint.name for joint in moving) or "none"
@@ -185,43 +184,61 @@ class _Reader:
             )
         return moving
 
-    def _parts(self, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:
-        """The base and the moving links, each with the links that are fixed to it."""
-        heads = {joint.child: joint for joint in moving}
-        parts = [Part(base, np.eye(4), {})]
-        parts += [Part(joint.child, _transform(frame_about(joint.axis)), {}) for joint in moving]
-        for part in parts:
-            waiting = [(part.link, np.eye(4))]
-            while waiting:
-                name, place = waiting.pop()
-                part.places[name] = place
-                for below in self.tree.below(name):
-                    if below.child not in heads:
-                        waiting.append((below.child, place @ self._held(below)))
-        return parts
+    def _model(self, base: str, moving: Sequence[UrdfJoint]) -> pin.Model:
+        """What Pinocchio reads of the links below the base; all joints but the moving ones are held."""
+        robot, held = Element("robot", name=self.tree.name), {}
+        waiting = [base]
+        while waiting:
+            name = waiting.pop()
+            self._add_link(robot, name)
+            for joint in self.tree.below(name):
+                waiting.append(joint.child)
+                # Limits are checked elsewhere; joints of other types are only held, at 0 as a rule.
+                kind = joint.kind if joint.kind in ("fixed", "prismatic") else "revolute"
+                label = f"joint of {joint.child}"
+                copied = SubElement(robot, "joint", name=label, type=kind)
+                copied.extend(each for each in joint.element if each.tag in ("origin", "axis"))
+                SubElement(copied, "parent", link=_LINK + name)
+                SubElement(copied, "child", link=_LINK + joint.child)
+                SubElement(copied, "limit", dict.fromkeys(LIMITS, "0"))
+                if joint not in moving and kind != "fixed":
+                    held[label] = self._held_position(joint)
+        model = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"))
+        q = pin.neutral(model)
+        for name, position in held.items():
+            q[model.idx_qs[model.getJointId(name)]] = position
+        return pin.buildReducedModel(model, [model.getJointId(name) for name in held], q)
 
-    def _held(self, joint: UrdfJoint) -> Array:
-        """The transform of a joint that does not move."""
-        if joint.kind == "fixed":
-            return joint.place
-        limits = {**joint.limits, **self.options.limits.get(joint.name, {})}
+    def _add_link(self, robot: Element, name: str) -> None:
+        """Add a link with its inertia: the given one, or the URDF's."""
+        link = SubElement(robot, "link", name=_LINK + name)
+        given, own = self.options.inertias.get(name), self.tree.links[name].find("inertial")
+        if given is not None:
+            inertial = SubElement(link, "inertial")
+            SubElement(inertial, "origin", xyz=numbers(given.center))
+            SubElement(inertial, "mass", value=repr(given.mass))
+            SubElement(inertial, "inertia", dict(zip(TENSOR, map(repr, given.tensor), strict=True)))
+        elif own is not None and (mass := own.find("mass")) is not None and float(mass.get("value", "0")) > 0.0:
+            inertia = own.find("inertia")
+            inertia = SubElement(own, "inertia") if inertia is None else inertia
+            inertia.attrib.update({key: inertia.get(key, "0") for key in TENSOR})
+            link.append(own)
+
+    def _held_position(self, joint: UrdfJoint) -> float:
+        """Position at which a joint is held, rad or m: as the options have it, or the nearest to 0."""
         position = self.options.fixed.get(joint.name)
         if position is None:
+            limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
             position = min(max(0.0, limits.get("lower", -math.inf)), limits.get("upper", math.inf))
             self.assumed.append(f"fixed: {joint.name} at {position:g}, since it is not between base and tip")
-        motion = np.eye(4)
-        if joint.kind == "prismatic":
-            motion[:3, 3] = position * joint.axis
-        else:
-            motion[:3, :3] = Rotation.from_rotvec(position * joint.axis).as_matrix()
-        return joint.place @ motion
+        return position
 
-    def _joint(self, joint: UrdfJoint, place: Array, armature: float) -> Joint:
-        limits = {**joint.limits, **self.options.limits.get(joint.name, {})}
+    def _joint(self, joint: UrdfJoint, place: pin.SE3, armature: float) -> Joint:
+        limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
         if joint.kind == "continuous" and not {"lower", "upper"} & set(limits):
             self.assumed.append(f"limits: {joint.name}, which is continuous, turns once to either side")
             limits |= {"lower": -_TURN, "upper": _TURN}
-        for key in ("lower", "upper", "velocity", "effort"):
+        for key in LIMITS:
             if key not in limits:
                 raise SettingsError(
                     f"{self.file}: joint '{joint.name}' has no {key} limit; expected one in the URDF, or under "
@@ -234,8 +251,8 @@ class _Reader:
             )
         return Joint(
             joint.name,
-            vector(place[:3, 3]),
-            _quaternion(place[:3, :3]),
+            vector(place.translation),
+            _quaternion(place.rotation),
             limits["lower"],
             limits["upper"],
             limits["velocity"],
@@ -243,46 +260,36 @@ class _Reader:
             armature,
         )
 
-    def _inertia(self, part: Part) -> Inertia:
-        """Of a link with all that is fixed to it, in its turned frame."""
-        bodies = []
-        for name, place in part.places.items():
-            given, own = self.options.inertias.get(name), self.tree.links[name].mass
-            if given is not None:
-                bodies.append((given.mass, place, np.array(given.center), tensor_matrix(given.tensor)))
-            elif own is not None and own.mass > 0.0:
-                bodies.append((own.mass, place, own.center, own.tensor))
-        mass = sum(body[0] for body in bodies)
+    def _inertia(self, part: Part, lumped: pin.Inertia) -> Inertia:
+        """Of a link with all that is fixed to it, in its turned frame; `lumped`: in its own."""
         where = f"{self.file}: link '{part.link}'"
         mend = f"in the URDF, or under inertias ({{{part.link}: {{mass: ..., center: ..., tensor: ...}}}})"
-        if not mass > 0.0:
+        if not lumped.mass > 0.0:
             raise SettingsError(f"{where} has no mass; expected an inertia with a mass above 0 kg {mend}")
-        placed = [(each, *_placed(part.turn.T @ place, center, tensor)) for each, place, center, tensor in bodies]
-        center = np.sum([each * at for each, at, _ in placed], axis=0) / mass
-        total = np.zeros((3, 3))
-        for each, at, tensor in placed:
-            off = at - center
-            total += tensor + each * ((off @ off) * np.eye(3) - np.outer(off, off))
-        moments = np.linalg.eigvalsh(total)
+        moments = np.linalg.eigvalsh(lumped.inertia)
         if not (moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-6)):
             raise SettingsError(
                 f"{where} has principal moments of inertia {np.array2string(moments, precision=3)} kg m², as no "
                 f"body has; expected them above 0, none above the sum of the others, {mend}"
             )
-        xx, yy, zz, xy, xz, yz = (float(total[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-        return Inertia(float(mass), vector(center), (xx, yy, zz, xy, xz, yz))
+        turned = part.turn.actInv(lumped)
+        xx, yy, zz, xy, xz, yz = (
+            float(turned.inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        )
+        return Inertia(float(turned.mass), vector(turned.lever), (xx, yy, zz, xy, xz, yz))
 
 
-def _placed(place: Array, center: Array, tensor: Array) -> tuple[Array, Array]:
-    """Centre (3,) and tensor (3, 3) of a body in the frame in which its own is at `place` (4, 4)."""
-    rotation = place[:3, :3]
-    return rotation @ center + place[:3, 3], rotation @ tensor @ rotation.T
-
-
-def _transform(rotation: Array) -> Array:
-    transform = np.eye(4)
-    transform[:3, :3] = rotation
-    return transform
+def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:
+    """The base and the moving links, each with the links that are fixed to it."""
+    parts = [Part(base, pin.SE3.Identity(), {})]
+    for number, joint in enumerate(moving, 1):
+        axis = model.joints[number].createData().S[3:]
+        parts.append(Part(joint.child, pin.SE3(frame_about(axis), np.zeros(3)), {}))
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            part = parts[frame.parentJoint]
+            part.places[frame.name.removeprefix(_LINK)] = part.turn.actInv(frame.placement)
+    return parts
 
 
 def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
@@ -309,6 +316,6 @@ def read_arm_file(file: Path) -> Reading:
         return read_arm(file, options)
     content = read_yaml(file)
     if _OF_TABLES in content:
-        return Reading(arm_of_table(content, str(file)), {}, [], [])
+        return Reading(arm_of_table(content, str(file)), {}, [])
     options = converted(content, ArmOptions, str(file))
     return read_arm(file.parent / options.urdf if options.urdf else file.with_suffix(".urdf"), options)

@@ -5,15 +5,9 @@ Link frames rotate with their joint, whose axis is the local z. Units are SI: m,
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames, rotation_about, tensor_matrix
 
 _ARMATURE = 0.01
 """Reflected motor inertia of every joint, kg m²: link 7 alone (0.001 kg m²) would be unphysically light."""
@@ -25,9 +19,6 @@ def _joint(
     limit, speed = math.radians(limit_deg), math.radians(speed_deg)
     return Joint(f"lbr_A{number}", offset, rotation, -limit, limit, speed, torque, _ARMATURE)
 
-
-_DIGITS = 12
-"""Decimals of what is converted: so the digest is the same on every machine."""
 
 _NO_PRODUCTS = (0.0, 0.0, 0.0)
 
@@ -42,34 +33,19 @@ _NOMINAL_INERTIAS = (
 )
 """The common simulation set, in the link frames of `ARM`."""
 
-_ALIGNED_ORIGINS = (
-    (0, 0, 0.1475),
-    (0, -0.01, 0.2125),
-    (0, 0.01, 0.228),
-    (0, 0.0105, 0.192),
-    (0, -0.0105, 0.2075),
-    (0, -0.0707, 0.1925),
-    (0, 0.0707, 0.091),
+_ALTERNATIVE_INERTIAS = (
+    Inertia(5.289529, (0.0, -0.033795, 0.122404), (0.042462, 0.042838, 0.01587, 0.0, 0.0, 0.006341)),
+    Inertia(5.688888, (-0.000136, 0.076322, 0.037548), (0.055182, 0.016523, 0.053983, 0.0, 0.0, 0.010034)),
+    Inertia(3.461245, (0.0, 0.034913, 0.146608), (0.02172, 0.02073, 0.007701, 0.0, 0.0, -0.003845)),
+    Inertia(4.122995, (0.0, 0.086944, 0.029293), (0.03241, 0.009883, 0.030758, 0.0, 0.0, 0.006022)),
+    Inertia(1.563756, (0.0, 0.029824, 0.099267), (0.008677, 0.007297, 0.003935, 0.0, 0.0, -0.002869)),
+    Inertia(2.457878, (0.0, 0.00495, 0.00032), (0.007227, 0.004734, 0.006958, 0.0, 0.0, 0.000318)),
+    Inertia(0.265331, (0.0, 0.0, 0.023782), (0.000175, 0.000175, 0.000306, 0.0, 0.0, 0.0)),
 )
-"""Second kinematic description: link frames parallel to the base at angle zero, m."""
+"""Another published set, moved from frames parallel to the base at angle zero into those of `ARM`: a ready-made model
+mismatch."""
 
-_ALIGNED_AXES = ((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1))
-"""Joint axes of the second description."""
-
-_ALIGNED_TIP_OFFSET: Vector3 = (0.0, 0.0, 0.035)
-
-ALIGNED_INERTIAS = (
-    Inertia(5.289529, (0, -0.033795, 0.132404), (0.042462, 0.042838, 0.01587, 0, 0, 0.006341)),
-    Inertia(5.688888, (0.000136, 0.047548, 0.076322), (0.055182, 0.053983, 0.016523, 0, 0, 0.010034)),
-    Inertia(3.461245, (0, 0.034913, 0.123108), (0.02172, 0.02073, 0.007701, 0, 0, -0.003845)),
-    Inertia(4.122995, (0, -0.039793, 0.086944), (0.03241, 0.030758, 0.009883, 0, 0, -0.006022)),
-    Inertia(1.563756, (0, -0.029824, 0.076267), (0.008677, 0.007297, 0.003935, 0, 0, 0.002869)),
-    Inertia(2.457878, (0, 0.07102, 0.00495), (0.007227, 0.006958, 0.004734, 0, 0, 0.000318)),
-    Inertia(0.265331, (0, 0, 0.013782), (0.000175, 0.000175, 0.000306, 0, 0, 0)),
-)
-"""Another published set, in the frames of the second description: a ready-made model mismatch."""
-
-_NOMINAL = Arm(
+ARM = Arm(
     name="iiwa14",
     joints=(
         _joint(1, (0, 0, 0.1575), (1, 0, 0, 0), 170, 85, 320),
@@ -94,7 +70,7 @@ _NOMINAL = Arm(
     ),
     # The base and the first link, which only turns about its own axis.
     base_capsule=Capsule(0, (0, 0, 0.05), (0, 0, 0.30), 0.11),
-    inertia_sets={"nominal": _NOMINAL_INERTIAS},
+    inertia_sets={"nominal": _NOMINAL_INERTIAS, "alternative": _ALTERNATIVE_INERTIAS},
     shoulder=(0.0, 0.0, 0.36),
     reach=0.85,
     home=(0.0, math.radians(45), 0.0, math.radians(-90), 0.0, math.radians(45), 0.0),
@@ -108,34 +84,4 @@ _NOMINAL = Arm(
         "handover_thresholds": (8.0, 10.0, 6.0, 6.0, 3.0, 3.0, 3.0),
     },
 )
-
-
-def aligned_link_frames(q: ArrayLike) -> tuple[list[Array], list[Array]]:
-    """Same as `link_frames`, for the second description, whose frames are parallel to the base at angle zero."""
-    rotation, origin = np.eye(3), np.zeros(3)
-    rotations, origins = [], []
-    for place, axis, angle in zip(_ALIGNED_ORIGINS, _ALIGNED_AXES, np.asarray(q, dtype=float), strict=True):
-        origin = origin + rotation @ place
-        rotation = rotation @ rotation_about(axis, angle)
-        rotations.append(rotation)
-        origins.append(origin)
-    return [*rotations, rotation], [*origins, origin + rotation @ _ALIGNED_TIP_OFFSET]
-
-
-def _alternative_inertias() -> tuple[Inertia, ...]:
-    """The second set in the link frames of the first description."""
-    zero = np.zeros(_NOMINAL.n)
-    frames = zip(*link_frames(_NOMINAL, zero), *aligned_link_frames(zero), strict=True)
-    converted = []
-    for inertia, (to_rotation, to_origin, from_rotation, from_origin) in zip(ALIGNED_INERTIAS, frames, strict=False):
-        rotation = to_rotation.T @ from_rotation
-        center = to_rotation.T @ (from_origin + from_rotation @ inertia.center - to_origin)
-        tensor = rotation @ tensor_matrix(inertia.tensor) @ rotation.T
-        six = (tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[0, 2], tensor[1, 2])
-        values = [tuple((np.round(vector, _DIGITS) + 0.0).tolist()) for vector in (center, six)]
-        converted.append(Inertia(inertia.mass, *values))
-    return tuple(converted)
-
-
-ARM = dataclasses.replace(_NOMINAL, inertia_sets={"nominal": _NOMINAL_INERTIAS, "alternative": _alternative_inertias()})
 """The iiwa 14 R820."""

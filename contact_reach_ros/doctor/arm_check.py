@@ -46,7 +46,7 @@ def check_arm(name: str, table: Path | None = None) -> int:
     """
     console = Console()
     if name.endswith(ENDINGS):
-        arm, fits, assumed, _ = read_arm_file(Path(name))
+        arm, fits, assumed = read_arm_file(Path(name))
     else:
         arm, fits, assumed = load_arm(name), {}, []
     console.print(
@@ -54,12 +54,12 @@ def check_arm(name: str, table: Path | None = None) -> int:
         f"{list(arm.shoulder)} m"
     )
     console.print(_joints(arm))
-    capsules = Table("capsule on", "radius m", "length m", "volume / hull", "overhang mm")
+    capsules = Table("capsule on", "radius m", "length m", "volume / hull")
     for number, capsule in enumerate(shapes(arm)):
         link, length = shape_name(arm, number), float(np.linalg.norm(np.subtract(capsule.end, capsule.start)))
         fit = fits.get(link)
-        judged = ("given", "") if fit is None else (f"{fit.volume_ratio:.2f}", f"{1000 * fit.overhang:.0f}")
-        capsules.add_row(link, f"{capsule.radius:.3f}", f"{length:.3f}", *judged)
+        judged = "given" if fit is None else f"{fit.volume_ratio:.2f}"
+        capsules.add_row(link, f"{capsule.radius:.3f}", f"{length:.3f}", judged)
     console.print(capsules)
     for line in assumed:
         console.print(f"assumed: {line}", markup=False)

@@ -1,17 +1,18 @@
-"""Pinocchio, MuJoCo and Brax read one MJCF, and must see one robot."""
+"""Pinocchio, MuJoCo and Brax read one MJCF, others the URDF, and must see one robot."""
 
 import warnings
 
 import jax
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from arm_simulation import ARM, WITH_TOOL, random_states
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import ARMS, load_arm
 
 SHIPPED = [load_arm(name) for name in ARMS]
@@ -19,43 +20,28 @@ STATES = 200
 TOLERANCE = 1e-9
 
 
-class MujocoModel:
-    """The same quantities as `RobotModel`, from MuJoCo."""
-
-    def __init__(self, arm: Arm, inertia_set: str) -> None:
-        self.model = mujoco.MjModel.from_xml_string(build_mjcf(arm, inertia_set))
-        self.data = mujoco.MjData(self.model)
-        self.flange = self.model.site("flange").id
-
-    def update(self, q: np.ndarray, v: np.ndarray) -> None:
-        data = self.data
-        data.qpos[:], data.qvel[:] = q, v
-        mujoco.mj_forward(self.model, data)
-        self.mass_matrix = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, data, self.mass_matrix)
-        self.jacobian = np.zeros((6, self.model.nv))
-        mujoco.mj_jacSite(self.model, data, self.jacobian[:3], self.jacobian[3:], self.flange)
-        self.bias = data.qfrc_bias
-        self.position = data.site_xpos[self.flange]
-        self.rotation = data.site_xmat[self.flange].reshape(3, 3)
-
-
 @pytest.mark.parametrize(
     ("arm", "inertia_set"), [*((arm, "nominal") for arm in SHIPPED), (ARM, "alternative"), (WITH_TOOL, "nominal")]
 )
 def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
-    pinocchio, other = RobotModel(arm, inertia_set), MujocoModel(arm, inertia_set)
+    ours, model = RobotModel(arm, inertia_set), mujoco.MjModel.from_xml_string(build_mjcf(arm, inertia_set))
+    data, flange = mujoco.MjData(model), model.site("flange").id
+    mass_matrix, jacobian = np.zeros((arm.n, arm.n)), np.zeros((6, arm.n))
     for q, v in zip(*random_states(STATES, arm=arm), strict=True):
-        pinocchio.update(q, v)
-        other.update(q, v)
-        for name in ("mass_matrix", "bias", "jacobian", "position", "rotation"):
-            np.testing.assert_allclose(
-                getattr(pinocchio, name), getattr(other, name), rtol=0, atol=TOLERANCE, err_msg=name
-            )
+        ours.update(q, v)
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass_matrix)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], flange)
+        rotation = data.site_xmat[flange].reshape(3, 3)
+        theirs = (mass_matrix, data.qfrc_bias, jacobian, data.site_xpos[flange], rotation)
+        for mine, other in zip(
+            (ours.mass_matrix, ours.bias, ours.jacobian, ours.position, ours.rotation), theirs, strict=True
+        ):
+            np.testing.assert_allclose(mine, other, rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("arm", [ARM, load_arm("ur10")], ids=lambda arm: arm.name)
-def test_pinocchio_agrees_with_brax(arm):
+def test_pinocchio_agrees_with_brax():
     from brax import kinematics, math
     from brax.generalized import dynamics, mass
     from brax.generalized.base import State
@@ -69,6 +55,8 @@ def test_pinocchio_agrees_with_brax(arm):
         rotation = math.quat_to_3x3(last.rot)
         return mass.matrix(system, state), dynamics.inverse(system, state), flange, rotation
 
+    # Its inertias have products.
+    arm = load_arm("xarm7")
     positions, velocities = random_states(STATES, arm=arm)
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Brax says on loading that it is no longer developed.
@@ -84,11 +72,22 @@ def test_pinocchio_agrees_with_brax(arm):
             np.testing.assert_allclose(result[index], value, rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("arm", [ARM, WITH_TOOL])
-def test_pinocchio_agrees_with_the_table(arm):
-    model = RobotModel(arm)
+@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (WITH_TOOL, "nominal")])
+def test_urdf_and_table_agree_with_the_mjcf(arm, inertia_set):
+    model = pin.buildModelFromXML(build_urdf(arm, inertia_set))
+    model.armature[:] = arm.joints[0].armature  # URDF cannot say it.
+    data = model.createData()
+    frames = [model.getFrameId(name) for name in (*arm.link_names, arm.tip_frame)]
+    from_mjcf = RobotModel(arm, inertia_set)
     for q, v in zip(*random_states(100), strict=True):
-        model.update(q, v)
+        from_mjcf.update(q, v)
+        pin.computeAllTerms(model, data, q, v)
+        pin.updateFramePlacements(model, data)
+        np.testing.assert_allclose(data.M, from_mjcf.mass_matrix, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(data.nle, from_mjcf.bias, rtol=0, atol=TOLERANCE)
         rotations, origins = link_frames(arm, q)
-        np.testing.assert_allclose(model.position, origins[-1], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(model.rotation, rotations[-1], rtol=0, atol=1e-12)
+        for frame, rotation, origin in zip(frames, rotations, origins, strict=True):
+            np.testing.assert_allclose(data.oMf[frame].translation, origin, rtol=0, atol=TOLERANCE)
+            np.testing.assert_allclose(data.oMf[frame].rotation, rotation, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(from_mjcf.position, origins[-1], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(from_mjcf.rotation, rotations[-1], rtol=0, atol=1e-12)

@@ -3,25 +3,25 @@
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from arm_simulation import ARM
-from urdf_texts import ball, joint, link, odd_arm, written
+from urdf_texts import ball, collision, joint, link, odd_arm, written
 
-from contact_reach_ros.arm.arm import Arm, Inertia
-from contact_reach_ros.arm.capsule_fit import frame_about
+from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.table import ArmOptions, arm_of_table, table_of, table_text
+from contact_reach_ros.arm.table import ArmOptions, GivenCapsule, arm_of_table, table_of, table_text
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arm.urdf_reader import read_arm, read_arm_file
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.planning.transfer.model import arm_model
 
-ODD = ArmOptions(base="stand", tip="tool", fixed={"finger_joint": 0.4})
+ODD = ArmOptions(base="stand", tip="tool", fixed={"finger_joint": 0.4}, home=(0.0,) * 7, reach=1.0)
 FINGER = {"finger_joint": 0.4}
 STATES = 200
 
@@ -80,18 +80,15 @@ def test_the_urdf_that_the_package_writes_is_the_same_arm(tmp_path):
     arm = read_arm(file, ArmOptions(home=ARM.home)).arm
     assert (arm.base_frame, arm.tip_frame, arm.joint_names) == (ARM.base_frame, ARM.tip_frame, ARM.joint_names)
     assert arm.shoulder == ARM.shoulder and arm.reach == pytest.approx(ARM.reach, abs=0.002)
-    ours, theirs = RobotModel(arm), RobotModel(ARM)
-    for q, v in states(ARM)[:20]:
-        ours.update(q, v)
-        theirs.update(q, v)
-        np.testing.assert_allclose(ours.mass_matrix, theirs.mass_matrix, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(ours.bias, theirs.bias, rtol=0, atol=1e-9)
+    for ours, theirs in zip(arm.joints, ARM.joints, strict=True):
+        np.testing.assert_allclose((*ours.offset, ours.lower, ours.upper), (*theirs.offset, theirs.lower, theirs.upper))
+    for ours, theirs in zip(arm.inertias(), ARM.inertias(), strict=True):
+        np.testing.assert_allclose((ours.mass, *ours.center), (theirs.mass, *theirs.center), rtol=0, atol=1e-12)
     # Spheres and cylinders are capsules again.
     assert [capsule.link for capsule in arm.capsules] == [capsule.link for capsule in ARM.capsules]
-    for ours_, theirs_ in zip(arm.capsules, ARM.capsules, strict=True):
-        assert ours_.radius == pytest.approx(theirs_.radius, abs=2e-4)
-        lengths = [np.linalg.norm(np.subtract(each.end, each.start)) for each in (ours_, theirs_)]
-        assert lengths[0] == pytest.approx(lengths[1], abs=2e-4)
+    for ours, theirs in zip(arm.capsules, ARM.capsules, strict=True):
+        assert ours.radius == pytest.approx(theirs.radius, abs=2e-4)
+        assert math.dist(ours.start, ours.end) == pytest.approx(math.dist(theirs.start, theirs.end), abs=2e-4)
 
 
 def test_options_lie_beside_the_urdf_and_either_path_leads_to_the_arm(tmp_path):
@@ -119,15 +116,17 @@ def test_a_base_may_have_the_name_that_mujoco_keeps_for_itself(tmp_path):
     arm = read_arm(written(tmp_path, odd_arm()), dataclasses.replace(ODD, base="world")).arm
     assert arm.base_frame == "world"
     model = mujoco.MjModel.from_xml_string(build_mjcf(arm))
-    assert model.nv == arm.n and arm_model(arm).n == arm.n
+    assert model.nv == RobotModel(arm).pinocchio.nv == arm.n
 
 
 def test_what_was_assumed_is_listed(tmp_path):
-    reading = read_arm(written(tmp_path, odd_arm()), ArmOptions(base="stand", tip="tool"))
+    file = written(tmp_path, odd_arm(joint_5=joint("joint_5", "part_4", "part_5", kind="continuous")))
+    reading = read_arm(file, ArmOptions(base="stand", tip="tool"))
     text = "\n".join(reading.assumed)
-    for expected in ("finger_joint at 0", "home:", "reach:", "thresholds:"):
+    for expected in ("finger_joint at 0", "joint_5, which is continuous", "home:", "reach:", "thresholds:"):
         assert expected in text
-    assert "finger_joint" not in "\n".join(read_arm(written(tmp_path, odd_arm()), ODD).assumed)
+    assert (reading.arm.joints[4].lower, reading.arm.joints[4].upper) == (-6.2832, 6.2832)
+    assert not {"finger_joint", "home:"} & set("\n".join(read_arm(file, ODD).assumed).split())
 
 
 def test_limits_and_inertias_can_be_given(tmp_path):
@@ -145,102 +144,140 @@ def test_limits_and_inertias_can_be_given(tmp_path):
     assert math.dist(arm.inertias()[4].center, (0, 0, 0)) == pytest.approx(0.1)
 
 
-def test_a_continuous_joint_turns_once_to_either_side(tmp_path):
-    reading = read_arm(written(tmp_path, odd_arm(joint_5=joint("joint_5", "part_4", "part_5", kind="continuous"))), ODD)
-    assert (reading.arm.joints[4].lower, reading.arm.joints[4].upper) == (-6.2832, 6.2832)
-    assert "joint_5, which is continuous" in "\n".join(reading.assumed)
-
-
 def test_joints_of_the_chain_can_be_held(tmp_path):
     text = odd_arm(joint_2=joint("joint_2", "part_1", "part_2", "0 0 1", "prismatic"))
-    arm = read_arm(written(tmp_path, text), dataclasses.replace(ODD, fixed={"joint_2": 0.3, **FINGER})).arm
+    options = dataclasses.replace(ODD, fixed={"joint_2": 0.3, **FINGER}, home=(0.0,) * 6)
+    arm = read_arm(written(tmp_path, text), options).arm
     assert arm.n == 6 and "joint_2" not in arm.joint_names
     assert arm.inertias()[0].mass == pytest.approx(2.7 + 2.4)
 
 
-BROKEN = {
-    "prismatic": (
-        {"joint_3": joint("joint_3", "part_2", "part_3", "0 0 1", "prismatic")},
-        ODD,
-        r"joint 'joint_3', between base 'stand' and tip 'tool', is of type prismatic; expected .*under fixed",
-    ),
-    "loop": (
-        {"loop": joint("loop", "part_7", "part_2")},
-        ODD,
-        r"closed loop: joints 'joint_2' and 'loop' both move link 'part_2'",
-    ),
-    "massless": ({"part_4": link("part_4", 0.0, ball())}, ODD, r"link 'part_4' has no mass; .*under inertias"),
-    "no limits": (
-        {"joint_5": joint("joint_5", "part_4", "part_5", extra="")},
-        ODD,
-        r"joint 'joint_5' has no lower limit.*under limits \(\{joint_5: \{lower",
-    ),
-    "no mesh": (
-        {
-            "part_2": link(
-                "part_2", extra='<collision><geometry><mesh filename="package://x/y.stl"/></geometry></collision>'
-            )
-        },
-        ODD,
-        r"link 'part_2': mesh 'package://x/y.stl' is not found; .*packages.*capsules",
-    ),
-    "two tips": ({}, ArmOptions(), r"2 links end a chain of joints: finger, tool; expected .*tip"),
-    "eight joints": (
-        {"tool_mount": joint("tool_mount", "part_7", "tool"), "tool": link("tool")},
-        ODD,
-        r"8 joints move between base 'stand' and tip 'tool' .*; expected 2 to 7: hold others .*under fixed",
-    ),
-    "bad number": (
-        {"stand": link("stand").replace('ixx="0.02', 'ixx="O.02')},
-        ODD,
-        r"link 'stand': ixx = 'O.02'; expected 1",
-    ),
-    "wrong name": (
-        {},
-        dataclasses.replace(ODD, fixed={"joint_9": 0.0}),
-        r"fixed: joint 'joint_9' does not exist; known: ",
-    ),
-    "home outside": (
-        {},
-        dataclasses.replace(ODD, home=(2.0, *(0.0,) * 6)),
-        r"home has 2 rad for joint 'joint_1'; expected",
-    ),
+NO_ARMS = {
+    "prismatic": {"joint_3": joint("joint_3", "part_2", "part_3", "0 0 1", "prismatic")},
+    "loop": {"loop": joint("loop", "part_7", "part_2")},
+    "massless": {"part_4": link("part_4", 0.0, ball())},
+    "no limits": {"joint_5": joint("joint_5", "part_4", "part_5", extra="")},
+    "no mesh": {"part_2": link("part_2", extra=collision('<mesh filename="package://x/y.stl"/>'))},
+    "no such shape": {"part_2": link("part_2", extra=collision('<cone radius="1"/>'))},
+    "eight joints": {"tool_mount": joint("tool_mount", "part_7", "tool"), "tool": link("tool")},
+    "bad number": {"stand": link("stand").replace('ixx="0.02', 'ixx="O.02')},
+    "no body": {"part_2": link("part_2", extra=ball()).replace('ixx="0.02"', 'ixx="1.02"')},
+}
+REFUSALS = {
+    "prismatic": "joint 'joint_3', between base 'stand' and tip 'tool', is of type prismatic; expected .*under fixed",
+    "loop": "closed loop: joints 'joint_2' and 'loop' both move link 'part_2'",
+    "massless": "link 'part_4' has no mass; .*under inertias",
+    "no limits": "joint 'joint_5' has no lower limit.*under limits",
+    "no mesh": "link 'part_2': mesh 'package://x/y.stl' is not found; .*packages.*capsules",
+    "no such shape": "link 'part_2': collision: geometry <cone> is unknown; expected box",
+    "eight joints": "8 joints move between base 'stand' and tip 'tool' .*; expected 2 to 7: hold others .*under fixed",
+    "bad number": "link 'stand': inertia ixx = 'O.02'; expected 1 finite number",
+    "no body": "link 'part_2' has principal moments of inertia .* as no body has; .*under inertias",
 }
 
 
-@pytest.mark.parametrize("case", BROKEN)
+@pytest.mark.parametrize("case", NO_ARMS)
 def test_what_is_no_arm_is_refused_with_name_and_key(case, tmp_path):
-    changed, options, expected = BROKEN[case]
-    file = written(tmp_path, odd_arm(**changed))
-    with pytest.raises(SettingsError, match=expected) as raised:
-        read_arm(file, options)
+    file = written(tmp_path, odd_arm(**NO_ARMS[case]))
+    with pytest.raises(SettingsError, match=REFUSALS[case]) as raised:
+        read_arm(file, ODD)
     assert str(raised.value).startswith(str(file))
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"tip": None}, "2 links end a chain of joints: finger, tool; expected .*tip"),
+        ({"fixed": {"joint_9": 0.0}}, "fixed: joint 'joint_9' does not exist; known: "),
+        ({"home": (2.0, *(0.0,) * 6)}, "home has 2 rad for joint 'joint_1'; expected"),
+        ({"armature": (0.1,)}, "armature has 1 values; expected 7"),
+        ({"base": "tool", "tip": "stand"}, "tip 'stand' is not below base 'tool'"),
+    ],
+)
+def test_options_that_do_not_fit_the_urdf_are_refused(options, expected, tmp_path):
+    with pytest.raises(SettingsError, match=expected):
+        read_arm(written(tmp_path, odd_arm()), dataclasses.replace(ODD, **options))
 
 
 COLLADA = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
   <asset><unit name="millimeter" meter="0.001"/><up_axis>Y_UP</up_axis></asset>
   <library_geometries><geometry id="block"><mesh>
-    <source id="places"><float_array id="numbers" count="24">{points}</float_array></source>
+    <source id="places"><float_array id="numbers" count="24">{points}</float_array><technique_common>
+      <accessor source="#numbers" count="8" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common></source>
     <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+    <triangles count="3"><input semantic="VERTEX" source="#corners" offset="0"/><p>0 1 2 3 4 5 6 7 0</p></triangles>
   </mesh></geometry></library_geometries>
   <library_visual_scenes><visual_scene id="all"><node>
     <translate>0 0 50</translate><rotate>0 0 1 90</rotate>
     <node><scale>1 1 2</scale><instance_geometry url="#block"/></node>
   </node></visual_scene></library_visual_scenes>
+  <scene><instance_visual_scene url="#all"/></scene>
 </COLLADA>"""
 
 
-def test_collada_meshes_count_in_metres_and_where_their_nodes_place_them(tmp_path):
+def capsule_of(folder: Path, shape: str) -> Capsule:
+    """The capsule that a collision element on part 2 leads to."""
+    arm = read_arm(written(folder, odd_arm(part_2=link("part_2", extra=shape))), ODD).arm
+    return next(capsule for capsule in arm.capsules if capsule.link == 2)
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory) -> Path:
+    """A package with a box of 0.04 x 0.12 x 0.04 m as meshes; the URDF belongs into its folder `urdf`."""
+    package = tmp_path_factory.mktemp("workspace") / "arm_description"
+    for name in ("urdf", "meshes"):
+        (package / name).mkdir(parents=True)
+    trimesh.creation.box((0.04, 0.12, 0.04)).export(package / "meshes" / "box.stl")
+    trimesh.creation.box((0.04, 0.06, 0.01)).export(package / "meshes" / "flat.obj")
     corners = [(x, y, z) for x in (-60, 60) for y in (-20, 20) for z in (-10, 10)]
-    written(tmp_path, COLLADA.format(points=" ".join(f"{x} {y} {z}" for x, y, z in corners)), "y.dae")
-    mesh = '<collision><geometry><mesh filename="y.dae"/></geometry></collision>'
-    balls = read_arm(written(tmp_path, odd_arm(part_2=link("part_2", extra=mesh))), ODD).geometry[2][0]
-    # The frame of part 2 turns about y: its own is turned.
-    turn = frame_about(np.array([0.0, 1.0, 0.0]))
-    points = balls[:, :3] @ turn.T
-    np.testing.assert_allclose(points.min(axis=0), [-0.02, -0.06, 0.03], atol=1e-9)
-    np.testing.assert_allclose(points.max(axis=0), [0.02, 0.06, 0.07], atol=1e-9)
+    written(package / "meshes", COLLADA.format(points=" ".join(f"{x} {y} {z}" for x, y, z in corners)), "box.dae")
+    return package / "urdf"
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        collision('<box size="0.04 0.12 0.04"/>', '<origin xyz="0 0 0.05"/>'),
+        collision('<mesh filename="../meshes/box.stl"/>', '<origin xyz="0 0 0.05"/>'),
+        collision('<mesh filename="package://arm_description/meshes/box.stl"/>', '<origin xyz="0 0 0.05"/>'),
+        collision('<mesh filename="../meshes/flat.obj" scale="1 2 4"/>', '<origin xyz="0 0 0.05"/>'),
+        collision('<mesh filename="../meshes/box.dae"/>'),
+    ],
+    ids=["box", "beside", "package", "scaled", "collada"],
+)
+def test_a_box_counts_in_metres_where_its_file_and_the_urdf_place_it(shape, meshes):
+    found = capsule_of(meshes, shape)
+    # Part 2 turns about y, so that y is the z axis of its frame.
+    low, high = sorted([found.start, found.end], key=lambda end: end[2])
+    assert low == pytest.approx((0.0, -0.05, -0.0549), abs=5e-4) and high == pytest.approx(
+        (0.0, -0.05, 0.0549), abs=5e-4
+    )
+    assert found.radius == pytest.approx(0.0289, abs=2e-4)
+
+
+def test_other_shapes_become_capsules_too(tmp_path):
+    shapes = (
+        '<sphere radius="0.05"/>',
+        '<capsule radius="0.05" length="0.3"/>',
+        '<cylinder radius="0.05" length="1"/>',
+    )
+    text = odd_arm(**{f"part_{n}": link(f"part_{n}", extra=collision(shape)) for n, shape in enumerate(shapes, 2)})
+    found = read_arm(written(tmp_path, text), ODD).arm.capsules[1:4]
+    expected = [(0.0501, 0.001), (0.0501, 0.3), (0.0508, 0.995)]
+    for capsule, (radius, length) in zip(found, expected, strict=True):
+        assert capsule.radius == pytest.approx(radius, abs=1e-3)
+        assert math.dist(capsule.start, capsule.end) == pytest.approx(length, abs=2e-3)
+
+
+def test_capsules_can_be_given_in_the_frames_of_the_urdf(tmp_path):
+    given = GivenCapsule((0.0, 0.0, 0.0), (0.0, 0.1, 0.0), 0.03)
+    options = dataclasses.replace(ODD, capsules={"part_2": (given,), "part_3": ()})
+    capsules = read_arm(written(tmp_path, odd_arm()), options).arm.capsules
+    assert [capsule.link for capsule in capsules] == [1, 2, 4, 5, 6, 7]
+    assert capsules[1].end == pytest.approx((0.0, 0.0, 0.1)) and capsules[1].radius == 0.03
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,12 @@ def joint(name: str, parent: str, child: str, axis: str = "0 0 1", kind: str = "
     )
 
 
+def collision(shape: str, origin: str = "") -> str:
+    return f"<collision>{origin}<geometry>{shape}</geometry></collision>"
+
+
 def ball(radius: float = 0.05) -> str:
-    return f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>'
+    return collision(f'<sphere radius="{radius}"/>')
 
 
 AXES = ("0 0 1", "0 1 0", "-1 0 0", "0 0 -1", "0.6 0 0.8", "1 2 3", "0 -1 0")

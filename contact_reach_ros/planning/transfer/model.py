@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.capsules import self_pairs
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
-from contact_reach_ros.arm.mjcf import SELF_PAIRS, TIP_SITE, VELOCITY_LIMITS, build_mjcf
+from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.resources import KeptFile
 
@@ -105,16 +106,16 @@ def arm_model(arm: Arm) -> ArmModel:
     What Brax has read from an MJCF is kept in the user's cache, since importing Brax takes longer than planning starts.
     """
     text = build_mjcf(arm)
-    kept = KeptFile("arms", text, importlib.metadata.version("brax"), Path(__file__).read_text())
+    kept = KeptFile("arms", text, arm.digest, importlib.metadata.version("brax"), Path(__file__).read_text())
     model: ArmModel | None = kept.load()
     if model is None:
-        model = read_arm(load_system(text))
+        model = read_arm(arm, load_system(text))
         kept.store(model)
     return model
 
 
-def read_arm(system: brax.System) -> ArmModel:
-    """The constants of the arm in a system that was loaded from the MJCF of an `Arm`."""
+def read_arm(arm: Arm, system: brax.System) -> ArmModel:
+    """The constants of an arm, as far as possible from a system that was loaded from its MJCF."""
     model = system.mj_model
     link, inertia = system.link, system.link.inertia
     joint_rotation = [_tidy(rotation_from_quaternion(quaternion)) for quaternion in _double(link.transform.rot)]
@@ -129,7 +130,6 @@ def read_arm(system: brax.System) -> ArmModel:
     half = [rotation_from_quaternion(model.geom_quat[geom])[:, 2] * model.geom_size[geom, 1] for geom in geoms]
     start, end = _exact(model.geom_pos[geoms] + half), _exact(model.geom_pos[geoms] - half)
     axis = end - start
-    fields = {model.numeric(index).name: np.array(model.numeric(index).data) for index in range(model.nnumeric)}
     return ArmModel(
         joint_offset=_double(link.transform.pos),
         joint_rotation=np.array(joint_rotation),
@@ -141,7 +141,7 @@ def read_arm(system: brax.System) -> ArmModel:
         armature=_double(system.dof.armature),
         lower=_double(system.dof.limit[0]),
         upper=_double(system.dof.limit[1]),
-        velocity_limit=fields[VELOCITY_LIMITS],
+        velocity_limit=arm.velocity_limits,
         contact_links=tuple(model.body(body).name for body in place),
         capsule_link=bodies[1:] - 1,
         capsule_place=np.array([place[body] for body in bodies[1:].tolist()]),
@@ -151,8 +151,7 @@ def read_arm(system: brax.System) -> ArmModel:
         base_start=start[0],
         base_axis=axis[0],
         base_radius=float(model.geom_size[geoms[0], 0]),
-        # An arm without pairs has no such field.
-        self_pairs=tuple((int(one), int(two)) for one, two in fields.get(SELF_PAIRS, np.zeros(0)).reshape(-1, 2)),
+        self_pairs=self_pairs(arm),
     )
 
 
