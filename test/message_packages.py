@@ -82,7 +82,10 @@ _SUPPORTS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_
 _PREFIX = Path(sys.prefix)
 
 
-def message_packages(cache, numpy_headers=None):
+CACHE = Path(__file__).parents[1] / ".pytest_cache" / "message_packages"
+
+
+def message_packages(cache=CACHE, numpy_headers=None):
     """A folder from which Python imports the packages, made once and kept in `cache`; () where all are installed.
 
     They are compiled against the headers of the NumPy at hand, or those in another folder. Skips the test where there
@@ -95,7 +98,8 @@ def message_packages(cache, numpy_headers=None):
     if shutil.which("g++") is None or not Path(sysconfig.get_path("include"), "Python.h").is_file():
         pytest.skip("needs g++ and Python's headers")
     key = hashlib.sha256(f"{numpy_headers}{MISSING}{sys.version}{Path(__file__).read_text()}".encode()).hexdigest()[:16]
-    folder = Path(cache) / key
+    folder = cache / key
+    cache.mkdir(parents=True, exist_ok=True)
     if not folder.is_dir():
         with tempfile.TemporaryDirectory(dir=cache) as made:
             build = functools.partial(_build, Path(made) / "packages", numpy_headers or np.get_include())

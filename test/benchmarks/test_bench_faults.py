@@ -9,25 +9,12 @@ from test_metrics import episode
 
 from benchmarks.episode import WrongPlans
 from benchmarks.episode_result import EpisodeResult
-from benchmarks.fault_checks import (
-    BOUNDS,
-    End,
-    bounds_used,
-    end_of,
-    speed_share,
-    violations,
-)
+from benchmarks.fault_checks import BOUNDS, End, bounds_used, end_of, speed_share, violations
 from benchmarks.fault_draws import DRAWS, random_faults
 from benchmarks.faults import fault_setup, run_with_faults, summary, text_of
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.simulation.faults import (
-    Payload,
-    Push,
-    RivalCommands,
-    UnknownObstacle,
-    WrongClock,
-)
+from contact_reach_ros.simulation.faults import Payload, Push, RivalCommands, UnknownObstacle, WrongClock
 from contact_reach_ros.world.scene_file import read_scene
 
 NEAREST = {
@@ -76,7 +63,6 @@ class TestChecks:
         torques[2:] += 0.5 * step
         assert self.violated(commands=torques, command_times=times) == ["torque rate: 1.50 times what is permitted"]
         assert not self.violated(commands=torques, command_times=times, period=0.002)
-        assert not self.violated(commands=torques, command_times=times + np.array([0.0, 0.0, 0.1, 0.1]))
 
     @pytest.mark.parametrize(
         ("force", "ticks", "is_wrong"),
@@ -100,7 +86,7 @@ class TestChecks:
 
 def test_every_kind_is_drawn():
     scene = make_scene(read_scene("free"), ARM, 0)
-    drawn = [random_faults(scene, seed) for seed in range(200)]
+    drawn = [random_faults(scene, seed) for seed in range(120)]
     assert len({type(fault) for faults in drawn for fault in faults}) == len(DRAWS)
     assert {len(faults) for faults in drawn} == {1, 2, 3}
     assert random_faults(scene, 5) == drawn[5]
@@ -120,6 +106,7 @@ def test_summary_counts_ends_and_violations_and_lists_the_seeds_nearest_to_each_
     assert "| torque | 1 | 2 (1.100), 1 (0.900), 3 (0.500) |" in text_of(report)
 
 
-@pytest.mark.parametrize("seed", [1470, *(pytest.param(seed, marks=pytest.mark.slow) for seed in list(NEAREST)[1:])])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", NEAREST)
 def test_bounds_hold_also_where_faults_came_nearest_to_them(seed):
     assert run_with_faults(seed, fault_setup(), NEAREST[seed])["violations"] == []

@@ -5,10 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from hypothesis import given
-from hypothesis import strategies as st
 
-from benchmarks.baselines.clearance import ClearanceChecker, levers
+from benchmarks.baselines.clearance import ClearanceChecker
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.world.collision import capsule_segments, clearances, nearest
 from contact_reach_ros.world.rigid import Plane
@@ -27,7 +25,7 @@ def postures(seed: int, count: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-LIMITS, LIMITS, (count, ARM.n))
 
 
-@pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
+@pytest.mark.parametrize("count", [1, 64, 65])
 def test_distances_are_those_of_the_planners_obstacle_reader(count):
     spheres = spheres_at(np.array([[0.5, 0.2, 0.4], [0.3, -0.6, 0.7], [-0.2, 0.5, 0.1]]))
     checker = ClearanceChecker(ARM, spheres, 0.0, 0.02, HOME)
@@ -47,15 +45,6 @@ def test_postures_keep_clear_where_the_distance_is_the_clearance():
     expected = (distances >= 0.03) & (rigid >= 0.01)
     assert (expected != (distances >= 0.03)).sum() > 5
     np.testing.assert_array_equal(checker.free(q)[decided], expected[decided])
-
-
-@given(st.integers(0, 2**31))
-def test_no_point_of_the_arm_moves_further_than_the_levers_say(seed):
-    random = np.random.default_rng(seed)
-    start = random.uniform(-LIMITS, LIMITS)
-    end = start + random.uniform(-0.3, 0.3, 7)
-    moved = np.subtract(capsule_segments(ARM, end), capsule_segments(ARM, start))
-    assert np.linalg.norm(moved, axis=-1).max() <= np.abs(end - start) @ levers(ARM) + 1e-9
 
 
 def test_motion_through_a_sphere_is_found_wherever_the_sphere_is():

@@ -1,8 +1,7 @@
 """The collision-free baseline in episodes: contact-free, within the method's bounds, planned once."""
 
 import numpy as np
-import pytest
-from arm_simulation import ARM
+from arm_simulation import ARM, HOME
 from scipy.spatial.transform import Rotation
 
 from benchmarks.baselines.collision_free import CollisionFreePlanner
@@ -33,27 +32,16 @@ def search(arm, q, goal, spheres, seed):
     return find_path(arm, q, goal, spheres, QUICK, seed)
 
 
-def make_planner(seed: int = 0, gains: ImpedanceSettings = GAINS, search=search) -> CollisionFreePlanner:
-    planner = CollisionFreePlanner(ARM, SETTINGS, gains, search, seed)
+def make_planner(search=search) -> CollisionFreePlanner:
+    planner = CollisionFreePlanner(ARM, SETTINGS, GAINS, search, 0)
     planner.warm_up(lambda line: None)
     return planner
 
 
-@pytest.fixture(scope="module", params=range(2))
-def ball_episode(request):
-    scene = make_scene(read_scene("ball"), ARM, request.param)
-    planner = make_planner(request.param)
-    return scene, planner, run_episode(scene, Method(planner, ControllerSettings()), EpisodeOptions())
-
-
-def test_goal_behind_a_ball_is_reached_without_any_contact(ball_episode):
-    _, _, result = ball_episode
-    assert result.reached
-    assert result.contact_forces.max() == 0.0
-
-
-def test_references_are_within_the_methods_bounds_of_where_the_arm_is_expected(ball_episode):
-    _, _, result = ball_episode
+def test_goal_behind_a_ball_is_reached_without_any_contact_within_the_methods_bounds():
+    scene = make_scene(read_scene("ball"), ARM, 0)
+    result = run_episode(scene, Method(make_planner(), ControllerSettings()), EpisodeOptions())
+    assert result.reached and result.contact_forces.max() == 0.0
     # The way until then at the speed that the bounds permit.
     share = 1.0 + AHEAD * GAINS.task_stiffness / GAINS.task_damping
     slack = AHEAD * np.array(ARM.velocity_limits)
@@ -66,27 +54,25 @@ def test_references_are_within_the_methods_bounds_of_where_the_arm_is_expected(b
             assert (np.abs(plan.postures[knot] - q) <= POSTURE_BOUND + slack).all()
 
 
-class TestPlanning:
-    START = np.array(ARM.home)
-    GOAL = Target(link_frames(ARM, START)[1][-1] + np.array([0.0, 0.1, 0.0]), link_frames(ARM, START)[0][-1])
+def test_the_path_is_searched_once_for_each_goal_and_after_a_reset():
+    rotations, origins = link_frames(ARM, HOME)
+    goal = Target(origins[-1] + np.array([0.0, 0.1, 0.0]), rotations[-1])
+    searches = []
 
-    def plan(self, planner, q=START, state=0, goal=GOAL):
+    def counted(*args):
+        searches.append(args)
+        return search(*args)
+
+    def plan(q=HOME, state=0, goal=goal):
         return planner.plan(Request(q, np.zeros(ARM.n), state * MS, (state + 40) * MS, goal, Spheres.none()))
 
-    def test_the_path_is_searched_once_for_each_goal_and_after_a_reset(self):
-        searches = []
-
-        def counted(*args):
-            searches.append(args)
-            return search(*args)
-
-        planner = make_planner(search=counted)
-        first = self.plan(planner)
-        self.plan(planner, first.predicted_q[0], 40)
-        assert len(searches) == 1
-        self.plan(planner, first.predicted_q[0], 80, Target(self.GOAL.position + 0.02, self.GOAL.rotation))
-        assert len(searches) == 2
-        planner.reset()
-        again = self.plan(planner)
-        assert len(searches) == 3
-        np.testing.assert_array_equal(again.postures, first.postures)
+    planner = make_planner(counted)
+    first = plan()
+    plan(first.predicted_q[0], 40)
+    assert len(searches) == 1
+    plan(first.predicted_q[0], 80, Target(goal.position + 0.02, goal.rotation))
+    assert len(searches) == 2
+    planner.reset()
+    again = plan()
+    assert len(searches) == 3
+    np.testing.assert_array_equal(again.postures, first.postures)

@@ -38,8 +38,3 @@ def test_profiles_are_those_of_the_episodes_and_can_be_drawn(tmp_path, monkeypat
         assert profile.max() > 0.2
     assert bench(pictures, file, picture) == 0
     assert picture.stat().st_size > 10_000
-
-
-def test_what_cannot_be_run_is_refused(capsys):
-    assert bench(fig5_module, "--methods", "rrt") == 2
-    assert "--methods 'rrt' is unknown; expected one of contact_reach" in capsys.readouterr().err

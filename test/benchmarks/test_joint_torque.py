@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, ideal_plant
 
-from benchmarks.baselines.joint_torque import (
-    HeldTorque,
-    TorqueController,
-    TorquePlan,
-    TorquePlanner,
-    torque_bounds,
-    torque_step,
-)
+from benchmarks.baselines.joint_torque import HeldTorque, TorqueController, TorquePlanner, torque_bounds, torque_step
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm.kinematics import link_frames
@@ -36,36 +29,24 @@ pytestmark = pytest.mark.slow
 SETTINGS = PlanningSettings(deadline=0.0, population=48, line_search_points=32, horizon=2, max_steps=6)
 GAINS, CONTROLLER = ImpedanceSettings(), ControllerSettings()
 REST = np.zeros(ARM.n)
-MS = 1_000_000
 ROTATIONS, ORIGINS = link_frames(ARM, HOME)
 GOAL = Target(ORIGINS[-1] + np.array([0.02, 0.06, -0.03]), ROTATIONS[-1])
-LIMITS = np.array(ARM.torque_limits)
 DAMPING = stop_damping(ARM, CONTROLLER.supervision)
 
 
 @pytest.fixture(scope="module")
-def warm_planner() -> RecedingHorizonPlanner:
+def planner() -> RecedingHorizonPlanner:
     planner = TorquePlanner(ARM, SETTINGS, GAINS, 10.0, 0, DAMPING)
     planner.warm_up(lambda line: None)
     return planner
 
 
-@pytest.fixture
-def planner(warm_planner) -> RecedingHorizonPlanner:
-    warm_planner.reset()
-    return warm_planner
-
-
-def plan_from(planner, q=HOME, v=REST, state=0, effect=0) -> TorquePlan:
-    return planner.plan(Request(q, v, state * MS, effect * MS, GOAL, Spheres.none()))
-
-
 def test_torques_are_within_the_bounds_and_one_for_each_step(planner):
-    plan = plan_from(planner)
+    plan = planner.plan(Request(HOME, REST, 0, 0, GOAL, Spheres.none()))
     assert plan.torques.shape == (SETTINGS.horizon * SETTINGS.substeps, ARM.n)
     bounds = torque_bounds(ARM, SETTINGS, GAINS, np.array(ARM.home))
     assert (np.abs(plan.torques) <= bounds + 1e-4).all()
-    assert (bounds <= LIMITS).all()
+    assert (bounds <= ARM.torque_limits).all()
     distances = np.linalg.norm(plan.predicted_positions - GOAL.position, axis=1)
     assert distances[-1] < distances[0] - 0.01
 
@@ -89,6 +70,7 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
 
 
 def test_an_episode_gets_nearer_to_its_goal(planner):
+    planner.reset()
     scene = Scene("free", ARM, 0, HOME, GOAL.position)
     method = Method(planner, CONTROLLER, TorqueController)
     # No law keeps the joints within the speed that the drive permits.

@@ -35,16 +35,17 @@ def straight(count=2000, speed=0.1):
     return START + speed * TIMES[:count, None] * np.array([0.6, 0.0, 0.8])
 
 
+def measured(*arguments, **changes):
+    return measure(episode(*arguments, **changes), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
+
+
 def test_a_straight_motion_is_as_long_as_its_displacement():
-    metrics = measure(episode(straight()), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
-    assert metrics.path_length == pytest.approx(0.2)
-    assert metrics.path_ratio == pytest.approx(1.0)
-    assert metrics.reached
-    assert metrics.time == pytest.approx(2.0)
+    metrics = measured(straight())
+    assert (metrics.path_length, metrics.path_ratio) == (pytest.approx(0.2), pytest.approx(1.0))
+    assert metrics.reached and metrics.time == pytest.approx(2.0)
     # The slowest axis decides: 0.16 m at 0.088 m/s.
     assert metrics.time_ratio == pytest.approx(2.0 / (0.16 / 0.088))
-    assert metrics.end_error == 0.009
-    assert metrics.end_speed == pytest.approx(0.1)
+    assert (metrics.end_error, metrics.end_speed) == (0.009, pytest.approx(0.1))
 
 
 def test_forces_torques_and_impulse():
@@ -52,34 +53,20 @@ def test_forces_torques_and_impulse():
     forces[100:600, 2], forces[100:600, 3] = 12.0, 4.0
     forces[700:900, 5] = 5.0
     torques[50, 4], torques[60, 1] = -7.5, 3.0
-    metrics = measure(
-        episode(straight(), link_forces=forces, external_torques=torques),
-        TARGET,
-        PlanningSettings(),
-        ImpedanceSettings(),
-        10.0,
-    )
-    assert metrics.max_contact_force == 12.0
+    metrics = measured(straight(), link_forces=forces, external_torques=torques)
+    assert (metrics.max_contact_force, metrics.max_external_torque) == (12.0, 7.5)
     assert metrics.contact_impulse == pytest.approx(12.0 * 0.5 + 5.0 * 0.2)
     assert metrics.over_budget == pytest.approx(0.5)
-    assert metrics.max_external_torque == 7.5
 
 
 def test_without_a_first_plan_there_is_nothing_to_measure():
-    empty = episode(np.zeros((0, 3)), duration=float("nan"), failure="no path")
-    metrics = measure(empty, TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
+    metrics = measured(np.zeros((0, 3)), duration=float("nan"), failure="no path")
     assert (metrics.failure, metrics.end_error, metrics.end_speed) == ("no path", None, None)
-    assert metrics.path_length == 0.0
-    assert metrics.max_contact_force == metrics.max_external_torque == 0.0
+    assert metrics.path_length == metrics.max_contact_force == metrics.max_external_torque == 0.0
 
 
 def test_a_goal_that_asks_for_rest_is_reached_when_the_tip_has_settled():
-    passing = measure(episode(straight(), until_settled=True), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0)
-    assert not passing.reached
-    assert passing.time is None
-    assert passing.entry_time == pytest.approx(2.0)
-    settled = measure(
-        episode(straight(), until_settled=True, settled=2.4), TARGET, PlanningSettings(), ImpedanceSettings(), 10.0
-    )
-    assert settled.reached
-    assert (settled.time, settled.entry_time) == (2.4, pytest.approx(2.0))
+    passing = measured(straight(), until_settled=True)
+    assert (passing.reached, passing.time, passing.entry_time) == (False, None, pytest.approx(2.0))
+    settled = measured(straight(), until_settled=True, settled=2.4)
+    assert (settled.reached, settled.time, settled.entry_time) == (True, 2.4, pytest.approx(2.0))

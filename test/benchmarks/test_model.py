@@ -25,7 +25,7 @@ from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 SETTINGS = PlanningSettings()
 FEW = PlanningSettings(population=32, line_search_points=32, max_steps=4, substeps=4)
-STATES, CONTACTS = 220, 60
+STATES, CONTACTS = 80, 60
 LIMIT_MARGIN, START_SPEED = 0.3, 0.2
 """rad; rad/s."""
 GAP = 0.001
@@ -88,9 +88,8 @@ def stacked(values):
     return single(np.stack(values, axis=-1))
 
 
-def predict(cases: list[Case], substeps: int = SETTINGS.substeps) -> list[Motion]:
+def predict(cases: list[Case]) -> list[Motion]:
     """The transfer model on all cases at once."""
-    settings = dataclasses.replace(SETTINGS, substeps=substeps)
     obstacles = None
     if cases[0].scene.obstacles:
         reader = ObstacleReader(ARM, 1)
@@ -99,8 +98,8 @@ def predict(cases: list[Case], substeps: int = SETTINGS.substeps) -> list[Motion
         obstacles = each[0]._replace(center=centers, rest=centers)
     q, v = stacked([case.scene.start for case in cases]), stacked([case.v for case in cases])
     goal = single(np.zeros((3, 1))), single(np.eye(3)[:, :, None])
-    problem = Problem(q, v, obstacles, *goal, term_weights(settings), 0.0)
-    objective = make_objective(ARM, settings, ImpedanceSettings())
+    problem = Problem(q, v, obstacles, *goal, term_weights(SETTINGS), 0.0)
+    objective = make_objective(ARM, SETTINGS, ImpedanceSettings())
     rollout = jax.device_get(jax.jit(objective.roll_out)(problem, stacked([case.actions for case in cases])))
     parts = rollout.pose.position[1:], rollout.pose.rotation[1:], rollout.q[1:], rollout.link_force
     return [Motion(*(part[..., index] for part in parts)) for index in range(len(cases))]
@@ -134,7 +133,7 @@ def test_free_motion_agrees_to_a_millimetre_and_half_a_degree():
         return float(np.linalg.norm(ours.positions - theirs.positions, axis=1).max())
 
     common = [(ours, theirs) for ours, theirs, is_common in pairs if is_common]
-    assert len(common) >= 150
+    assert len(common) >= 50
     assert max(away(*pair) for pair in common) <= 1e-3
     # What no arm could follow is not far off either, as a rule.
     assert np.percentile([away(ours, theirs) for ours, theirs, _ in pairs], 90) <= 1e-3
@@ -144,24 +143,13 @@ def test_free_motion_agrees_to_a_millimetre_and_half_a_degree():
         assert np.linalg.norm(turn - np.eye(3), axis=(1, 2)).max() / np.sqrt(2.0) <= np.radians(0.5)
 
 
-@pytest.fixture(scope="module")
-def pushed():
+def test_contact_forces_agree_with_the_simulation_s_own_contacts():
     random = np.random.default_rng(1)
-    cases = [draw_contact(random, BallSettings(friction=0.0)) for _ in range(CONTACTS)]
-    return cases, [simulated(case) for case in cases]
-
-
-def force_errors(pushed, substeps: int = SETTINGS.substeps):
-    """Relative errors (M,) of the largest force on a link, where it is at least 1 N."""
-    cases, true = pushed
-    pairs = zip(predict(cases, substeps), true, strict=True)
-    return np.array(
-        [ours.force / motion.force - 1.0 for ours, (motion, is_common) in pairs if is_common and motion.force >= 1.0]
+    pairs = compared([draw_contact(random, BallSettings(friction=0.0)) for _ in range(CONTACTS)])
+    # Of the largest force on a link.
+    error = np.array(
+        [ours.force / theirs.force - 1.0 for ours, theirs, is_common in pairs if is_common and theirs.force >= 1.0]
     )
-
-
-def test_contact_forces_agree_with_the_simulation_s_own_contacts(pushed):
-    error = force_errors(pushed)
     assert len(error) >= 20
     assert np.median(np.abs(error)) <= 0.05
     assert np.mean(np.abs(error) <= 0.15) >= 0.85

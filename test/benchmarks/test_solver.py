@@ -14,17 +14,11 @@ from contact_reach_ros.planning.settings import SOLVERS, PlanningSettings
 SMALL = PlanningSettings(population=16, line_search_points=16, horizon=1, substeps=2)
 
 
-@pytest.fixture(scope="module")
-def race(tmp_path_factory) -> dict:
-    folder = tmp_path_factory.mktemp("bench")
-    bench_solver(["free"], 4, 0.03, file=folder / "report.json", settings=SMALL)
-    assert bench(pictures, folder / "report.json", folder / "race.png") == 0
-    assert (folder / "race.png").stat().st_size > 10_000
-    return json.loads((folder / "report.json").read_text())["scenes"]["free"]
-
-
 @pytest.mark.slow
-def test_every_solver_lowers_the_cost_and_a_warm_start_is_a_lead(race):
+def test_every_solver_lowers_the_cost_and_a_warm_start_is_a_lead(tmp_path):
+    bench_solver(["free"], 4, 0.03, file=tmp_path / "report.json", settings=SMALL)
+    assert bench(pictures, tmp_path / "report.json", tmp_path / "race.png") == 0
+    race = json.loads((tmp_path / "report.json").read_text())["scenes"]["free"]
     for name in LABELS:
         curves = {start: [entry["mean"] for entry in race[start][name]["curve"]] for start in ("cold", "warm")}
         for curve in curves.values():

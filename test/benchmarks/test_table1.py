@@ -9,15 +9,7 @@ from test_grid import TINY
 from benchmarks import pictures, table1
 from benchmarks.table1 import Table1, bench_table1
 
-BENCH = Table1(
-    scenes=("free",),
-    goals=("hold",),
-    methods=("cma_es",),
-    targets=2,
-    repeats=3,
-    timeout=0.6,
-    latency=0.05,
-)
+BENCH = Table1(scenes=("free",), goals=("hold",), methods=("cma_es",), targets=2, repeats=3, timeout=0.6, latency=0.05)
 
 
 @pytest.mark.slow
@@ -41,7 +33,6 @@ def test_a_run_writes_its_episodes_and_claims_and_can_be_drawn(tmp_path, capsys)
         (["--methods", "rrt"], "--methods 'rrt' is unknown; expected one of contact_reach"),
         (["--scenes", "sphere"], "scene 'sphere' is unknown"),
         (["--targets", "0"], "--targets 0: expected at least 1"),
-        (["--workers", "0"], "--workers 0: expected at least 1"),
         (["--preset", "paper"], "preset 'paper' is unknown; expected one of paper_linear"),
     ],
 )

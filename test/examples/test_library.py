@@ -42,29 +42,18 @@ def stack(scene) -> cr.Stack:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("make", "message"),
     [
-        ({"name": "bal"}, "scene 'bal' is unknown; expected one of ball, "),
-        ({"seed": -1}, "seed = -1: expected an integer from 0 on"),
-        ({"target": [np.nan, 0.0, 0.0]}, "goal: position = .*; expected (three|finite) numbers"),
-        ({"target": [5.0, 0.0, 0.0]}, "the arm reaches 0.85 m"),
+        (lambda scene: cr.load_scene("bal"), "scene 'bal' is unknown; expected one of ball, "),
+        (lambda scene: cr.load_scene("ball", seed=-1), "seed = -1: expected an integer from 0 on"),
+        (lambda scene: cr.load_scene("ball", target=[np.nan, 0.0, 0.0]), "goal: position"),
+        (lambda scene: cr.Stack(scene, seed=1.5), "seed = 1.5: expected an integer"),
+        (lambda scene: cr.Stack(scene, period=0.0015), "period = 1.5 ms"),
     ],
 )
-def test_scenes_that_cannot_be_loaded(arguments, message):
+def test_scenes_and_stacks_that_cannot_be_made_are_refused(scene, make, message):
     with pytest.raises(cr.ContactReachError, match=message):
-        cr.load_scene(**{"name": "ball", **arguments})
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"seed": 1.5}, "seed = 1.5: expected an integer"),
-        ({"period": 0.0015}, "period = 1.5 ms: the simulated robot has a whole number of milliseconds"),
-    ],
-)
-def test_stacks_that_cannot_be_made(scene, arguments, message):
-    with pytest.raises(cr.ContactReachError, match=message):
-        cr.Stack(**{"scene": scene, **arguments})
+        make(scene)
 
 
 def test_settings_take_numbers_and_arrays_of_numpy():
@@ -76,29 +65,25 @@ def test_settings_take_numbers_and_arrays_of_numpy():
             cr.PlanningSettings(**wrong)
 
 
-def test_planner_has_its_settings(scene):
+def test_planner_controller_and_observer_of_the_user_are_used(scene):
+    controller = cr.Controller(ARM, cr.ControllerSettings())
+    observer = cr.Observer(ARM, cr.ObserverSettings(), cr.ContactBudget())
+    stack = cr.Stack(scene, controller=controller, observer=observer, planner=NoPlans())
+    assert (stack.controller, stack.observer) == (controller, observer)
     planner = cr.make_planner(ARM, 1, core=NoPlans())
     assert cr.Stack(scene, planner=planner).planner is planner
     with pytest.raises(cr.ContactReachError, match="planner is a Planner with settings of its own"):
         cr.Stack(scene, planner=planner, planning=cr.PlanningSettings())
 
 
-def test_controller_and_observer_of_the_user_are_used(scene):
-    controller = cr.Controller(ARM, cr.ControllerSettings())
-    observer = cr.Observer(ARM, cr.ObserverSettings(), cr.ContactBudget())
-    stack = cr.Stack(scene, controller=controller, observer=observer, planner=NoPlans())
-    assert (stack.controller, stack.observer) == (controller, observer)
-
-
 @pytest.mark.parametrize(
     ("position", "others", "message"),
     [
-        ([5.0, 0.0, 0.0], {}, "goal: position is 5.013 m from the shoulder .* the arm reaches 0.85 m"),
+        ([5.0, 0.0, 0.0], {}, "goal: position is .* the arm reaches 0.85 m"),
         ([0.0, 0.0, 0.2], {}, "goal: position = .* lies inside the base"),
-        ([np.nan, 0.0, 0.0], {}, "expected finite numbers in m"),
-        (NEAR, {"orientation": "up"}, "orientation = 'up'; expected 'hold', 'free' or a unit quaternion"),
+        (NEAR, {"orientation": "up"}, "orientation = 'up'; expected"),
         (NEAR, {"orientation": [0.0, 0.0, 1.0, 1.0]}, "expected a unit quaternion"),
-        (NEAR, {"frame": "world"}, "frame 'world' is unknown; expected 'lbr_link_0'"),
+        (NEAR, {"frame": "world"}, "frame 'world' is unknown; expected"),
     ],
 )
 def test_goals_that_are_refused(stack, position, others, message):

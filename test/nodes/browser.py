@@ -26,10 +26,15 @@ _THROTTLE_MS = 60
 _FIND_INPUT = (
     "(() => {{ const labels = [...document.querySelectorAll('label')].filter(e => e.innerText.trim() === {0}); "
     "for (const l of labels) {{ let n = l; for (let i = 0; i < 5 && n; i++) {{ "
-    "const e = n.querySelectorAll('input:not([type=hidden])')[{2}]; if (e) {{ {1} }} n = n.parentElement; }} }} "
+    "const e = n.querySelector('input:not([type=hidden])'); if (e) {{ {1} }} n = n.parentElement; }} }} "
     "return null; }})()"
 )
-"""Does something with one of the inputs next to a label."""
+"""Does something with the first input next to a label."""
+_MIDDLE = (
+    "e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect(); "
+    "return [r.x + r.width / 2, r.y + r.height / 2];"
+)
+"""Returns the middle of an element."""
 
 
 def find_chromium() -> str | None:
@@ -64,9 +69,8 @@ class Page:
 
     def open(self, url: str, width: int = 1280, height: int = 800) -> None:
         """Load a page in a window of some size."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
-        )
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         self.call("Page.navigate", url=url)
         self.address = url
 
@@ -100,22 +104,18 @@ class Page:
             f"[...document.querySelectorAll({json.dumps(selector)})].find(e => e.innerText.trim() === "
             f"{json.dumps(text)} && e.getClientRects().length && !e.disabled)"
         )
-        place = self.wait_for(
-            f"(() => {{ const e = {find}; if (!e) return null; e.scrollIntoView({{block: 'center'}}); "
-            "const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; })()",
-            f"{selector} '{text}'",
-        )
-        self.press(*place)
+        place = f"(() => {{ const e = {find}; if (!e) return null; {_MIDDLE} }})()"
+        self.press(*self.wait_for(place, f"{selector} '{text}'"))
 
     def press(self, x: float, y: float) -> None:
         """Press and release the mouse, and let the page send what that changed."""
-        self._mouse("mousePressed", x, y)
-        self._mouse("mouseReleased", x, y)
+        for kind, buttons in (("mousePressed", 1), ("mouseReleased", 0)):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
         self._settle()
 
-    def fill(self, label: str, value: str, number: int = 0) -> None:
-        """Put a text into the input next to a label, one of several where there are, and leave it."""
-        self.press(*self._input(label, number))
+    def fill(self, label: str, value: str) -> None:
+        """Put a text into the first input next to a label, and leave it."""
+        self.press(*self._input(label))
         self.run("document.activeElement.select()")
         self.call("Input.insertText", text=value)
         for kind in ("keyDown", "keyUp"):
@@ -137,25 +137,15 @@ class Page:
 
     def value(self, label: str) -> str:
         """What the first input next to a label holds."""
-        return self.wait_for(_FIND_INPUT.format(json.dumps(label), "return e.value;", 0), f"input '{label}'")
+        return self.wait_for(_FIND_INPUT.format(json.dumps(label), "return e.value;"), f"input '{label}'")
 
-    def _input(self, label: str, number: int = 0) -> tuple[float, float]:
-        """Where an input next to a label is that takes text."""
-        place = self.wait_for(
-            _FIND_INPUT.format(
-                json.dumps(label),
-                "e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect(); "
-                "return [r.x + r.width / 2, r.y + r.height / 2];",
-                number,
-            ),
-            f"input '{label}'",
-        )
-        return place[0], place[1]
+    def _input(self, label: str) -> tuple[float, float]:
+        """Where the first input next to a label is."""
+        return tuple(self.wait_for(_FIND_INPUT.format(json.dumps(label), _MIDDLE), f"input '{label}'"))
 
-    def screenshot(self, file: Path) -> Path:
+    def screenshot(self, file: Path) -> None:
         """Write what the window shows as PNG."""
         file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
-        return file
 
     def close(self) -> None:
         """Let go of the tab."""
@@ -165,10 +155,6 @@ class Page:
         """Timers come in the order of their times: after this one the page's own has sent what it held back."""
         self.run(f"new Promise(done => setTimeout(done, {_THROTTLE_MS}))")
 
-    def _mouse(self, kind: str, x: float, y: float) -> None:
-        held = kind == "mousePressed" or kind == "mouseMoved"
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=int(held), clickCount=1)
-
 
 @contextmanager
 def chromium(folder: Path) -> Iterator[Page]:
@@ -177,23 +163,11 @@ def chromium(folder: Path) -> Iterator[Page]:
     assert path is not None
     home = folder / "chromium"
     home.mkdir()
-    command = [
-        path,
-        "--headless=new",
-        "--remote-debugging-port=0",
-        f"--user-data-dir={home}",
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--no-first-run",
-        "--disable-extensions",
-        "--disable-background-networking",
-        "--mute-audio",
-        "--disable-renderer-backgrounding",
-        "--disable-backgrounding-occluded-windows",
-        "--disable-background-timer-throttling",
-        *(["--no-sandbox"] if os.geteuid() == 0 else []),
-        "about:blank",
-    ]
+    flags = "--headless=new --remote-debugging-port=0 --use-angle=swiftshader --enable-unsafe-swiftshader "
+    flags += "--no-first-run --disable-extensions --disable-background-networking --disable-renderer-backgrounding "
+    flags += "--disable-backgrounding-occluded-windows --disable-background-timer-throttling "
+    flags += "--no-sandbox" * (os.geteuid() == 0)
+    command = [path, *flags.split(), f"--user-data-dir={home}", "about:blank"]
     with (folder / "chromium.log").open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, "HOME": str(home)})
     try:

@@ -1,7 +1,8 @@
-"""Messages that are well-typed and absurd, made from the definition of any type."""
+"""Messages that are well-typed and absurd, made from the definition of any type, and bytes that are no messages."""
 
 import array
 import re
+from collections.abc import Iterator
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -14,27 +15,15 @@ _NOT_UTF8 = "NOT_UTF8"
 _TIMES = {"builtin_interfaces/Time": Time, "builtin_interfaces/Duration": Duration}
 
 _FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-320, 1e300, -1e300, float("inf"), float("-inf"), float("nan"))
+_NAMES = ["observer", "controller", "lbr_A1", "lbr_link_0", "obstacles", "edges", "rest", "fixed", "arm"]
 _TEXTS = (
     "",
-    " ",
     "nan",
     "-1e999 0 0",
-    "observer",
-    "controller",
-    "lbr_A1",
-    "lbr_link_0",
+    *_NAMES,
     "contact link",
     "stop code",
-    "obstacles",
-    "edges",
-    "rest",
-    "fixed",
-    "arm",
-    "payload mass=3; payload mass",
-    "push link='",
     "\N{SNOWMAN}\n\t%s {0}",
-    "../" * 40,
-    "a" * 300,
     "a" * 10_000,
     _NOT_UTF8,
 )
@@ -124,3 +113,16 @@ def _absurd_list(draw, kind, value):
 def _sendable(text):
     # A text of a message ends at its first zero; surrogates cannot be encoded.
     return text.replace("\0", "").encode(errors="ignore").decode()
+
+
+def garbage(message: bytes) -> Iterator[bytes]:
+    """Nothing, a serialised message cut off at many places, and random bytes with and without a message's header."""
+    header = message[:4]
+    yield b""
+    yield header + b"\xff\xff\xff\x7f"
+    for end in range(1, len(message) - 8, max(1, len(message) // 40)):
+        yield message[:end]
+    random = np.random.default_rng(0)
+    for size in range(1, 200, 7):
+        yield random.bytes(size)
+        yield header + random.bytes(size)

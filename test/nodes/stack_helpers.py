@@ -1,7 +1,8 @@
-"""Running the stack in tests: real processes on a ROS domain of their own."""
+"""Running the stack in tests: real processes on a ROS domain of their own, or nodes in this one."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -21,6 +22,8 @@ from contact_reach_ros.ros.inbox import Inbox
 
 SMALL_PLANNER = {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}
 """Plans in a fraction of the time; the programs are those of `planning_helpers.SMALL`, which are compiled only once."""
+UNWATCHED = ["--ros-args", "-p", "supervision.require_observer:=false"]
+"""Arguments of a controller that moves an arm without an observer."""
 
 
 def environment() -> dict[str, str]:
@@ -39,10 +42,6 @@ def parameter_file(path: Path, **nodes: dict) -> Path:
 def module(name: str) -> list[str]:
     """Command that runs a module of the package."""
     return [sys.executable, "-m", f"contact_reach_ros.{name}"]
-
-
-UNWATCHED = ["--ros-args", "-p", "supervision.require_observer:=false"]
-"""Arguments of a controller that moves an arm without an observer."""
 
 
 @contextmanager
@@ -102,6 +101,34 @@ def wait_for(condition: Callable[[], object], timeout: float, what: str) -> None
     while not condition():
         assert time.monotonic() < deadline, f"not within {timeout:.0f} s: {what}"
         time.sleep(0.05)
+
+
+def ready(process: subprocess.Popen, output: Path, marker: str = "all nodes are active") -> None:
+    """Wait until a process has printed that it is up."""
+    wait_for(lambda: marker in output.read_text() or process.poll() is not None, 300, marker)
+    assert process.poll() is None, output.read_text()
+
+
+_MANY = """
+import json, sys
+from contact_reach_ros.cli import main
+
+for line in json.loads(sys.argv[1]):
+    try:
+        main(line.split())
+    except SystemExit as ended:
+        print(ended.code, flush=True)
+"""
+
+
+def command_lines(env: dict[str, str], *lines: str) -> list[tuple[int, str]]:
+    """Run command lines in one process; returns the exit code of each, with the last line that it printed."""
+    command = [sys.executable, "-c", _MANY, json.dumps(lines)]
+    result = subprocess.run(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=400)
+    printed = result.stdout.splitlines()
+    ends = [index for index, line in enumerate(printed) if line.isdecimal()]
+    assert len(ends) == len(lines), result.stdout
+    return [(int(printed[index]), printed[index - 1]) for index in ends]
 
 
 def processes_of_domain(domain: str) -> dict[str, int]:

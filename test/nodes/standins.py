@@ -24,33 +24,43 @@ from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation
 from contact_reach_ros.timing import NANOSECONDS
 
-ARGUMENTS = {
-    "effort": ["watchdog.enabled:=false"],
-    "lbr": ["watchdog.enabled:=false", "watchdog.carries:=true"],
-    "franka": ["watchdog.enabled:=false", "watchdog.carries:=true"],
-}
-"""Parameters of the simulated robot by kind of driver."""
 
+class StandIn(DriverNode):
+    """Commands nothing on top of gravity until it is told to."""
 
-class EffortDriver(DriverNode):
-    """An effort controller of ros2_control, in an order of its own; deactivated, it sends zeros."""
-
-    BRAKES = False
-    """Whether the arm is held when no controller is active."""
+    BRAKES = True
+    """Whether brakes hold the arm when no controller is active; they open with the first command."""
 
     def __init__(self):
         super().__init__()
         if self.BRAKES:
-            open_at_once(self)
-        self.joints = [self.arm.joint_names[index] for index in (2, 0, 1, 6, 5, 4, 3)]
-        self._is_active = True
-        self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
-        self.create_service(SwitchController, "controller_manager/switch_controller", self._on_switch)
+            self.robot.drive = Drive(self.robot.plant, self.settings["watchdog"], open_after=0.0)
 
     def activate(self):
         super().activate()
         if self.BRAKES:
-            send_zeros(self)
+            self.send_zeros()
+
+    def send_zeros(self):
+        """As a controller that has just been activated."""
+        self.robot.command(np.zeros(self.arm.n), self.robot.now_ns if self.lockstep else time.monotonic_ns())
+
+    def external_torque(self):
+        """Torque of contacts and pushes on the joints, (n,), N m."""
+        return self.robot.plant.data.qfrc_constraint[: self.arm.n].copy()
+
+
+class EffortDriver(StandIn):
+    """An effort controller of ros2_control, in an order of its own; deactivated, it sends zeros."""
+
+    BRAKES = False
+
+    def __init__(self):
+        super().__init__()
+        self.joints = [self.arm.joint_names[index] for index in (2, 0, 1, 6, 5, 4, 3)]
+        self._is_active = True
+        self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
+        self.create_service(SwitchController, "controller_manager/switch_controller", self._on_switch)
 
     def read_torque(self, data):
         torque = super().read_torque(data)
@@ -67,7 +77,7 @@ class EffortDriver(DriverNode):
             self.robot.drive.stop("no controller is active")
         elif self.BRAKES:
             self.robot.drive.reset()
-        send_zeros(self)
+        self.send_zeros()
         response.ok = True
         return response
 
@@ -91,9 +101,8 @@ class FrankaDriver(EffortDriver):
         return self._torque.copy()
 
     def publish_state(self, state):
-        external = external_torque(self.robot)
         moves = self.robot.plant.actuation is Actuation.COMMANDED
-        if moves and self._reflexes is not None and (np.abs(external) > self._reflexes).any():
+        if moves and self._reflexes is not None and (np.abs(self.external_torque()) > self._reflexes).any():
             self.robot.drive.stop("reflex")
         super().publish_state(state)
 
@@ -103,7 +112,7 @@ class FrankaDriver(EffortDriver):
         return response
 
 
-class LbrDriver(DriverNode):
+class LbrDriver(StandIn):
     """lbr_fri_ros2_stack: FRI's state with torques behind a low-pass of 10 Hz, and torque overlays with positions.
 
     KUKA's controller ends the session when the connection is closed, or when the commanded position is far from the
@@ -118,15 +127,10 @@ class LbrDriver(DriverNode):
 
     def __init__(self):
         super().__init__()
-        open_at_once(self)
         self._torque = self._external = None
         self._is_open = True
         name = "lbr/controller_manager/set_hardware_component_state"
         self.create_service(SetHardwareComponentState, name, self._on_component)
-
-    def activate(self):
-        super().activate()
-        send_zeros(self)
 
     def read_torque(self, data):
         message = deserialize_message(data, LBRTorqueCommand)
@@ -141,11 +145,10 @@ class LbrDriver(DriverNode):
         carried = self.robot.drive._model.gravity_at(state.q)
         # Before the first step the simulated sensors show nothing.
         self._torque = self._filtered(self._torque, np.where(np.isnan(state.torque), carried, state.torque))
-        self._external = self._filtered(self._external, external_torque(self.robot))
-        steps = self.robot.plant.steps
+        self._external = self._filtered(self._external, self.external_torque())
         message = LBRState(
             sample_time=self.period,
-            session_state=4 if steps > self.SESSION_AFTER_S * 1000 else 3,
+            session_state=4 if self.robot.plant.steps > self.SESSION_AFTER_S * 1000 else 3,
             connection_quality=3,
             client_command_mode=3,
             time_stamp_sec=state.stamp_ns // NANOSECONDS,
@@ -160,8 +163,8 @@ class LbrDriver(DriverNode):
     def _filtered(self, before, value):
         if before is None:
             return value
-        angle = 2.0 * math.pi * self.CUTOFF * self.period
-        share = math.cos(angle) - 1.0 + math.sqrt(math.cos(angle) ** 2 - 4.0 * math.cos(angle) + 3.0)
+        cosine = math.cos(2.0 * math.pi * self.CUTOFF * self.period)
+        share = cosine - 1.0 + math.sqrt(cosine**2 - 4.0 * cosine + 3.0)
         return before + share * (value - before)
 
     def _on_component(self, request, response):
@@ -175,26 +178,10 @@ class LbrDriver(DriverNode):
         self.robot.drive.stop(why)
 
 
-def open_at_once(driver):
-    """Open the brakes with the first command."""
-    driver.robot.drive = Drive(driver.robot.plant, driver.settings["watchdog"], open_after=0.0)
-
-
-def send_zeros(driver):
-    """Command nothing on top of gravity, as a controller does that has just been activated."""
-    driver.robot.command(np.zeros(driver.arm.n), driver.robot.now_ns if driver.lockstep else time.monotonic_ns())
-
-
-def external_torque(robot):
-    """Torque of contacts and pushes on the joints, (n,), N m."""
-    data, joints = robot.plant.data, slice(0, robot.scene.arm.n)
-    return data.qfrc_constraint[joints].copy()
-
-
 DRIVERS = {"effort": EffortDriver, "lbr": LbrDriver, "franka": FrankaDriver}
 
 if __name__ == "__main__":
     assert topics.COMMANDS.name == "effort_controller/commands"
     kind = sys.argv.pop(1)
-    arguments = [part for argument in ARGUMENTS[kind] for part in ("-p", argument)]
-    sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", *arguments]))
+    carries = [] if kind == "effort" else ["-p", "watchdog.carries:=true"]
+    sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", "-p", "watchdog.enabled:=false", *carries]))

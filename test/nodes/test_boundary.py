@@ -1,5 +1,6 @@
-"""What a fault of a node's own program leads to, and what its lifecycle and its parameters permit."""
+"""What a fault of a node's own program leads to, and what its lifecycle, its services and its parameters permit."""
 
+import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -8,16 +9,22 @@ from arm_simulation import HOME, REST, TICK_NS
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.serialization import serialize_message
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
 from stack_helpers import UNWATCHED, Published, hand_in, ros
+from std_msgs.msg import Int64MultiArray
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import InputError, StopCode
+from contact_reach_ros.errors import InputError, StopCode, requested
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.serialized import JointStateWriter, read_command
+from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode
+from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.ros.boundary import INTERNAL, Boundary
 
@@ -97,16 +104,9 @@ def test_a_fault_in_the_observer_stops_the_arm(monkeypatch):
         assert {entry.key: entry.value for entry in message.values}["stop code"] == StopCode.INTERNAL.value
 
 
-@pytest.mark.parametrize("transition", [Transition.TRANSITION_ACTIVE_SHUTDOWN, Transition.TRANSITION_DEACTIVATE])
-def test_a_node_that_was_shut_down_or_deactivated_does_nothing_any_more(controller, transition):
-    node, _ = controller
-    assert change_state(node, id=transition)
-    assert not node.running
-
-
 def test_a_transition_that_fails_says_why_and_the_node_is_not_active(controller, monkeypatch):
     node, _ = controller
-    assert change_state(node, label="deactivate")
+    assert change_state(node, label="deactivate") and not node.running
 
     def fail(*_):
         raise InputError("no such arm")
@@ -115,8 +115,8 @@ def test_a_transition_that_fails_says_why_and_the_node_is_not_active(controller,
     assert not change_state(node, id=Transition.TRANSITION_ACTIVATE)
     assert node.refused == {"transitions": 1} and not node.running
     monkeypatch.undo()
-    assert change_state(node, id=Transition.TRANSITION_ACTIVATE)
-    assert node.running
+    assert change_state(node, id=Transition.TRANSITION_ACTIVATE) and node.running
+    assert change_state(node, id=Transition.TRANSITION_ACTIVE_SHUTDOWN) and not node.running
 
 
 def test_a_message_that_would_take_long_to_read_is_refused_unread(controller):
@@ -135,3 +135,46 @@ def test_what_is_logged_of_a_refusal_is_short():
         boundary.refuse("goals", InputError("a" * size))
     (line,) = boundary.last_refusals()
     assert boundary.refused == {"goals": 2} and len(line) < 600
+
+
+NODES = (AdapterNode, ControllerNode, DriverNode, ObserverNode)
+
+
+@pytest.mark.parametrize("node_class", NODES)
+def test_a_node_keeps_the_tool_that_it_was_started_with(node_class):
+    with ros():
+        node = node_class()
+        (result,) = node.set_parameters([Parameter("tool.mass", value=1.0)])
+        assert not result.successful and "read-only" in result.reason
+        assert node.get_parameter("tool.mass").value == 0.0
+
+
+def test_a_reset_before_any_joint_state_is_refused_with_the_reason():
+    with ros():
+        node = ControllerNode()
+        node.boundary.protect(node)
+        threading.Timer(0.1, node.inbox.run_tasks).start()
+        (service,) = (service for service in node.services if service.srv_name.endswith("/reset"))
+        answer = service.callback(Trigger.Request(), Trigger.Response())
+    assert (answer.success, answer.message) == (False, "the controller has not seen a joint state yet")
+
+
+@pytest.mark.parametrize("node_class", [ControllerNode, ObserverNode])
+@pytest.mark.parametrize("running", [True, False])
+def test_a_requested_stop_is_in_the_bag_at_once_with_all_that_came_before_or_waits_while_inactive(node_class, running):
+    """A bag may end right after a stop: what led to it has been published by then."""
+    with ros():
+        node, rows = node_class(), []
+
+        def publish(data):
+            numbers = list(deserialize_message(data, Int64MultiArray).data)[1:]
+            rows.extend(numbers[:: len(COLUMNS)])
+
+        node.inbox.intake._publish = publish
+        node.running = running
+        node.inbox.intake.add(Taken.JOINT_STATES, 1, 2)
+        assert rows == []
+        node.stop_for(requested("stop service called"))
+        assert rows == ([Taken.JOINT_STATES, Taken.STOP] if running else [])
+        node.inbox.intake.flush()
+        assert rows == [Taken.JOINT_STATES, Taken.STOP]

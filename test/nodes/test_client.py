@@ -33,12 +33,8 @@ def hear(client, topic, message):
     hand_in(client.inbox, topic, serialize_message(message))
 
 
-def diagnostics(name, summary="", **values):
-    return DiagnosticArray(status=[to_status(name, summary, values)])
-
-
-def joint_state(effort):
-    return JointState(name=ARM.joint_names, position=ARM.home, effort=[effort] * ARM.n)
+def diagnostics(name, summary=""):
+    return DiagnosticArray(status=[to_status(name, summary, {})])
 
 
 def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
@@ -52,7 +48,7 @@ def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
         assert missing in ", ".join(client.missing())
         hear(client, topic, message)
         assert missing not in ", ".join(client.missing())
-    state = joint_state(float("nan"))
+    state = JointState(name=ARM.joint_names, position=ARM.home, effort=[float("nan")] * ARM.n)
     state.header.stamp.sec = 1
     assert "joint_states" in client.missing()
     hear(client, topics.JOINT_STATES, state)
@@ -85,16 +81,6 @@ def test_states_of_other_goals_do_not_count(client):
         state = GoalState(GoalPhase.RUNNING, distance=0.001 * stamp_ns)
         hear(client, topics.GOAL_STATE, to_goal_state(state, stamp_ns, "planner", ARM))
     assert client.goal_state.distance == pytest.approx(0.007)
-
-
-def test_services_that_are_not_there_are_named(client):
-    assert client.trigger("controller", "stop") == (False, "controller/stop: there is no such service")
-
-
-def test_messages_that_are_none_end_nothing(client):
-    hand_in(client.inbox, topics.SAFETY_STATE, b"\0\1")
-    hear(client, topics.GOAL_STATE, DiagnosticStatus(name="planner"))
-    assert client.goal_state is None
 
 
 BEFORE = {"plans accepted": "7"}

@@ -1,6 +1,5 @@
 """The main job, end to end and in lockstep: stack up, goal on the topic, arm reaches it, bag and report written."""
 
-import itertools
 import json
 import subprocess
 import sys
@@ -9,40 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_reach_command import contact_reach
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from stack_helpers import SMALL_PLANNER, environment, module, parameter_file
 
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bringup import demo as demo_module
+from contact_reach_ros.bringup.demo import INTERRUPTED, DemoOptions, run_demo
+from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import read_goal_state
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.planning.goal_progress import GoalPhase
+from contact_reach_ros.report.summary import EpisodeSummary
 
-TYPES = {
-    "/joint_states": "sensor_msgs/msg/JointState",
-    "/effort_controller/commands": "std_msgs/msg/Float64MultiArray",
-    "/goal_pose": "geometry_msgs/msg/PoseStamped",
-    "/goal/state": "diagnostic_msgs/msg/DiagnosticStatus",
-    "/reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
-    "/reference/posture": "trajectory_msgs/msg/JointTrajectory",
-    "/obstacles": "visualization_msgs/msg/MarkerArray",
-    "/external_torque": "sensor_msgs/msg/JointState",
-    "/external_wrench": "geometry_msgs/msg/WrenchStamped",
-    "/safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-    "/plan/path": "nav_msgs/msg/Path",
-    "/plan/markers": "visualization_msgs/msg/MarkerArray",
-    "/sim/contacts": "sensor_msgs/msg/JointState",
-    "/robot_description": "std_msgs/msg/String",
-    "/clock": "rosgraph_msgs/msg/Clock",
-    "/lockstep/horizon": "std_msgs/msg/Header",
-    "/plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
-    "/plan/request": "std_msgs/msg/Float64MultiArray",
-    "/settings": "diagnostic_msgs/msg/DiagnosticStatus",
-    "/intake/controller": "std_msgs/msg/Int64MultiArray",
-    "/intake/observer": "std_msgs/msg/Int64MultiArray",
-}
-
+UNHEARD = {topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS}
+"""Topics that the demo's stack does not publish."""
 GOAL_TICK = 502
 """Time at which the goal is sent, in joint states: the first look, every 0.1 s, at which the brakes are open."""
 
@@ -50,26 +30,23 @@ GOAL_TICK = 502
 def demo(folder, *arguments):
     parameters = parameter_file(folder / "small.yaml", planner=SMALL_PLANNER)
     command = [*module("cli"), "demo", "--lockstep", "--output", str(folder / "bags"), "--json", str(folder / "r.json")]
-    return subprocess.run(
-        [*command, "--parameters", str(parameters), *arguments],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
+    command += ["--scene", "ball", "--seed", "1", "--parameters", str(parameters), *arguments]
+    result = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=600)
+    assert "Traceback" not in result.stdout + result.stderr
+    return result, json.loads((folder / "r.json").read_text())
 
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("ball")
-    result = demo(folder, "--scene", "ball", "--seed", "1")
+    """The demo's output, its report and its bag."""
+    result, report = demo(tmp_path_factory.mktemp("ball"))
     assert result.returncode == 0, result.stdout + result.stderr
-    return result, json.loads((folder / "r.json").read_text())
+    return result.stdout, report, Path(report["bag"])
 
 
 def test_the_goal_is_reached_and_reported(ball):
-    result, report = ball
-    assert report["reached"] and report["safety_events"] == []
+    printed, report, _ = ball
+    assert report["reached"] and report["safety_events"] == [] and "reached" in printed
     assert report["final_error_m"] <= 0.01
     assert 0.1 < report["distance_m"] < 0.8
     # Nothing moves faster than the limit that the bound on the step and the gains set.
@@ -77,41 +54,31 @@ def test_the_goal_is_reached_and_reported(ball):
     assert 0.0 <= report["max_contact_force_N"] < 30.0
     assert 0.0 < report["max_external_torque_Nm"] < 30.0
     assert report["ticks"] > 1000 * report["duration_s"]
-    assert set(report["round_trip_us"]) == {"p50", "p99", "p999"}
-    assert set(report["plan_ms"]) == {"p50", "p95", "max"} and report["plan_ms"]["p50"] > 0.0
+    assert set(report["round_trip_us"]) == {"p50", "p99", "p999"} and report["plan_ms"]["p50"] > 0.0
     assert 0.0 < report["plan_age_ms_max"] < 300.0
-    assert "reached" in result.stdout and "Traceback" not in result.stdout + result.stderr
-    assert "plotly" in Path(report["report"]).read_text()
+    assert Path(report["plot"]).read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_bag_opens_with_the_mcap_library(ball):
-    _, report = ball
-    (file,) = Path(report["bag"]).glob("*.mcap")
-    counts, types, stamps = Counter(), {}, []
+def test_the_bag_opens_with_the_mcap_library_and_lacks_no_topic_and_no_tick(ball):
+    _, _, bag = ball
+    (file,) = bag.glob("*.mcap")
+    counts, types = Counter(), {}
     with file.open("rb") as stream:
-        for schema, channel, _, message in make_reader(
-            stream, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
+        for schema, channel, _ in make_reader(stream).iter_messages():
             counts[channel.topic] += 1
             types[channel.topic] = schema.name
-            if channel.topic == "/joint_states":
-                stamps.append((message.header.stamp.sec, message.header.stamp.nanosec))
-    assert types == TYPES
-    assert counts["/goal_pose"] == 1 and counts["/robot_description"] == 1
+    assert types == {f"/{topic.name}": topic.type_name for topic in topics.ALL if topic not in UNHEARD}
+    assert counts["/goal_pose"] == counts["/robot_description"] == 1
     assert counts["/reference/pose"] == counts["/reference/posture"] == counts["/plan/path"] > 20
     # In lockstep every state is answered, and none is missing.
-    assert len(stamps) > 1000
-    distinct = sorted(set(stamps))
-    steps = [
-        (later[0] - earlier[0]) * 1_000_000_000 + later[1] - earlier[1]
-        for earlier, later in itertools.pairwise(distinct)
-    ]
-    assert set(steps) == {1_000_000}
+    states = BagReader(bag).messages(["/joint_states"])
+    stamps = sorted({nanoseconds(state.message.header.stamp) for state in states})
+    assert len(stamps) > 1000 and set(np.diff(stamps)) == {1_000_000}
 
 
 def test_the_bag_tells_what_happened_to_the_goal(ball):
-    _, report = ball
-    reader = BagReader(Path(report["bag"]))
+    _, report, bag = ball
+    reader = BagReader(bag)
     read = [read_goal_state(item.message) for item in reader.messages(["/goal/state"])]
     (sent,) = (nanoseconds(item.message.header.stamp) for item in reader.messages(["/goal_pose"]))
     phases = list(dict.fromkeys(state.phase for _, state in read))
@@ -121,46 +88,31 @@ def test_the_bag_tells_what_happened_to_the_goal(ball):
     assert reached.distance <= 0.01 and reached.elapsed == pytest.approx(report["duration_s"], abs=0.02)
 
 
-def reexecuted(bag: str, folder: Path, *arguments: str) -> dict:
-    result = subprocess.run(
-        [*module("cli"), "reexecute", bag, *arguments, "--json", str(folder / "again.json")],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    return json.loads((folder / "again.json").read_text())
-
-
-def test_every_tick_of_the_bag_can_be_executed_again(ball, tmp_path):
-    """Also the first one: the recorder hears everybody before time begins."""
-    _, report = ball
-    again = reexecuted(report["bag"], tmp_path)
+def test_every_tick_of_the_bag_can_be_executed_again_and_a_plan_solved_again(ball, tmp_path):
+    """Also the first tick: the recorder hears everybody before time begins."""
+    _, report, bag = ball
+    assert contact_reach("reexecute", bag, "--json", tmp_path / "ticks.json") == 0
+    again = json.loads((tmp_path / "ticks.json").read_text())
     for node in ("controller", "observer"):
         found = again[node]
         assert found["identical"] and found["compared"] == found["outputs"] >= report["ticks"] - 100
-        assert found["largest_difference_Nm"] == 0.0
-
-
-def test_a_plan_of_the_bag_is_solved_again(ball, tmp_path):
-    _, report = ball
-    again = reexecuted(report["bag"], tmp_path, "--plan", "6")["plan"]
-    assert again["number"] == 6 and again["equal"]
-    assert again["now"]["cost"] == pytest.approx(float(again["recorded"]["cost"]), rel=1e-4)
+    assert contact_reach("reexecute", bag, "--plan", "6", "--json", tmp_path / "plan.json") == 0
+    plan = json.loads((tmp_path / "plan.json").read_text())["plan"]
+    assert plan["number"] == 6 and plan["equal"]
+    assert plan["now"]["cost"] == pytest.approx(float(plan["recorded"]["cost"]), rel=1e-4)
 
 
 SAME = ("joint_states", "effort_controller/commands", "external_torque", "reference/pose", "reference/posture")
 
 
-def recorded(bag: str, ticks: int) -> dict[str, list[str]]:
+def recorded(bag: Path, ticks: int) -> dict[str, list[str]]:
     """Messages of a bag with all digits, by topic: those of the first joint states, each of which is answered once.
 
     The bytes themselves may differ: the middleware leaves the padding of what it serializes as it finds it.
     """
     found: dict[str, list[str]] = {f"/{name}": [] for name in SAME}
     with np.printoptions(floatmode="unique", threshold=sys.maxsize):
-        for message in BagReader(Path(bag)).messages(found):
+        for message in BagReader(bag).messages(found):
             found[message.topic].append(repr(message.message))
     # The first one is repeated until everybody is there.
     found["/joint_states"] = list(dict.fromkeys(found["/joint_states"]))
@@ -170,21 +122,57 @@ def recorded(bag: str, ticks: int) -> dict[str, list[str]]:
 
 def test_a_run_beside_a_busy_program_is_the_same_to_the_last_digit(ball, tmp_path):
     """Joint states, commands, external torques and plans, from the first on until half a second after the goal."""
-    _, report = ball
+    _, _, bag = ball
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
         try:
-            demo(tmp_path, "--scene", "ball", "--seed", "1", "--timeout", "0.5")
+            _, again = demo(tmp_path, "--timeout", "0.5")
         finally:
             busy.kill()
-    again = json.loads((tmp_path / "r.json").read_text())
     ticks = again["ticks"]
     assert abs(ticks - (GOAL_TICK + 500)) <= 1
-    first, second = recorded(report["bag"], ticks), recorded(again["bag"], ticks)
+    first, second = recorded(bag, ticks), recorded(Path(again["bag"]), ticks)
     for name, data in first.items():
         assert len(data) > 10 and data == second[name], name
 
 
-def test_a_goal_out_of_reach_is_refused_before_anything_starts(tmp_path):
-    result = demo(tmp_path, "--goal", "2.0", "0.0", "0.5")
-    assert result.returncode == 2
-    assert "2.0" in result.stderr and "Traceback" not in result.stderr
+def test_a_goal_out_of_reach_is_refused_before_anything_starts(capsys):
+    assert contact_reach("demo", "--goal", "2.0", "0.0", "0.5") == 2
+    assert "2.0" in capsys.readouterr().err
+
+
+NAN = float("nan")
+STOPS = [{"time_s": 1.5, "source": "observer", "reason": "too much torque"}]
+
+
+def summary_of(reached: bool = False, missed: int = 0, stops: list[dict] | None = None) -> EpisodeSummary:
+    unknown = dict.fromkeys(("p50", "p95", "p99", "p999", "max"), NAN)
+    numbers = (0.2, NAN, 30.0, 0.5, 4.0, NAN, 0.0, 1.0)
+    return EpisodeSummary(reached, *numbers, 5000, missed, unknown, unknown, NAN, stops or [])
+
+
+@pytest.mark.parametrize(
+    ("code", "summary", "options", "runs"),
+    [
+        (1, summary_of(missed=400, stops=STOPS), {}, [False, True]),
+        (1, summary_of(missed=50, stops=STOPS), {}, [False]),
+        (0, summary_of(reached=True, missed=400), {}, [False]),
+        (1, summary_of(missed=400), {"lockstep": True}, [True]),
+        (1, summary_of(missed=400), {"view": True}, [False]),
+        (INTERRUPTED, summary_of(missed=400), {}, [False]),
+        (1, None, {}, [False]),
+    ],
+    ids=["stopped", "a stop in time", "reached", "lockstep", "page", "interrupted", "a process died"],
+)
+def test_what_a_slow_machine_fails_in_real_time_is_repeated_in_lockstep(
+    code, summary, options, runs, monkeypatch, capsys
+):
+    found: list[bool] = []
+
+    def run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
+        found.append(options.lockstep)
+        return (code, summary) if len(found) == 1 else (0, summary_of(reached=True))
+
+    monkeypatch.setattr(demo_module, "_run", run)
+    assert run_demo(DemoOptions(**options)) == (code if len(runs) == 1 else 0)
+    assert found == runs
+    assert ("400 ticks of 5400 were missed" in capsys.readouterr().out) == (len(runs) == 2)

@@ -35,13 +35,11 @@ for name in os.listdir("/proc/self/fd"):
 print(json.dumps([sorted(addresses), discovery.reach(os.environ)]))
 """
 
-VARIABLES = (discovery.RANGE, *discovery.PROFILES)
 
-
-def talk(*choice, **variables):
+def talk(*choice):
     """Socket addresses of a process with a node that publishes and subscribes, and what `reach` finds."""
-    env = {**stack_helpers.environment(), **variables}
-    result = subprocess.run([sys.executable, "-c", TALK, *choice], env=env, capture_output=True, text=True, timeout=60)
+    command = [sys.executable, "-c", TALK, *choice]
+    result = subprocess.run(command, env=stack_helpers.environment(), capture_output=True, text=True, timeout=60)
     assert result.returncode == 0, result.stderr
     addresses, reach = json.loads(result.stdout)
     return addresses, discovery.Reach(*reach)
@@ -49,21 +47,18 @@ def talk(*choice, **variables):
 
 def test_by_default_every_socket_is_bound_to_this_host():
     addresses, reach = talk()
-    assert "127.0.0.1" in addresses
-    others = [address for address in addresses if not address.startswith(("127.", "239.255."))]
-    assert not others
-    assert reach.choice == "host"
+    assert "127.0.0.1" in addresses and reach.choice == "host"
+    assert all(address.startswith(("127.", "239.255.")) for address in addresses)
 
 
 def test_subnet_opens_the_sockets_and_says_so():
     addresses, reach = talk("subnet")
-    assert "0.0.0.0" in addresses
-    assert reach.choice == "subnet" and "OPEN" in reach.text
+    assert "0.0.0.0" in addresses and reach.choice == "subnet" and "OPEN" in reach.text
 
 
 @pytest.fixture
 def unset(monkeypatch):
-    for name in VARIABLES:
+    for name in (discovery.RANGE, *discovery.PROFILES):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -71,44 +66,23 @@ def unset(monkeypatch):
 def test_middleware_that_reads_no_profile_gets_the_range(unset, monkeypatch, choice):
     monkeypatch.setattr(discovery, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
     variables = discovery.environment(choice)
-    assert set(variables) == {discovery.RANGE}
-    assert discovery.reach(variables) == discovery.Reach(choice, f"{discovery.RANGE}={variables[discovery.RANGE]}")
+    assert set(variables) == {discovery.RANGE} and discovery.reach(variables).choice == choice
 
 
-def test_nothing_is_set_over_the_choice_of_the_user(unset, monkeypatch):
+def test_nothing_is_set_over_the_choice_of_the_user_and_an_unknown_choice_is_refused(unset, monkeypatch):
+    with pytest.raises(SettingsError, match="discovery = 'world': expected one of"):
+        discovery.environment("world")
     monkeypatch.setenv(discovery.RANGE, "chosen")
     assert discovery.environment("subnet") == {}
-
-
-@pytest.mark.parametrize(
-    ("variables", "choice"),
-    [
-        ({discovery.RANGE: "LOCALHOST"}, "host"),
-        ({discovery.RANGE: "SUBNET"}, "subnet"),
-        ({}, "subnet"),
-        ({discovery.PROFILES[1]: "mine.xml"}, ""),
-    ],
-)
-def test_reach_of_what_users_set(variables, choice):
-    assert discovery.reach(variables).choice == choice
-
-
-def test_an_unknown_choice_is_refused(unset):
-    with pytest.raises(SettingsError, match="discovery = 'world': expected one of host, subnet"):
-        discovery.environment("world")
+    assert discovery.reach({discovery.PROFILES[1]: "mine.xml"}).choice == ""
 
 
 (ENTRY,) = (entry for entry in BringupOptions.declared() if entry.name == "discovery")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "value"),
-    [
-        ([], "host"),
-        (["--ros-args", "-p", "discovery:=subnet"], "subnet"),
-        (["--ros-args", "-p", "bringup:discovery:=subnet"], "subnet"),
-        (["--ros-args", "-p", "other:discovery:=subnet"], "host"),
-    ],
+    ("argument", "value"),
+    [("discovery:=subnet", "subnet"), ("bringup:discovery:=subnet", "subnet"), ("other:discovery:=subnet", "host")],
 )
-def test_bringup_knows_the_choice_before_ros_starts(arguments, value):
-    assert early_value(["bringup", *arguments], "bringup", ENTRY) == value
+def test_bringup_knows_the_choice_before_ros_starts(argument, value):
+    assert early_value(["bringup", "--ros-args", "-p", argument], "bringup", ENTRY) == value

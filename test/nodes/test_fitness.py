@@ -1,9 +1,11 @@
 """`contact-reach bench`: what it makes of counters; what it finds depends on the machine."""
 
+import re
 import subprocess
 
 import numpy as np
 import pytest
+from contact_reach_command import contact_reach
 from stack_helpers import environment, module
 
 from contact_reach_ros.doctor.fitness import timing_between
@@ -32,21 +34,15 @@ def test_only_what_happened_in_between_counts():
     assert found["compute_us"] == pytest.approx({"p50": 150.0, "p99": 199.0, "p999": 200.0}, abs=5.0)
 
 
-def bench(*arguments):
-    command = [*module("cli"), "bench", *arguments]
-    return subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, timeout=120)
-
-
 def test_the_loop_of_the_running_stack_is_timed_beside_another_program():
-    done = bench("--seconds", "2", "--load", "1")
+    command = [*module("cli"), "bench", "--seconds", "2", "--load", "1"]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     lines = dict(line.strip().split(maxsplit=1) for line in done.stdout.splitlines())
     assert int(lines["ticks"].split(",")[0]) > 500
-    for name in ("round", "woken", "controller"):
-        assert any(character.isdigit() for character in lines[name])
+    assert all(re.search(r"\d", lines[name]) for name in ("round", "woken", "controller"))
 
 
-def test_what_cannot_be_run_is_refused_at_once():
-    done = bench("--seconds", "0.5")
-    assert done.returncode == 2 and "--seconds 0.5: expected 2 to 86400 s" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_what_cannot_be_run_is_refused_at_once(capsys):
+    assert contact_reach("bench", "--seconds", "0.5") == 2
+    assert "--seconds 0.5: expected 2 to 86400 s" in capsys.readouterr().err

@@ -16,59 +16,57 @@ STACK = [name for name in MANAGED if name != ADAPTER]
 """The nodes of a stack whose driver watches the commands itself."""
 
 
-def endpoints(wanted, act):
-    """The stack's own publishers or subscriptions of a topic, as the nodes make them."""
-    nodes = [name for name in STACK if wanted.name in getattr(MANAGED[name], act)]
-    return [Endpoint(f"/{name}", wanted.type_name, qos_profile(wanted.qos)) for name in nodes]
+def endpoints(act):
+    """The stack's own publishers or subscriptions by topic, as the nodes make them."""
+    found = {}
+    for topic in topics.ALL:
+        nodes = [name for name in STACK if topic.name in getattr(MANAGED[name], act)]
+        found[topic.name] = [Endpoint(f"/{name}", topic.type_name, qos_profile(topic.qos)) for name in nodes]
+    return found
 
 
 GOOD = Graph(
     nodes=[f"/{name}" for name in STACK],
-    publishers={wanted.name: endpoints(wanted, "publishes") for wanted in topics.ALL},
-    subscriptions={wanted.name: endpoints(wanted, "subscribes") for wanted in topics.ALL},
+    publishers=endpoints("publishes"),
+    subscriptions=endpoints("subscribes"),
     states=dict.fromkeys(STACK, "active"),
     safety=[("controller", "holding", False), ("observer", "monitoring", False)],
     settings={name: {"impedance.task_stiffness": 880.0, "state_rate": 500.0} for name in ("controller", "planner")},
 )
-
-WHOLE = (stack.nodes, stack.safety_state)
 
 
 def changed(**changes):
     return dataclasses.replace(GOOD, **changes)
 
 
-def without(topic_name):
-    return changed(publishers={**GOOD.publishers, topic_name: []})
+def with_publishers(topic, *publishers):
+    return changed(publishers={**GOOD.publishers, topic.name: list(publishers)})
 
 
-def with_publisher(wanted, *more):
-    return changed(publishers={**GOOD.publishers, wanted.name: [*GOOD.publishers[wanted.name], *more]})
+def with_another(topic, **changes):
+    """Beside the stack's own publisher; `changes` of what it should be."""
+    profile = {"type_name": topic.type_name, "qos": qos_profile(topic.qos), **changes}
+    return with_publishers(topic, *GOOD.publishers[topic.name], Endpoint("/stranger", *profile.values()))
 
 
 def test_a_good_graph_passes():
-    findings = [check(GOOD) for check in WHOLE] + [stack.topic(GOOD, wanted) for wanted in topics.ALL]
+    findings = [stack.nodes(GOOD), stack.safety_state(GOOD), *(stack.topic(GOOD, topic) for topic in topics.ALL)]
     assert [finding for finding in findings if finding.verdict is not Verdict.PASS] == []
 
 
-def test_two_nodes_of_one_name():
-    finding = stack.nodes(changed(nodes=[*GOOD.nodes, "/controller"]))
-    assert finding.verdict is Verdict.FAIL and "/controller" in finding.found and "ROS_DOMAIN_ID" in finding.fix
-
-
-def test_a_missing_node_is_named_with_its_command():
-    states = {"controller": "active", "planner": "active"}
-    finding = stack.nodes(changed(nodes=["/controller", "/planner", "/my_arm"], states=states))
-    assert finding.verdict is Verdict.FAIL and "observer is missing" in finding.found
-    assert "ros2 run contact_reach_ros observer" in finding.fix
-
-
 @pytest.mark.parametrize(
-    ("state", "fix"), [("inactive", "/planner activate"), ("unconfigured", "/planner configure"), ("", "look into")]
+    ("changes", "found", "fix"),
+    [
+        ({"nodes": [*GOOD.nodes, "/controller"]}, "/controller", "ROS_DOMAIN_ID"),
+        ({"nodes": ["/my_arm"], "states": {}}, "observer is missing", "ros2 run contact_reach_ros observer"),
+        ({"states": {**GOOD.states, "planner": "inactive"}}, "planner", "/planner activate"),
+        ({"states": {**GOOD.states, "planner": "unconfigured"}}, "planner", "/planner configure"),
+        ({"states": {**GOOD.states, "planner": ""}}, "planner", "look into"),
+    ],
 )
-def test_a_node_that_is_not_active(state, fix):
-    finding = stack.nodes(changed(states={**GOOD.states, "planner": state}))
-    assert finding.verdict is Verdict.FAIL and "planner" in finding.found and fix in finding.fix
+def test_nodes_that_are_missing_double_or_inactive_are_named_with_what_to_do(changes, found, fix):
+    finding = stack.nodes(changed(**changes))
+    assert finding.verdict is Verdict.FAIL and found in finding.found and fix in finding.fix
 
 
 def test_a_latched_stop_fails_with_the_call_that_releases_it():
@@ -80,32 +78,25 @@ def test_a_latched_stop_fails_with_the_call_that_releases_it():
     assert "/observer/reset" in finding.fix and "/controller/reset" not in finding.fix
 
 
-@pytest.mark.parametrize("wanted", ALONE, ids=lambda topic: topic.name)
-def test_topics_that_must_have_one_publisher(wanted):
-    finding = stack.topic(
-        with_publisher(wanted, Endpoint("/stranger", wanted.type_name, qos_profile(wanted.qos))), wanted
-    )
-    assert finding.verdict is Verdict.FAIL and "end /stranger" in finding.fix
-    assert "2 publishers" in finding.found
-    finding = stack.topic(without(wanted.name), wanted)
+@pytest.mark.parametrize("topic", ALONE, ids=lambda topic: topic.name)
+def test_topics_that_must_have_one_publisher(topic):
+    finding = stack.topic(with_another(topic), topic)
+    assert finding.verdict is Verdict.FAIL and "end /stranger" in finding.fix and "2 publishers" in finding.found
+    finding = stack.topic(with_publishers(topic), topic)
     assert finding.verdict is Verdict.FAIL and "start" in finding.fix
 
 
-def test_another_type_is_named():
-    stranger = Endpoint("/viewer", "geometry_msgs/msg/Pose", qos_profile(topics.GOAL_POSE.qos))
-    finding = stack.topic(with_publisher(topics.GOAL_POSE, stranger), topics.GOAL_POSE)
-    assert finding.verdict is Verdict.FAIL and "geometry_msgs/msg/PoseStamped" in finding.fix
-    assert "viewer" in finding.found and "geometry_msgs/msg/Pose" in finding.found
+BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def test_quality_of_service_that_does_not_match():
-    best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    goal = Endpoint("/viewer", topics.GOAL_POSE.type_name, best_effort)
-    finding = stack.topic(with_publisher(topics.GOAL_POSE, goal), topics.GOAL_POSE)
-    assert finding.verdict is Verdict.FAIL and "/planner gets nothing from /viewer" in finding.found
-    assert "reliable" in finding.fix
-    finding = stack.topic(
-        with_publisher(topics.OBSTACLES, Endpoint("/vision", topics.OBSTACLES.type_name, qos_profile(topics.STREAM))),
-        topics.OBSTACLES,
-    )
-    assert finding.verdict is Verdict.FAIL and "transient local" in finding.fix
+@pytest.mark.parametrize(
+    ("topic", "changes", "found", "fix"),
+    [
+        (topics.GOAL_POSE, {"type_name": "geometry_msgs/msg/Pose"}, "geometry_msgs/msg/Pose", "PoseStamped"),
+        (topics.GOAL_POSE, {"qos": BEST_EFFORT}, "/planner gets nothing from /stranger", "reliable"),
+        (topics.OBSTACLES, {"qos": qos_profile(topics.STREAM)}, "/stranger", "transient local"),
+    ],
+)
+def test_types_and_qualities_of_service_that_do_not_match(topic, changes, found, fix):
+    finding = stack.topic(with_another(topic, **changes), topic)
+    assert finding.verdict is Verdict.FAIL and found in finding.found and fix in finding.fix

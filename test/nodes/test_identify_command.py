@@ -6,14 +6,12 @@ import subprocess
 
 import pytest
 import yaml
-from stack_helpers import environment, module, parameter_file, running, wait_for
+from contact_reach_command import contact_reach
+from stack_helpers import environment, module, parameter_file, ready, running
 
-from contact_reach_ros.errors import BagError, InputError
-from contact_reach_ros.identification.command import run_identification
 from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.settings import parameters_in
 
-READY = "all nodes are active"
 PAYLOAD = 0.5
 SCENE = {"base": "free", "mismatch": {"inertia_set": "nominal", "payload": PAYLOAD, "friction_scale": 3.0}}
 
@@ -22,18 +20,10 @@ def tried(env, *arguments, timeout=400):
     return subprocess.run([*module("cli"), *arguments], env=env, capture_output=True, text=True, timeout=timeout)
 
 
-def unmoved():
-    raise AssertionError("no bag needs a stack")
-
-
-def test_without_a_stack_and_without_states_it_is_refused(tmp_path):
-    result = tried(environment(), "identify", "--output", str(tmp_path / "none.yaml"))
-    assert result.returncode == 2 and "no stack answers" in result.stderr
+def test_a_bag_that_is_too_short_is_refused(tmp_path, capsys):
+    assert contact_reach("identify", "--bag", "bags/sample", "--output", tmp_path / "none.yaml") == 2
+    assert "expected at least 10 s" in capsys.readouterr().err
     assert not (tmp_path / "none.yaml").exists()
-    with pytest.raises(InputError, match="expected at least 10 s"):
-        run_identification(unmoved, ["bags/sample"], output=tmp_path / "none.yaml")
-    with pytest.raises(BagError, match="does not exist"):
-        run_identification(unmoved, [tmp_path / "nowhere"])
 
 
 @pytest.mark.slow
@@ -48,15 +38,11 @@ def test_payload_of_the_running_stack(tmp_path):
     )
     up = [*module("cli"), "up", "--lockstep", "--scene", str(scene), "--parameters", str(file), "--bag", str(bag)]
     with running(up, env, output) as process:
-        wait_for(lambda: READY in output.read_text() or process.poll() is not None, 400, "all nodes are active")
+        ready(process, output)
+        # Where the tests run in the background, they ignore it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         interrupted = subprocess.Popen(
-            [*module("cli"), "identify"],
-            env=env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            # Where the tests run in the background, they ignore it.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            [*module("cli"), "identify"], env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
         for line in interrupted.stdout:
             if "goal 2" in line:
@@ -80,4 +66,3 @@ def test_payload_of_the_running_stack(tmp_path):
     recorded = tried(env, "identify", "--bag", str(bag), "--output", str(tmp_path / "bag.yaml"))
     assert recorded.returncode == 0, recorded.stderr
     assert parameters_in(tmp_path / "bag.yaml", "observer")["tool.mass"] == pytest.approx(PAYLOAD, rel=0.05)
-    print(found.stdout)

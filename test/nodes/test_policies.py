@@ -1,6 +1,5 @@
 """The security policies permit what the nodes do, and nothing else."""
 
-from contextlib import contextmanager
 from xml.etree import ElementTree
 
 import pytest
@@ -19,108 +18,71 @@ from contact_reach_ros.nodes.viewer import ViewerNode
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.ros.interfaces import INTERFACES, MANAGED
 
-NODES = {
-    "driver": DriverNode,
-    "controller": ControllerNode,
-    "observer": ObserverNode,
-    "planner": PlannerNode,
-    "adapter": AdapterNode,
-    "recorder": RecorderNode,
-    "viewer": ViewerNode,
-}
-FREE_PORT = ("-p", "port:=0")
-LOCKSTEP = ("-p", "use_sim_time:=true", "-p", "lockstep:=true")
-SHADOW = ("-p", "supervision.shadow:=true")
-ADAPTED = ("-p", "supervision.adapter:=true")
-
-EVERYTHING = BringupOptions(bag="bag", view=True, adapter="effort")
-
+CLASSES = (DriverNode, ControllerNode, ObserverNode, PlannerNode, AdapterNode, RecorderNode, ViewerNode)
+NODES = {node_class.NAME: node_class for node_class in CLASSES}
+MODES = (
+    (),
+    ("use_sim_time:=true", "lockstep:=true", "supervision.shadow:=true"),
+    ("supervision.adapter:=true",),
+)
 FOLDER = share_directory() / "config" / "security"
-
-
-@contextmanager
-def made(name, *parameters):
-    """One node of the stack, not yet configured."""
-    with ros("--ros-args", *parameters):
-        node = NODES[name]()
-        yield node
-        node.destroy_node()
 
 
 def names(pairs, node):
     """Names as policies have them."""
-    kept = ("/parameter_events", "/rosout")
-    shared = {f"/{topic.name}" for topic in topics.ALL}
-    return {
-        name
-        if name in kept
-        else f"~/{name.removeprefix(f'/{node}/')}"
-        if name.startswith(f"/{node}/") and name not in shared
-        else name[1:]
-        for name, _ in pairs
+    kept = {"/parameter_events", "/rosout"}
+    own, shared = f"/{node}/", {f"/{topic.name}" for topic in topics.ALL}
+    found = {name for name, _ in pairs}
+    private = {name for name in found - shared if name.startswith(own)}
+    return {f"~/{name.removeprefix(own)}" for name in private} | {
+        name if name in kept else name[1:] for name in found - private
     }
 
 
-def interface(name, *parameters):
-    """What a node publishes, subscribes to, serves and calls."""
-    with made(name, *parameters) as node:
-        return [
-            names(getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/"), name)
-            for kind in ("publisher", "subscriber", "service", "client")
-        ]
+def interface(name, mode):
+    """What a node, not yet configured, publishes, subscribes to, serves and calls."""
+    with ros("--ros-args", *(part for parameter in (*mode, "port:=0") for part in ("-p", parameter))):
+        node = NODES[name]()
+        kinds = ("publisher", "subscriber", "service", "client")
+        found = [names(getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/"), name) for kind in kinds]
+        node.destroy_node()
+        return found
 
 
 @pytest.mark.parametrize("name", NODES)
 def test_the_table_says_what_a_node_does_in_all_its_modes(name):
-    modes = (FREE_PORT, (*LOCKSTEP, *SHADOW, *FREE_PORT), (*ADAPTED, *FREE_PORT))
-    publishes, subscribes, serves, calls = (
-        set().union(*parts) for parts in zip(*(interface(name, *mode) for mode in modes), strict=True)
-    )
+    found = zip(*(interface(name, mode) for mode in MODES), strict=True)
+    publishes, subscribes, serves, calls = (set().union(*parts) for parts in found)
     if name == "recorder":
         # It subscribes to topics once they have a publisher.
         subscribes |= {topic.name for topic in topics.ALL}
     table = INTERFACES[name]
-    if name in ("viewer", "adapter"):
-        # It calls services when its users ask for it, or where a package is installed.
-        assert calls <= table.calls
-        calls = table.calls
-    assert publishes == table.publishes
-    assert subscribes == table.subscribes
-    assert serves == table.serves
-    assert calls == table.calls
+    assert (publishes, subscribes, serves) == (table.publishes, table.subscribes, table.serves)
+    # Two call services when their users ask for it, or where a package is installed.
+    assert calls <= table.calls if name in ("viewer", "adapter") else calls == table.calls
 
 
 def test_every_process_and_every_topic_of_the_stack_is_in_the_table():
-    assert {process.name for process in processes(EVERYTHING)} == set(MANAGED) == set(NODES)
+    everything = processes(BringupOptions(bag="bag", view=True, adapter="effort"))
+    assert {process.name for process in everything} == set(MANAGED) == set(NODES)
     named = {name for interface in INTERFACES.values() for name in interface.publishes | interface.subscribes}
     assert {topic.name for topic in topics.ALL} <= named
+    for process in everything:
+        root = ElementTree.parse(FOLDER / f"{process.name}.policy.xml").getroot()
+        assert [enclave.get("path") for enclave in root.iter("enclave")] == [process.enclave]
 
 
-@pytest.mark.parametrize("name", INTERFACES)
-def test_the_shipped_file_is_made_from_the_table(name):
+def test_the_shipped_files_are_made_from_the_table():
     remake = "run `python test/policies.py config/security`"
-    assert (FOLDER / f"{name}.policy.xml").read_text() == policy(name, INTERFACES[name]), remake
-
-
-def test_no_other_policy_is_shipped():
-    assert {file.name for file in FOLDER.iterdir()} == {f"{name}.policy.xml" for name in INTERFACES}
+    expected = {f"{name}.policy.xml": policy(name, interface) for name, interface in INTERFACES.items()}
+    assert {file.name: file.read_text() for file in FOLDER.iterdir()} == expected, remake
 
 
 def test_only_controller_and_adapter_may_command_and_only_the_planner_may_lead():
-    writers = {}
-    for file in FOLDER.iterdir():
-        for profile in ElementTree.parse(file).getroot().iter("profile"):
-            for group in profile.iter("topics"):
-                for topic in group:
-                    if group.get("publish") == "ALLOW":
-                        writers.setdefault(topic.text, set()).add(profile.get("node"))
-    assert writers[topics.COMMANDS.name] == {"controller", "adapter"}
-    assert writers[topics.ADAPTER_COMMANDS.name] == {"controller"}
-    assert writers[topics.REFERENCE_POSE.name] == writers[topics.REFERENCE_POSTURE.name] == {"planner"}
-    assert writers[topics.JOINT_STATES.name] == {"driver"}
+    def writers(topic):
+        return {name for name, interface in INTERFACES.items() if topic.name in interface.publishes}
 
-
-def test_the_processes_use_the_enclaves_of_the_policies():
-    for process in processes(BringupOptions(bag="bag")):
-        root = ElementTree.parse(FOLDER / f"{process.name}.policy.xml").getroot()
-        assert [enclave.get("path") for enclave in root.iter("enclave")] == [process.enclave]
+    assert writers(topics.COMMANDS) == {"controller", "adapter"}
+    assert writers(topics.ADAPTER_COMMANDS) == {"controller"}
+    assert writers(topics.REFERENCE_POSE) == writers(topics.REFERENCE_POSTURE) == {"planner"}
+    assert writers(topics.JOINT_STATES) == {"driver"}

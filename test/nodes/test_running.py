@@ -6,7 +6,7 @@ import subprocess
 import pytest
 import rclpy
 from sensor_msgs.msg import JointState
-from stack_helpers import environment, module, running, wait_for
+from stack_helpers import environment, module, ros, running, wait_for
 
 from contact_reach_ros.bringup import bringup
 from contact_reach_ros.messages import topics
@@ -14,41 +14,37 @@ from contact_reach_ros.ros.graph import running as running_parts
 from contact_reach_ros.ros.inbox import qos_profile
 
 
+def another(name, namespace="", publishes=False):
+    """A node of somebody else, perhaps with joint states."""
+    made = rclpy.create_node(name, namespace=namespace)
+    if publishes:
+        made.create_publisher(JointState, "joint_states", qos_profile(topics.JOINT_STATES.qos))
+    return made
+
+
 @pytest.fixture
 def node():
-    rclpy.init()
-    yield rclpy.create_node("demo")
-    rclpy.shutdown()
+    with ros():
+        yield rclpy.create_node("demo")
 
 
-@pytest.fixture
-def other():
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    yield lambda name, namespace="": rclpy.create_node(name, context=context, namespace=namespace)
-    rclpy.shutdown(context=context)
-
-
-def test_nodes_that_are_to_be_started_are_found(node, other):
-    _robot = other("planner")
+def test_nodes_that_are_to_be_started_are_found(node):
+    _planner = another("planner")
     wait_for(lambda: running_parts(node, ["planner", "controller"]) == ["/planner"], 10, "the planner is found")
     assert running_parts(node, ["planner"], own=["planner"]) == []
     assert running_parts(node, ["driver", "controller"]) == []
 
 
-def test_those_in_another_namespace_are_another_stack(node, other):
-    _other = other("planner", "left")
-    robot = other("robot", "left")
-    _publisher = robot.create_publisher(JointState, "joint_states", qos_profile(topics.JOINT_STATES.qos))
+def test_those_in_another_namespace_are_another_stack(node):
+    _others = another("planner", "left"), another("robot", "left", publishes=True)
     seen = ("planner", "/left")
     wait_for(lambda: seen in node.get_node_names_and_namespaces(), 10, "the planner is discovered")
     wait_for(lambda: node.count_publishers("/left/joint_states"), 10, "the driver is discovered")
     assert running_parts(node, ["planner", "driver"]) == []
 
 
-def test_a_robots_driver_of_any_name_is_found_where_one_is_to_be_started(node, other):
-    robot = other("robot")
-    _publisher = robot.create_publisher(JointState, "joint_states", qos_profile(topics.JOINT_STATES.qos))
+def test_a_robots_driver_of_any_name_is_found_where_one_is_to_be_started(node):
+    _robot = another("robot", publishes=True)
     found = ["/robot (on joint_states)"]
     wait_for(lambda: running_parts(node, ["driver", "controller"]) == found, 10, "the robot's driver is found")
     assert running_parts(node, ["controller"]) == []

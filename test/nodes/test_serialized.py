@@ -1,15 +1,20 @@
 """Serialised messages are read and written as rclpy would do it."""
 
+import gc
+from pathlib import Path
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
+from hostile import garbage
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from serialized_helpers import garbage
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from contact_reach_ros.arm.kinematics import rotation_about
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages.conversions import to_quaternion, to_time
 from contact_reach_ros.messages.serialized import (
     CommandWriter,
     JointStateReader,
@@ -17,6 +22,7 @@ from contact_reach_ros.messages.serialized import (
     WrenchWriter,
     read_command,
 )
+from contact_reach_ros.messages.values import nanoseconds
 
 NAMES = list(iiwa14.ARM.joint_names)
 STAMP_NS = 1_700_000_000_123_456_789
@@ -24,8 +30,7 @@ STAMP_NS = 1_700_000_000_123_456_789
 
 def joint_state(names, random, effort=True, frame_id="lbr_link_0", stamp_ns=STAMP_NS):
     message = JointState(name=list(names))
-    message.header.frame_id = frame_id
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.header.frame_id, message.header.stamp = frame_id, to_time(stamp_ns)
     message.position = random.standard_normal(len(names)).tolist()
     message.velocity = random.standard_normal(len(names)).tolist()
     message.effort = random.standard_normal(len(names)).tolist() if effort else []
@@ -41,12 +46,9 @@ def test_joint_states_of_any_layout_are_read_like_decoded_ones(with_effort):
     random = np.random.default_rng(0)
     reader = JointStateReader(NAMES, "joint_states", with_effort)
     layouts = [
-        {"names": NAMES},
         {"names": NAMES, "effort": False},
-        {"names": NAMES[::-1]},
         {"names": NAMES[::-1], "frame_id": ""},
-        {"names": ["gripper", *NAMES[2:], *NAMES[:2]], "effort": False},
-        {"names": [*NAMES[1:], "x", NAMES[0]], "frame_id": "some other frame"},
+        {"names": ["gripper", *NAMES[2:], *NAMES[:2]], "frame_id": "some other frame"},
     ]
     for layout in layouts:
         # From the second one on the numbers are taken from where they stood in the first.
@@ -67,7 +69,7 @@ def test_other_names_or_counts_are_noticed_though_the_size_is_the_same():
     reader = JointStateReader(NAMES, "joint_states", with_effort=True)
     message = joint_state(NAMES, random)
     state = reader.read(serialize_message(message))
-    with pytest.raises(InputError, match="field name lacks lbr_A7"):
+    with pytest.raises(InputError, match="name lacks lbr_A7"):
         reader.read(serialize_message(joint_state([*NAMES[:6], "lbr_A8"], random)))
     first = message.position.tolist()
     message.velocity, message.effort = [0.0] * 6, [0.0] * 8
@@ -93,12 +95,9 @@ def test_written_joint_states_are_decoded_by_rclpy(fields, names):
     writer = JointStateWriter(names, "lbr_link_0", fields)
     for stamp_ns in (STAMP_NS, 1):
         values = random.standard_normal((len(fields), len(names)))
-        data = writer.write(stamp_ns, *values)
-        assert data.endswith(values[-1].tobytes())
-        message = deserialize_message(data, JointState)
-        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
-        assert message.header.frame_id == "lbr_link_0"
-        assert message.name == names
+        message = deserialize_message(writer.write(stamp_ns, *values), JointState)
+        assert nanoseconds(message.header.stamp) == stamp_ns
+        assert (message.header.frame_id, message.name) == ("lbr_link_0", names)
         for field in ("position", "velocity", "effort"):
             expected = values[fields.index(field)].tolist() if field in fields else []
             assert getattr(message, field).tolist() == expected
@@ -107,20 +106,10 @@ def test_written_joint_states_are_decoded_by_rclpy(fields, names):
 @pytest.mark.parametrize("frame_id", ["x", "lbr_link_0"])
 def test_written_wrenches_are_decoded_by_rclpy(frame_id):
     values = np.random.default_rng(0).standard_normal(6)
-    data = WrenchWriter(frame_id).write(STAMP_NS, values)
-    assert data.endswith(values.tobytes())
-    message = deserialize_message(data, WrenchStamped)
+    message = deserialize_message(WrenchWriter(frame_id).write(STAMP_NS, values), WrenchStamped)
     force, torque = message.wrench.force, message.wrench.torque
-    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP_NS
-    assert message.header.frame_id == frame_id
+    assert nanoseconds(message.header.stamp) == STAMP_NS and message.header.frame_id == frame_id
     assert [force.x, force.y, force.z, torque.x, torque.y, torque.z] == values.tolist()
-
-
-def test_a_wrong_number_of_values_is_not_written():
-    with pytest.raises(ValueError, match="broadcast"):
-        JointStateWriter(NAMES, "", ("effort",)).write(0, np.zeros(6))
-    with pytest.raises(ValueError, match="broadcast"):
-        CommandWriter(7).write(np.zeros(8))
 
 
 @pytest.mark.parametrize("labelled", [False, True])
@@ -144,3 +133,17 @@ def test_bytes_that_are_no_message_are_refused():
     for data in garbage(CommandWriter(7).write(np.ones(7))):
         with pytest.raises(InputError, match=f"commands: {len(data)} bytes that are no Float64MultiArray; expected"):
             read_command(data)
+
+
+def test_a_quaternion_leaves_nothing_behind():
+    # Pinocchio's bindings lose 80 bytes for each matrix that is stored row by row: 7 kB a second in the planner.
+    rotation = np.array(rotation_about(np.array([0.0, 0.6, 0.8]), 0.7), order="C")
+
+    def pages_after(count: int) -> int:
+        for _ in range(count):
+            to_quaternion(rotation)
+        gc.collect()
+        return int(Path("/proc/self/statm").read_text().split()[1])
+
+    before = pages_after(2000)
+    assert pages_after(50_000) - before < 50_000 * 20 // 4096

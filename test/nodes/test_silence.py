@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from stack_helpers import UNWATCHED, ros
+from stack_helpers import UNWATCHED, ros, wait_for
 from std_msgs.msg import Header
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_time
-from contact_reach_ros.messages.safety_state import DISTRUST
+from contact_reach_ros.messages.conversions import to_status, to_time
+from contact_reach_ros.messages.safety_state import DISTRUST, ERROR, OK
 from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -38,41 +37,39 @@ class Others:
     """Driver, observer and planner, for a controller whose loop runs when the test lets it."""
 
     def __init__(self, controller: ControllerNode) -> None:
-        self._node = rclpy.create_node("others")
-        self._publishers = {
-            topic.name: self._node.create_publisher(topic.type, topic.name, qos_profile(topic.qos)) for topic in _HEARD
-        }
+        node = rclpy.create_node("others")
+        self._state, self._safety, self._horizon = (
+            node.create_publisher(topic.type, topic.name, qos_profile(topic.qos)) for topic in _HEARD
+        )
         self._writer = JointStateWriter(iiwa14.ARM.joint_names, iiwa14.ARM.base_frame, ["position", "velocity"])
-        self._controller = controller
+        self._node, self._controller = node, controller
         topic = topics.LOCKSTEP_HORIZON
-        self._promises = self._node.create_subscription(topic.type, topic.name, print, qos_profile(topic.qos))
-        while not all(publisher.get_subscription_count() for publisher in self._publishers.values()):
-            time.sleep(0.01)
+        self._promises = node.create_subscription(topic.type, topic.name, print, qos_profile(topic.qos))
+        publishers = (self._state, self._safety, self._horizon)
+        wait_for(lambda: all(each.get_subscription_count() for each in publishers), 20, "the controller hears all")
 
     def show(self, tick: int) -> None:
         """Publish a joint state, and have the controller handle what there is until it has seen it."""
-        self._publishers[topics.JOINT_STATES.name].publish(self._writer.write(tick * TICK_NS, HOME, REST))
+        self._state.publish(self._writer.write(tick * TICK_NS, HOME, REST))
         while (self._controller._controller.stamp_ns or 0) < tick * TICK_NS:
             self._controller.inbox.wait(NANOSECONDS // 10)
 
-    def promised(self, tick: int) -> bool:
-        """Whether the controller promises within some seconds that it is done with a state."""
-        for _ in range(1000):
+    def await_promise(self, tick: int) -> None:
+        """Until the controller promises that it is done with a state."""
+
+        def promised() -> bool:
             taken = self._promises.handle.take_message(Header, False)
-            if taken is None:
-                time.sleep(0.01)
-            elif (taken[0].frame_id, nanoseconds(taken[0].stamp)) == ("controller", (tick + 1) * TICK_NS):
-                return True
-        return False
+            return taken and (taken[0].frame_id, nanoseconds(taken[0].stamp)) == ("controller", (tick + 1) * TICK_NS)
+
+        wait_for(promised, 20, f"the controller is done with state {tick}")
 
     def say(self, done: int, stop: str = "") -> None:
         """The observer has seen the states up to a tick, and perhaps wants a stop."""
-        level = DiagnosticStatus.ERROR if stop else DiagnosticStatus.OK
-        self._publishers[topics.SAFETY_STATE.name].publish(DiagnosticStatus(level=level, name="observer", message=stop))
+        self._safety.publish(to_status("observer", stop, {}, ERROR if stop else OK))
         for name in ("observer", "planner"):
             header = Header(frame_id=name)
             header.stamp = to_time((done + 1) * TICK_NS)
-            self._publishers[topics.LOCKSTEP_HORIZON.name].publish(header)
+            self._horizon.publish(header)
 
 
 def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(lockstep, monkeypatch):
@@ -102,26 +99,25 @@ def test_a_controller_that_commands_nothing_is_done_with_a_state_all_the_same(lo
     for tick in (1, 2):
         others.say(done=tick)
         others.show(tick)
-    assert [others.promised(tick) for tick in (1, 2)] == [True, True] and len(commands) == 2
-    values = [KeyValue(key=DISTRUST, value="an encoder is stuck")]
-    node._on_safety(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="observer", message="torque", values=values))
+        others.await_promise(tick)
+    assert len(commands) == 2
+    node._on_safety(to_status("observer", "torque", {DISTRUST: "an encoder is stuck"}, ERROR))
     others.say(done=3, stop="torque; an encoder is stuck")
     others.show(3)
-    assert others.promised(3) and len(commands) == 2
+    others.await_promise(3)
+    assert len(commands) == 2
     assert "an encoder is stuck; nothing is commanded" in node._controller.stop_reason
 
 
 class SteadyClock:
     """Instead of the module time: goes on only when the test lets it."""
 
-    def __init__(self) -> None:
-        self.now_ns = 1_000_000_000
+    now_ns = 1_000_000_000
 
     def monotonic_ns(self) -> int:
         return self.now_ns
 
-    def time_ns(self) -> int:
-        return 1_700_000_000_000_000_000 + self.now_ns
+    time_ns = monotonic_ns
 
     def sleep(self, seconds: float) -> None:
         self.now_ns += round(1e9 * seconds)
@@ -158,21 +154,14 @@ def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
 
 
 def test_contacts_are_published_after_the_answer_where_there_is_time_for_that(clock, monkeypatch):
-    driver = DriverNode()
-    done = []
+    driver, done = DriverNode(), []
     monkeypatch.setattr(driver, "publish_state", lambda _: done.append("state"))
     monkeypatch.setattr(driver, "_write_contacts", lambda _: done.append("contacts"))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: done.append("wait"))
     driver.pace.next_ns = clock.now_ns + TICK_NS
     for _ in range(5):
         driver._realtime_tick()
-    assert done == [*4 * ["state"], "state", "wait", "contacts"]
-    # Late by most of a tick: what is left of it is needed.
-    done.clear()
-    for _ in range(5):
-        driver._waits_for_command, driver.pace.next_ns = False, clock.now_ns - TICK_NS * 9 // 10
-        driver._realtime_tick()
-    assert done == [*5 * ["state"], "contacts"]
+    assert done == [*5 * ["state"], "wait", "contacts"]
 
 
 def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from contextlib import contextmanager
@@ -11,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from contact_reach_command import contact_reach
 from message_packages import message_packages
-from stack_helpers import SMALL_PLANNER, environment, module, processes_of_domain, running, wait_for
-from test_doctor import command_lines
+from stack_helpers import SMALL_PLANNER, command_lines, environment, module, processes_of_domain, ready, running
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.values import nanoseconds
@@ -27,70 +26,56 @@ STOPPED_FOR_S = 1.5
 
 
 @pytest.fixture(scope="module")
-def packages(pytestconfig):
+def packages():
     """Environment variables with which processes import the message packages of the drivers."""
-    folders = message_packages(pytestconfig.cache.mkdir("message_packages"))
+    folders = message_packages()
     return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
 def parameters_of(kind, path):
     """The parameter file that bring-up takes for a kind, with a planner that compiles faster."""
-    name = "default" if kind == "effort" else kind
-    content = yaml.safe_load(config_file(f"{name}.yaml").read_text())
+    content = yaml.safe_load(config_file(f"{'default' if kind == 'effort' else kind}.yaml").read_text())
     planner = content.setdefault("planner", {}).setdefault("ros__parameters", {})
     planner["planning"] = {**planner.get("planning", {}), **SMALL_PLANNER["planning"]}
     path.write_text(yaml.safe_dump(content))
-    return path
+    return str(path)
 
 
 @contextmanager
 def stack(kind, rate, lockstep, env, folder):
-    """A driver of that kind, and the stack on it."""
-    standin = [sys.executable, str(Path(__file__).with_name("standins.py")), kind]
-    arguments = [
-        "scene:=ball",
-        f"state_rate:={rate}.0",
-        f"lockstep:={str(lockstep).lower()}",
-        *(["waits_for:=adapter"] if lockstep else []),
-    ]
-    driver = ["--ros-args", *(part for argument in arguments for part in ("-p", argument))]
-    up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
-    up += ["--parameters", str(parameters_of(kind, folder / "parameters.yaml")), *(["--lockstep"] if lockstep else [])]
-    up += ["--bag", str(folder / "bag")]
+    """A driver of that kind, and the stack on it; yields what the driver prints."""
     output, drivers = folder / "up.txt", folder / "driver.txt"
-    try:
-        with running(up, env, output) as process:
-            wait_for(lambda: "all nodes are active" in output.read_text() or process.poll() is not None, 200, "stack")
-            assert process.poll() is None
-            # Simulated time begins with the driver: nobody may miss its first state.
-            with running([*standin, *driver], env, drivers):
-                wait_for(lambda: "active" in drivers.read_text(), 30, "driver")
-                yield drivers
-    finally:
-        print(output.read_text(), drivers.read_text())
+    driver = [sys.executable, str(Path(__file__).with_name("standins.py")), kind, "--ros-args", "-p", "scene:=ball"]
+    driver += ["-p", f"state_rate:={rate}.0"]
+    up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
+    up += ["--parameters", parameters_of(kind, folder / "parameters.yaml"), "--bag", str(folder / "bag")]
+    if lockstep:
+        driver += ["-p", "lockstep:=true", "-p", "waits_for:=adapter"]
+        up.append("--lockstep")
+    with running(up, env, output) as process:
+        ready(process, output)
+        # Simulated time begins with the driver: nobody may miss its first state.
+        with running(driver, env, drivers) as process:
+            ready(process, drivers, "active")
+            yield drivers
 
 
-KINDS = [kind if kind == "lbr" else pytest.param(kind, marks=pytest.mark.slow) for kind in BRAKES]
-"""Of drives; the quick run takes the one with a protocol of its own."""
-
-
-@pytest.mark.parametrize(
-    "rate", [500, pytest.param(200, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, packages, tmp_path):
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [200, 500, 1000])
+@pytest.mark.parametrize("kind", BRAKES)
+def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, packages, tmp_path, capsys):
     env = {**environment(), **packages}
     with stack(kind, rate, True, env, tmp_path):
         ((code, said),) = command_lines(env, THERE)
     assert (code, said[:9]) == (0, "settled: ")
-    again = subprocess.run(
-        [*module("cli"), "reexecute", str(tmp_path / "bag")], env=env, capture_output=True, text=True
-    )
-    assert again.returncode == 0 and again.stdout.count("identical") == 2, again.stdout + again.stderr
+    assert contact_reach("reexecute", tmp_path / "bag") == 0 and capsys.readouterr().out.count("identical") == 2
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [kind if kind == "lbr" else pytest.param(kind, marks=pytest.mark.slow) for kind in BRAKES]
+)
 def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at_rest(kind, packages, tmp_path):
+    """The quick run takes the driver with a protocol of its own."""
     env = {**environment(), **packages}
     with stack(kind, 500, False, env, tmp_path) as drivers:
         there, away = command_lines(env, THERE, AWAY)
@@ -106,10 +91,9 @@ def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at
     bag = BagReader(tmp_path / "bag")
     stops = [each.message.message for each in bag.messages(["/safety_state"]) if each.message.name == "adapter"]
     assert any(text.startswith("no command for") for text in stops)
-    states = [
-        (nanoseconds(each.message.header.stamp), each.message.velocity) for each in bag.messages(["/joint_states"])
-    ]
-    times, speeds = np.array([time for time, _ in states]), np.abs([v for _, v in states]).max(axis=1)
+    states = [each.message for each in bag.messages(["/joint_states"])]
+    times = np.array([nanoseconds(state.header.stamp) for state in states])
+    speeds = np.abs([state.velocity for state in states]).max(axis=1)
     before = speeds[(times > stood_ns - 50_000_000) & (times < stood_ns)]
     after = speeds[(times > stood_ns + 700_000_000) & (times < went_on_ns)]
     assert before.max() > 0.1

@@ -16,11 +16,8 @@ from contact_reach_ros.bags.signals import read_signals
 PATIENT_PLANNER = {**SMALL_PLANNER, "latency": 0.25}
 """Has a quarter of a second for each plan: with less, a busy machine makes every plan too late to take effect, until
 the controller stops the arm before it has moved."""
-
 REST = 0.1
 """Joint speed that counts as rest, sensor noise included, rad/s."""
-
-
 ATTEMPTS = 3
 """On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
 
@@ -29,18 +26,17 @@ ATTEMPTS = 3
 def moving_demo(tmp_path):
     """A demo in real time whose arm is on its way: environment, process, output file and folder."""
     parameters = parameter_file(tmp_path / "small.yaml", planner=PATIENT_PLANNER)
-    outputs = []
     for attempt in range(ATTEMPTS):
         env, folder = environment(), tmp_path / str(attempt)
         folder.mkdir()
-        outputs.append(folder / "output.txt")
+        output = folder / "output.txt"
         command = [*module("cli"), "demo", "--scene", "free", "--output", str(folder), "--parameters", str(parameters)]
-        with running(command, env, outputs[-1]) as process:
-            wait_for(lambda: moved(outputs[-1]) or process.poll() is not None, 300, "the arm moves")
+        with running(command, env, output) as process:
+            wait_for(lambda: moved(output) or process.poll() is not None, 300, "the arm moves")  # noqa: B023
             if process.poll() is None:
-                yield env, process, outputs[-1], folder
+                yield env, process, output, folder
                 return
-    pytest.fail(f"the arm did not move in {ATTEMPTS} demos; the last one printed: {outputs[-1].read_text()}")
+    pytest.fail(f"the arm did not move in {ATTEMPTS} demos; the last one printed: {output.read_text()}")
 
 
 def moved(output: Path) -> bool:
@@ -49,8 +45,12 @@ def moved(output: Path) -> bool:
     return bool(distances) and distances[-1] < distances[0] - 10.0
 
 
-def joint_speeds(folder: Path) -> np.ndarray:
+def bag_in(folder: Path) -> Path:
     (bag,) = (path for path in folder.glob("demo_*") if path.is_dir())
+    return bag
+
+
+def joint_speeds(bag: Path) -> np.ndarray:
     return np.abs(read_signals(BagReader(bag), load_arm()).velocity.values).max(axis=1)
 
 
@@ -70,10 +70,9 @@ def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(moving_demo, victim):
     os.kill(processes_of_domain(env["ROS_DOMAIN_ID"])[victim], signal.SIGKILL)
     assert process.wait(120) == 1
     text = output.read_text()
-    assert text.count(f"{victim} ended (killed by SIGKILL)") == 1
-    assert "Traceback" not in text
+    assert text.count(f"{victim} ended (killed by SIGKILL)") == 1 and "Traceback" not in text
     assert_nothing_left(env)
-    speeds = joint_speeds(folder)
+    speeds = joint_speeds(bag_in(folder))
     assert speeds.max() > REST, "the arm never moved: the test shows nothing"
     if victim not in ("driver", "recorder"):
         # The last tenth of a second of the bag; without a driver there is no arm, without a recorder no bag.
@@ -84,34 +83,32 @@ def test_ctrl_c_ends_everything_and_the_bag_is_complete(moving_demo):
     env, process, output, folder = moving_demo
     process.send_signal(signal.SIGINT)
     assert process.wait(120) == 130
-    assert "Traceback" not in output.read_text()
     assert_nothing_left(env)
-    assert joint_speeds(folder)[-100:].max() < REST
-    (bag,) = (path for path in folder.glob("demo_*") if path.is_dir())
+    bag = bag_in(folder)
+    assert joint_speeds(bag)[-100:].max() < REST
     assert (bag / "metadata.yaml").is_file() and BagReader(bag).notes == ()
     (log,) = folder.glob("demo_*.log")
-    assert "Traceback" not in log.read_text()
+    assert "Traceback" not in output.read_text() + log.read_text()
 
 
-def test_a_killed_supervisor_leaves_no_process_behind(moving_demo):
-    env, process, _, _ = moving_demo
-    process.kill()
-    process.wait()
+def up(folder, **nodes):
+    file = parameter_file(folder / "own.yaml", **nodes)
+    return [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={file}", "-p", "scene:=free"]
+
+
+def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
+    env = environment()
+    with running(up(tmp_path), env, tmp_path / "output.txt") as process:
+        nodes = {"driver", "controller", "observer", "planner"}
+        wait_for(lambda: nodes <= set(processes_of_domain(env["ROS_DOMAIN_ID"])), 60, "all nodes are started")
+        process.kill()
     assert_nothing_left(env)
 
 
 def test_bringup_names_the_node_that_cannot_start(tmp_path):
-    """In a namespace, for which the file's sections have no wildcard."""
-    env = environment()
-    output = tmp_path / "output.txt"
-    parameters = parameter_file(tmp_path / "wrong.yaml", observer={"cpus": "none"})
-    small = parameter_file(tmp_path / "small.yaml", planner=SMALL_PLANNER)
-    parameters.write_text(parameters.read_text() + small.read_text())
-    command = [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={parameters}", "-p", "scene:=free"]
-    command += ["-r", "__ns:=/left"]
-    with running(command, env, output) as process:
+    env, output = environment(), tmp_path / "output.txt"
+    with running(up(tmp_path, observer={"cpus": "none"}), env, output) as process:
         assert process.wait(300) == 1
-    assert "observer ended (exit code 2)" in output.read_text()
-    assert "parameter cpus: 'none'" in output.read_text()
-    assert "[left.planner]: active" in output.read_text()
+    text = output.read_text()
+    assert "observer ended (exit code 2)" in text and "parameter cpus: 'none'" in text
     assert_nothing_left(env)
