@@ -166,8 +166,10 @@ def read_counts(text: str) -> Counter[int]:
 
 def percentiles_us(counts: Mapping[int, int]) -> dict[str, float]:
     """Upper edges of the buckets that hold the percentiles, µs, by the names that reports use; NaN without counts."""
-    edges, total = sorted(counts), np.cumsum([counts[edge] for edge in sorted(counts)])
-    if not edges:
+    # Another thread may add to them meanwhile.
+    entries = sorted(counts.items())
+    if not entries:
         return dict.fromkeys(PERCENTILES, math.nan)
+    total = np.cumsum([count for _, count in entries])
     wanted = {name: percent / 100.0 * total[-1] for name, percent in PERCENTILES.items()}
-    return {name: float(edges[int(np.searchsorted(total, count))]) for name, count in wanted.items()}
+    return {name: float(entries[int(np.searchsorted(total, count))][0]) for name, count in wanted.items()}

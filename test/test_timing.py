@@ -70,3 +70,19 @@ class TestStampOrder:
         order.is_new(1000)
         assert not any(order.is_new(stamp) for stamp in [990] * 100 + [1000] * 100)
         assert order.is_new(1001)
+
+
+class Growing(dict[int, int]):
+    """Counts to which another thread adds whenever they were looked at."""
+
+    def __iter__(self):
+        return iter([edge for edge, _ in self.items()])
+
+    def items(self):
+        found = list(super().items())
+        self[len(found) + 1] = 1000
+        return found
+
+
+def test_counts_may_grow_while_they_are_summarised():
+    assert percentiles_us(Growing({1: 1})) == dict.fromkeys(PERCENTILES, 1.0)
