@@ -45,7 +45,6 @@ def scene(read):
 def test_a_list_has_any_number_of_obstacles_of_each_kind(read, scene):
     file = read(LIST)
     assert [type(section) for section in file.obstacles] == [BallSettings, BallSettings, BoxSettings, BoxSettings]
-    assert [obstacle.id for obstacle in scene.obstacles] == [0, 1, 2, 3]
     assert [obstacle.name for obstacle in scene.obstacles] == ["the ball 0", "the ball 1", "the box 2", "the box 3"]
     assert sphere_capacity(file) == sphere_capacity(scene) == 12
 
