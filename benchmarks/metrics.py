@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.settings import PlanningSettings, least_duration
+from contact_reach_ros.planning.settings import PlanningSettings, steady_speed
 from contact_reach_ros.simulation.plant import TICK
 
 _END_TICKS = 10
@@ -120,3 +121,18 @@ def _end_speed(positions: Array) -> float | None:
     if len(positions) <= _END_TICKS:
         return None
     return float(np.linalg.norm(positions[-1] - positions[-1 - _END_TICKS])) / (_END_TICKS * TICK)
+
+
+def least_duration(
+    start_position: Array, target: Array, planning: PlanningSettings, impedance: ImpedanceSettings
+) -> float:
+    """Shortest time in which the flange can move from one position (3,) to another, m, base frame; in s.
+
+    The axis with the farthest to go determines it, at `steady_speed`; infinite without stiffness, unless the distance
+    is zero.
+    """
+    distance = float(np.abs(target - start_position).max())
+    if distance == 0.0:
+        return 0.0
+    speed = steady_speed(planning, impedance)
+    return distance / speed if speed > 0.0 else math.inf

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -59,7 +58,7 @@ class RecordedPlan:
         return bool(self.plan.predicted_contact_forces.max() > NOTICEABLE_FORCE)
 
 
-class _RecordingSolver(HybridSolver[Problem]):
+class _RecordingSolver(HybridSolver):
     """Remembers its last call."""
 
     last: tuple[Problem, Distribution, float, np.ndarray]
@@ -76,7 +75,7 @@ class _RecordingPlanner(RecedingHorizonPlanner):
     """The planner; it keeps what its solver was given for each plan that started from the one before."""
 
     def __init__(self, arm: Arm, settings: PlanningSettings, permitted_force: float, capacity: int) -> None:
-        def make(cost: CostFunction[Any], n: int, settings: PlanningSettings) -> _RecordingSolver:
+        def make(cost: CostFunction, n: int, settings: PlanningSettings) -> _RecordingSolver:
             self._recording = _RecordingSolver(cost, n, settings)
             return self._recording
 

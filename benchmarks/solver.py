@@ -25,7 +25,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.cost import SIGMA, ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import CostFunction, Solver
+from contact_reach_ros.planning.solver.solver import CostFunction
 from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.scene_file import read_scene
@@ -44,19 +44,19 @@ LABELS = {"hybrid": "hybrid, Algorithm 1", "cma": "plain CMA-ES", "gradient": "t
 """Names of the solvers in tables and pictures."""
 
 
-def make_tireless(name: str, cost: CostFunction[Problem], size: int, settings: PlanningSettings) -> Solver[Problem]:
+def make_tireless(name: str, cost: CostFunction, size: int, settings: PlanningSettings) -> HybridSolver:
     """The solver of this name, whose searches end at the greatest number of steps only."""
-    solver: HybridSolver[Problem] = HybridSolver(cost, size, dataclasses.replace(settings, solver=name, deadline=0.0))
+    solver = HybridSolver(cost, size, dataclasses.replace(settings, solver=name, deadline=0.0))
     solver.stagnation_steps = 1_000_000
     return solver
 
 
 def run_race(
-    cost: CostFunction[Problem], size: int, settings: PlanningSettings, states: Sequence[RecordedPlan], seconds: float
+    cost: CostFunction, size: int, settings: PlanningSettings, states: Sequence[RecordedPlan], seconds: float
 ) -> Report:
     """Search for `seconds` with every solver from every state, from standing still and from the plan before."""
     still, spread = np.zeros(size), np.full(size, SIGMA)
-    solvers: dict[str, Solver[Problem]] = {}
+    solvers: dict[str, HybridSolver] = {}
     times: dict[str, list[float]] = {}
     for name in LABELS:
         solver = solvers[name] = make_tireless(name, cost, size, settings)
@@ -92,9 +92,7 @@ def run_race(
     }
 
 
-def make_cost_of(
-    cost: CostFunction[Problem], size: int, settings: PlanningSettings
-) -> Callable[[Problem, Array], float]:
+def make_cost_of(cost: CostFunction, size: int, settings: PlanningSettings) -> Callable[[Problem, Array], float]:
     """The cost of single points (n,), by the program that evaluates candidates."""
     program = jax.jit(cost)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Plan, PlanningCore, Request
 from contact_reach_ros.planning.planner import Planner, ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings, UnexpectedContactSettings
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import NANOSECONDS, PERIOD
 from contact_reach_ros.world.goal import Target, Task
@@ -449,7 +448,7 @@ def make_planner(
     controller: ControllerSettings | None = None,
     budget: ContactBudget | None = None,
     unexpected_contact: UnexpectedContactSettings | None = None,
-    solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] | None = None,
+    solver: Callable[[CostFunction, int, PlanningSettings], Solver] | None = None,
     core: PlanningCore | None = None,
 ) -> Planner:
     """Assemble a planner that makes plans by the package's own method.
@@ -480,5 +479,5 @@ def make_planner(
 
         force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
         core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver or HybridSolver)
-    reaction = ContactReaction(arm, unexpected_contact or UnexpectedContactSettings())
-    return Planner(arm, core, reaction, replanning or ReplanningSettings(), task=gains.task)
+    unexpected_contact = unexpected_contact or UnexpectedContactSettings()
+    return Planner(arm, core, replanning or ReplanningSettings(), unexpected_contact, task=gains.task)

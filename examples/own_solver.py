@@ -46,7 +46,7 @@ class Mppi:
             state, point, cost = self._step(problem, state, jax.random.fold_in(key, step))
             best = point if cost < costs[-1] else best
             costs.append(min(costs[-1], float(cost)))
-        return Solution(jax.device_get(best), costs[-1], state, self.max_steps, "max_steps", 0, tuple(costs))
+        return Solution(jax.device_get(best), costs[-1], state, self.max_steps, "max_steps", tuple(costs))
 
 
 scene = cr.load_scene("ball", arm=cr.load_arm("iiwa14"), seed=0)

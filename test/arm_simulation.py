@@ -1,7 +1,7 @@
 """What several tests need: states of the arm, and a simulated one without noise and friction."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -48,11 +48,6 @@ def random_states(count: int, seed: int = 0, arm: Arm = ARM) -> tuple[np.ndarray
     return positions, random.uniform(-arm.velocity_limits, arm.velocity_limits, (count, arm.n))
 
 
-def numbered(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
-    """The same obstacles with ids from 0."""
-    return tuple(dataclasses.replace(obstacle, id=number) for number, obstacle in enumerate(obstacles))
-
-
 def mobility(model: RobotModel) -> np.ndarray:
     """J M⁻¹ Jᵀ, (6, 6), for the state of the last update."""
     return model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T)
@@ -73,7 +68,7 @@ def ideal_plant(
     seed: int = 0,
 ) -> Plant:
     """The simulated arm at `start`; it is exactly what the controller's model says unless told otherwise."""
-    return Plant(Scene("test", ARM, seed, start, np.zeros(3), numbered(obstacles), mismatch=mismatch), sensors, joints)
+    return Plant(Scene("test", ARM, seed, start, np.zeros(3), tuple(obstacles), mismatch=mismatch), sensors, joints)
 
 
 def with_obstacle(file: SceneFile, **changes: Any) -> SceneFile:

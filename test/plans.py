@@ -22,7 +22,5 @@ def make_plan(positions: np.ndarray, rotations: np.ndarray, postures: np.ndarray
         "steps": 1,
         "stop_reason": "stagnated",
         "solve_s": 0.0,
-        "rejected": 0,
-        "left_out": 0,
     }
     return Plan(positions=positions, rotations=rotations, postures=postures, **{**nothing, **others})

@@ -20,10 +20,11 @@ from benchmarks.baselines.rrt_star import JointPath
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames_of_many
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import make_objective
 from contact_reach_ros.planning.plan import Plan, Request
-from contact_reach_ros.planning.prediction import HeldReference, Piece, Predictor, hold_at, pieces_between, reference_at
+from contact_reach_ros.planning.prediction import Piece, Predictor, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.resources import cache_directory
@@ -185,7 +186,7 @@ class CollisionFreePlanner:
         self._plans.append(plan)
         return plan
 
-    def _plan_of(self, references: list[HeldReference], before: HeldReference, effect_ns: int) -> Plan:
+    def _plan_of(self, references: list[Reference], before: Reference, effect_ns: int) -> Plan:
         """A plan of these references, without the motion that follows from them."""
         nothing = np.zeros(0)
         return Plan(
@@ -203,8 +204,6 @@ class CollisionFreePlanner:
             steps=0,
             stop_reason="tracking",
             solve_s=0.0,
-            rejected=0,
-            left_out=0,
             before=before,
             ramp_s=self._ramp_s,
         )
@@ -225,14 +224,14 @@ class CollisionFreePlanner:
         reachable = int(np.argmin(np.append(within, False)))
         return progress + max(reachable - 1, 0)
 
-    def _errors(self, indices: slice, here: HeldReference) -> Array:
+    def _errors(self, indices: slice, here: Reference) -> Array:
         """How far the path's points are from a pose: (N, 6), m and rad in base axes."""
         points = self._points
         assert points is not None
         turns = Rotation.from_matrix(points.rotations[indices] @ here.rotation.T).as_rotvec()
         return np.concatenate([points.positions[indices] - here.position, turns], axis=1)
 
-    def _reference(self, progress: int, q: Array) -> HeldReference:
+    def _reference(self, progress: int, q: Array) -> Reference:
         """The point of the path, or where the arm has been pushed off the path, as much towards it as γ allows."""
         points = self._points
         assert points is not None
@@ -241,7 +240,7 @@ class CollisionFreePlanner:
         translation = _scaled(error[:3], self._bounds[:3])
         turn = Rotation.from_rotvec(_scaled(error[3:], self._bounds[3:])).as_matrix()
         posture = q + _scaled(points.postures[progress] - q, np.full(self._arm.n, POSTURE_BOUND))
-        return HeldReference(here.position + translation, turn @ here.rotation, posture)
+        return Reference(here.position + translation, turn @ here.rotation, posture)
 
 
 def _scaled(vector: Array, bounds: Array) -> Array:

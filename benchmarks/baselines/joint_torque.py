@@ -121,7 +121,7 @@ class TorqueObjective(Objective):
 
         def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
             state, link_force = self.advance(state, action)
-            pose, capsules = self.end_of_knot(problem, state.q)
+            pose, capsules = self.end_of_knot(state.q)
             contact = link_force.max(axis=1)
             return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0), capsules)
 

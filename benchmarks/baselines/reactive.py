@@ -59,7 +59,5 @@ class ReactivePlanner:
             steps=0,
             stop_reason="reactive",
             solve_s=0.0,
-            rejected=0,
-            left_out=0,
             speed_scale=scale,
         )

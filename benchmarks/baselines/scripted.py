@@ -73,6 +73,4 @@ class ScriptedPlanner:
             steps=0,
             stop_reason="scripted",
             solve_s=0.0,
-            rejected=0,
-            left_out=0,
         )

@@ -6,6 +6,7 @@ import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +15,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.timing import NANOSECONDS
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """Where the arm is pulled: flange pose x_d in the base frame and joint posture q_d.
 
     Attributes

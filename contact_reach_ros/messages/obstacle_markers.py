@@ -30,8 +30,8 @@ def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArr
     """The obstacles of a scene at `positions` (K, 3), m, in the order of `rest_positions`, and its rigid bodies."""
     markers: list[Marker] = []
     ends = np.cumsum([len(obstacle.rest) for obstacle in scene.obstacles])
-    for obstacle, places in zip(scene.obstacles, np.split(positions, ends), strict=False):
-        markers += _markers_of(obstacle, places)
+    for number, (obstacle, places) in enumerate(zip(scene.obstacles, np.split(positions, ends), strict=False)):
+        markers += _markers_of(obstacle, number, places)
     markers += [_rigid_marker(body, number) for number, body in enumerate(scene.environment)]
     for marker in markers:
         marker.header = Header(stamp=to_time(stamp_ns), frame_id=scene.arm.base_frame)
@@ -65,7 +65,7 @@ class ObstacleMarkerWriter:
         return bytes(self._buffer)
 
 
-def _markers_of(obstacle: Obstacle, places: Array) -> list[Marker]:
+def _markers_of(obstacle: Obstacle, number: int, places: Array) -> list[Marker]:
     free, ends, diameter = ~obstacle.fixed, obstacle.edges.ravel(), 2.0 * obstacle.radius
     is_ball = len(free) == 1 and free.all()
     kind = Marker.SPHERE if is_ball else Marker.SPHERE_LIST
@@ -78,7 +78,7 @@ def _markers_of(obstacle: Obstacle, places: Array) -> list[Marker]:
         table.append((EDGES, Marker.LINE_LIST, _EDGE_WIDTH, (*_GREEN, 0.6), places[ends]))
     markers = []
     for namespace, shape, scale, color, points in table:
-        marker = to_marker(namespace, obstacle.id, shape, 3 * [scale], color)
+        marker = to_marker(namespace, number, shape, 3 * [scale], color)
         marker.points = [to_point(point) for point in points.tolist()]
         if is_ball:
             (marker.pose.position,), marker.points = marker.points, []

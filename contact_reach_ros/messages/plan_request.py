@@ -11,8 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.detour import Detour
-from contact_reach_ros.planning.plan import HeldReference, ReferenceTrajectory, Request
+from contact_reach_ros.planning.plan import ReferenceTrajectory, Request
 from contact_reach_ros.planning.receding_horizon import Memory
 from contact_reach_ros.planning.terms import Approach
 from contact_reach_ros.world.goal import Target
@@ -134,6 +135,6 @@ def _trajectory(
         positions=positions[first:],
         rotations=rotations[first:],
         postures=postures[first:],
-        before=HeldReference(positions[0], rotations[0], postures[0]) if first else None,
+        before=Reference(positions[0], rotations[0], postures[0]) if first else None,
         ramp_s=ramp_s,
     )

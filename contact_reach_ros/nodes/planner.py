@@ -26,10 +26,9 @@ from contact_reach_ros.nodes.planner_output import PlannerOutput
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.plan import Request
-from contact_reach_ros.planning.planner import LatencyEstimate, Planner
+from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.ros.frames import Frames
 from contact_reach_ros.ros.graph import commanders_that_hear
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
@@ -61,15 +60,18 @@ class PlannerNode(ManagedNode):
         # States arrive much faster than plans are made; handling each would only take time from the loops.
         self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         settings: PlannerNodeSettings = self.settings[""]
-        self._latency = LatencyEstimate(settings.latency_ns)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._budget = load_budget(settings.contact_budget).resolve(self.arm)
         sections: Sections = {_GAINS: ImpedanceSettings, _SUPERVISION: SupervisionSettings}
         self._controllers = settings_of(self.ARGUMENTS, CONTROLLER, sections, self.arm)
         self._core: RecedingHorizonPlanner | None = None
-        reaction = ContactReaction(self.arm, self.settings["unexpected_contact"])
         self._planner = Planner(
-            self.arm, None, reaction, settings, self._latency, self.refuse, self._controllers[_GAINS].task
+            self.arm,
+            None,
+            settings,
+            self.settings["unexpected_contact"],
+            self.refuse,
+            self._controllers[_GAINS].task,
         )
         self._output = PlannerOutput(self)
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, AssumedMaterial.of(settings))
@@ -153,7 +155,7 @@ class PlannerNode(ManagedNode):
         self._solve_times.add(took_ns)
         # Simulated time stands still while a plan is made.
         passed_ns = self.now_ns - now_ns
-        self._latency.add(passed_ns)
+        self._planner.took(passed_ns)
         self._late += passed_ns > request.effect_ns - request.state_ns
         self._output.show(plan)
         found = None if self._core is None else self._core.memory
@@ -163,7 +165,6 @@ class PlannerNode(ManagedNode):
                 "obstacles sent ns": self._seen_ns,
                 "took ms": took_ns / 1e6,
                 "contact share": found.approach.share,
-                **self._planner.reaction.values(),
             }
             if self._planner.goal is not None:
                 values |= goal_values(self._planner.goal.position)

@@ -50,9 +50,15 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, Problem, Rollout, term_weights, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames, place_capsules
+from contact_reach_ros.planning.transfer.dynamics import (
+    Capsules,
+    arm_dynamics,
+    flange_drift,
+    link_frames,
+    place_capsules,
+)
 from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep, single
-from contact_reach_ros.planning.transfer.model import ArmModel, arm_model, load_system
+from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, joint_acceleration
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.scene import Scene
@@ -84,10 +90,9 @@ class BraxObjective(Objective):
 
     def transfer(self, problem: Problem, lanes: int) -> tuple[_Motion, Step]:
         """The start in each lane, and Brax's steps under the laws."""
-        world = _World.of(self, problem.obstacles)
-        return world.init(
-            *(jnp.broadcast_to(part, (world.arm.n, lanes)) for part in (problem.q, problem.v))
-        ), world.step
+        world = _World(self, problem.obstacles)
+        start = (jnp.broadcast_to(part, (self.table.n, lanes)) for part in (problem.q, problem.v))
+        return world.init(*start), world.step
 
 
 class _Motion(NamedTuple):
@@ -102,21 +107,10 @@ class _Motion(NamedTuple):
     physics: BraxState
 
 
-class _World(NamedTuple):
+class _World:
     """Arm and spheres in Brax, all candidates side by side: Brax's arrays have them on the first axis."""
 
-    system: brax.System
-    arm: ArmModel
-    """The arm that the laws use."""
-    gains: ImpedanceSettings
-    obstacles: Obstacles | None
-    stiffness: jax.Array
-    """(K, K) of the springs and edges, N/m."""
-    mass: jax.Array
-    """(K,) of the bodies that stand for the spheres, kg."""
-
-    @classmethod
-    def of(cls, objective: BraxObjective, obstacles: Obstacles | None) -> _World:
+    def __init__(self, objective: BraxObjective, obstacles: Obstacles | None) -> None:
         count = 0 if obstacles is None else obstacles.radius.shape[0]
         system = _load(count, objective.table)
         timestep = objective.system.timestep / _TORQUES
@@ -146,7 +140,10 @@ class _World(NamedTuple):
                     "geom_solimp": jnp.asarray(system.geom_solimp).at[:, :2].set(_IMPEDANCE),
                 }
             )
-        return cls(system, arm_model(objective.table), objective.system.gains, obstacles, stiffness, mass)
+        self.system, self.obstacles = system, obstacles
+        self.arm, self.gains = objective.system.arm, objective.system.gains
+        self.stiffness, self.mass = stiffness, mass
+        """(K, K) of the springs and edges, N/m, and (K,) of the bodies that stand for the spheres, kg."""
 
     def init(self, q: jax.Array, v: jax.Array) -> _Motion:
         """The start at joint angles and speeds (n, B)."""
@@ -257,69 +254,6 @@ class State(base.State):
     """That of the last knot."""
     link_force: jax.Array
     """(L, 1) largest force in the last knot on each of the arm's links with capsules, N."""
-    contact_force: jax.Array
-    """(1,) contact(·) of (4d): largest value in the last knot, N."""
-
-
-class ClosedLoop:
-    """The closed loop as a pipeline for `PipelineEnv`: `init(sys, q, qd)` and `step(sys, state, act)`.
-
-    A step is a knot, and its action {Δx, Δq} is the knot's; law (3) is inside. All arithmetic is that of the planner's
-    rollouts; only the types are Brax's.
-
-    Parameters
-    ----------
-    objective
-        Has the arm, the gains, the contact stiffness, the time step and the steps of a knot.
-    sys
-        The system that `init` and `step` get: the arm's links.
-    problem
-        With the spheres at rest, their springs and dampers; the start counts for nothing.
-    """
-
-    def __init__(self, objective: Objective, sys: brax.System, problem: Problem) -> None:
-        self.objective = objective
-        self._problem = problem
-        self._sys = sys
-
-    def init(
-        self,
-        sys: brax.System,
-        q: jax.Array,
-        qd: jax.Array,
-        act: jax.Array | None = None,
-        ctrl: jax.Array | None = None,
-        debug: bool = False,
-    ) -> State:
-        """State at joint angles and speeds (n,), with the arm held where it is; the rest is ignored.
-
-        Raises
-        ------
-        SettingsError
-            If the system is not the one that the pipeline was made for, as with randomised domains.
-        """
-        if sys is not self._sys:
-            raise SettingsError(
-                "the system is not the one that this pipeline was made for; expected that one, whose fields are "
-                "constants of the compiled program: domains cannot be randomised"
-            )
-        system, joints = self.objective.system, q[:, None]
-        pose = pipeline.tip_pose(system, joints)
-        before = self.objective.before(self._problem, joints, pose)
-        hold = Reference(pose.position, pose.rotation, joints)
-        x, xd = kinematics.forward(sys, q, qd)
-        none = jnp.zeros((len(system.arm.contact_links), 1), q.dtype)
-        return State(q, qd, x, xd, None, before, self._problem.obstacles, hold, none, none.max(axis=0))
-
-    def step(self, sys: brax.System, state: State, act: jax.Array, debug: bool = False) -> State:
-        """One knot under the action {Δx, Δq} (6 + n,), m and rad."""
-        objective, q, v = self.objective, state.q[:, None], state.qd[:, None]
-        problem = self._problem._replace(q=q, v=v, obstacles=state.obstacles)
-        lanes, step = objective.transfer(problem, 1)
-        carry = lanes, pipeline.tip_pose(objective.system, lanes.q), state.before
-        (lanes, _, before), (_, _, *outcome, _) = objective.knot(problem, step, carry, act[:, None])
-        q, qd = lanes.q[:, 0], lanes.qd[:, 0]
-        return State(q, qd, *kinematics.forward(sys, q, qd), None, before, lanes.obstacles, *outcome)
 
 
 class ContactReach(PipelineEnv):
@@ -335,9 +269,6 @@ class ContactReach(PipelineEnv):
         A scene, or the name of one, drawn with seed 0.
     settings, gains
         Of the planner and the controller.
-    start_spread
-        Joints start within this of the scene's start, rad.
-
     """
 
     def __init__(
@@ -345,14 +276,14 @@ class ContactReach(PipelineEnv):
         scene: Scene | str = "ball",
         settings: PlanningSettings | None = None,
         gains: ImpedanceSettings | None = None,
-        start_spread: float = 0.0,
     ) -> None:
         scene = load_scene(scene) if isinstance(scene, str) else scene
         settings, gains, arm = settings or PlanningSettings(), gains or ImpedanceSettings(), scene.arm
         spheres = obstacle_spheres(scene, rest_positions(scene))
-        obstacles, _ = ObstacleReader(arm, sphere_capacity(scene)).read(scene.start, spheres)
+        obstacles = ObstacleReader(arm, sphere_capacity(scene)).read(scene.start, spheres)
         sys = load_system(build_mjcf(arm))
         super().__init__(sys.tree_replace({"opt.timestep": settings.knot_duration}), "generalized")
+        self._compiled = self.sys
         settings = dataclasses.replace(settings, pipeline="closed_loop", null_space="planned", horizon=1)
         self._problem = Problem(
             q=single(scene.start[:, None]),
@@ -365,32 +296,46 @@ class ContactReach(PipelineEnv):
             bodies=nearest_bodies(arm, scene.start, scene.environment),
         )
         self._space = ReferenceSpace(arm, settings, gains)
-        self._loop = ClosedLoop(self._space.objective, self.sys, self._problem)
-        self._spread = start_spread
+        self._objective = self._space.objective
 
     @property
     def backend(self) -> str:
         """Name of the pipeline, which is none of Brax's own."""
         return NAME
 
-    def pipeline_init(self, q: jax.Array, qd: jax.Array, *_: Any) -> State:
-        """State of the pipeline at joint angles and speeds (n,)."""
-        return self._loop.init(self.sys, q, qd)
-
-    def pipeline_step(self, pipeline_state: State, action: jax.Array) -> State:
-        """State of the pipeline after one knot under the action {Δx, Δq} (6 + n,), m and rad."""
-        return self._loop.step(self.sys, pipeline_state, action)
-
     @property
     def action_size(self) -> int:
         """The variables of a knot, in units of their bounds γ: Δx and Δq, without what has no effect."""
         return len(self._space.bounds)
 
+    def pipeline_init(self, q: jax.Array, qd: jax.Array, *_: Any) -> State:
+        """State of the closed loop at joint angles and speeds (n,), with the arm held where it is.
+
+        Raises
+        ------
+        SettingsError
+            If the system is not the environment's own, as with randomised domains.
+        """
+        if self.sys is not self._compiled:
+            raise SettingsError(
+                "the system is not the one that this environment was made with; expected that one, whose fields are "
+                "constants of the compiled program: domains cannot be randomised"
+            )
+        joints = q[:, None]
+        pose = pipeline.tip_pose(self._objective.system, joints)
+        hold = Reference(pose.position, pose.rotation, joints)
+        none = jnp.zeros((len(self._objective.system.arm.contact_links), 1), q.dtype)
+        before = self._objective.before(self._problem, joints, pose)
+        return State(q, qd, *kinematics.forward(self.sys, q, qd), None, before, self._problem.obstacles, hold, none)
+
+    def pipeline_step(self, pipeline_state: State, action: jax.Array) -> State:
+        """State of the closed loop after one knot under the action {Δx, Δq} (6 + n,), m and rad."""
+        return self._knot(pipeline_state, action)[0]
+
     def reset(self, rng: jax.Array) -> EpisodeState:
         """The start of the scene, at rest."""
         q, v = self._problem.q[:, 0], self._problem.v[:, 0]
-        noise = jax.random.uniform(rng, q.shape, minval=-self._spread, maxval=self._spread)
-        pipeline_state = self.pipeline_init(q + noise, jnp.asarray(v))
+        pipeline_state = self.pipeline_init(jnp.asarray(q), jnp.asarray(v))
         start, zero = pipeline_state.reference.position, jnp.zeros(())
         metrics = dict.fromkeys((*self._problem.weights, "distance", "contact_force"), zero)
         info = {"start": start, "lead": jnp.zeros((3, 1))}
@@ -398,17 +343,23 @@ class ContactReach(PipelineEnv):
 
     def step(self, state: EpisodeState, action: jax.Array) -> EpisodeState:
         """One knot; `action` is clipped to [-1, 1]."""
-        before, objective = state.pipeline_state, self._space.objective
+        before, arm = state.pipeline_state, self._objective.system.arm
         action = self._space.actions(jnp.clip(action, -1.0, 1.0)[:, None], self._problem)[0, :, 0]
-        after = self.pipeline_step(before, action)
+        after, tip, capsules = self._knot(before, action)
         q = jnp.stack([before.q, after.q])[..., None]
-        tip, capsules = objective.end_of_knot(self._problem, q[1])
         # Progress counts from where the episode started.
         pose = Pose(jnp.stack([state.info["start"], tip.position]), jnp.stack([tip.rotation] * 2))
-        outcome = after.reference, after.link_force, after.contact_force, capsules
-        rollout = Rollout(q, pose, *jax.tree.map(lambda array: array[None], outcome))
-        system, lead = objective.system, state.info["lead"]
-        context = Context(system.arm, self.dt, self._problem, action[None, :, None], rollout, lead, system.gains.task)
+        force = after.link_force.max(axis=0)
+        outcome = jax.tree.map(lambda array: array[None], (after.reference, after.link_force, force, capsules))
+        context = Context(
+            arm,
+            self.dt,
+            self._problem,
+            action[None, :, None],
+            Rollout(q, pose, *outcome),
+            state.info["lead"],
+            self._objective.system.gains.task,
+        )
         terms = {name: values[0] for name, values in weighted_terms(context).items()}
         distance = jnp.linalg.norm(tip.position - self._problem.goal_position)
         # Brax's wrappers add metrics and information of their own.
@@ -417,9 +368,20 @@ class ContactReach(PipelineEnv):
             obs=self._observe(after, tip.position),
             reward=-sum(terms.values(), start=jnp.zeros(())),
             done=jnp.where(jnp.isfinite(after.q).all(), 0.0, 1.0),
-            metrics={**state.metrics, **terms, "distance": distance, "contact_force": after.contact_force[0]},
+            metrics={**state.metrics, **terms, "distance": distance, "contact_force": force[0]},
             info={**state.info, "lead": action[:3, None]},
         )
+
+    def _knot(self, state: State, action: jax.Array) -> tuple[State, Pose, Capsules]:
+        """As `pipeline_step`, with the tip's pose and the capsules; the arithmetic is the planner's."""
+        objective = self._objective
+        problem = self._problem._replace(q=state.q[:, None], v=state.qd[:, None], obstacles=state.obstacles)
+        start, step = objective.transfer(problem, 1)
+        carry = start, pipeline.tip_pose(objective.system, start.q), state.before
+        (end, pose, before), (_, _, reference, link_force, _, capsules) = objective.knot(step, carry, action[:, None])
+        q, qd = end.q[:, 0], end.qd[:, 0]
+        moved = kinematics.forward(self.sys, q, qd)
+        return State(q, qd, *moved, None, before, end.obstacles, reference, link_force), pose, capsules
 
     def _observe(self, state: State, position: jax.Array) -> jax.Array:
         lanes = (position, self._problem.goal_position - position, state.link_force)

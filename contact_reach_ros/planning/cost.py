@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
@@ -51,7 +50,7 @@ class Objective:
         pose = pipeline.tip_pose(self.system, start.q)
         carry = start, pose, self.before(problem, start.q, pose)
         _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(
-            functools.partial(self.knot, problem, step), carry, actions
+            functools.partial(self.knot, step), carry, actions
         )
         return Rollout(
             q=jnp.concatenate([start.q[None], q]),
@@ -74,7 +73,7 @@ class Objective:
         start = pipeline.init(self.system, _spread(problem.q, lanes), _spread(problem.v, lanes), obstacles)
         return start, functools.partial(pipeline.step, self.system)
 
-    def knot(self, problem: Problem, step: Step, carry: Carry, action: jax.Array) -> tuple[Carry, tuple]:
+    def knot(self, step: Step, carry: Carry, action: jax.Array) -> tuple[Carry, tuple]:
         """The end of a knot under an action (6 + n, B), and what a `Rollout` has of the knot.
 
         `carry` has the state, the pose and the reference in force.
@@ -87,7 +86,7 @@ class Objective:
             return state, (state.link_force, state.link_force.max(axis=0))
 
         state, (link_force, contact) = jax.lax.scan(substep, state, self.shares(), length=self.substeps)
-        pose, capsules = self.end_of_knot(problem, state.q)
+        pose, capsules = self.end_of_knot(state.q)
         reached = None
         if before is not None:
             way = min(1.0, self.substeps * float(self.system.timestep) / self.ramp)
@@ -118,12 +117,10 @@ class Objective:
         integrals = np.where(ends < 1.0, 0.5 * ends**2, ends - 0.5)
         return jnp.asarray(np.diff(integrals) / ends[1], jnp.float32)
 
-    def end_of_knot(self, problem: Problem, q: jax.Array) -> tuple[Pose, Capsules | None]:
-        """Flange pose, and the capsules where a term needs them, at joint angles `q` (n, B)."""
-        arm, keep = self.system.arm, make_keep(q)
-        frames = link_frames(arm, q, keep)
-        pose = Pose(frames.flange, frames.flange_rotation)
-        return pose, place_capsules(arm, frames) if "clearance" in problem.weights else None
+    def end_of_knot(self, q: jax.Array) -> tuple[Pose, Capsules]:
+        """Flange pose and capsules at joint angles `q` (n, B)."""
+        frames = link_frames(self.system.arm, q, make_keep(q))
+        return Pose(frames.flange, frames.flange_rotation), place_capsules(self.system.arm, frames)
 
     def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:
         """The weighted terms (B,) that add up to the cost, each summed over the horizon."""
@@ -184,22 +181,11 @@ def knot_bounds(arm: Arm, settings: PlanningSettings) -> Array:
     return np.array(translation + rotation + [POSTURE_BOUND] * arm.n)
 
 
-def planned(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> NDArray[np.bool_]:
-    """Which components of an action are variables of the plan, (6 + n,); the others are zero.
-
-    The rows of Δx that law (1) controls; and Δq, unless it has no effect: under law (6), or where no joint is left to
-    the null space.
-    """
-    is_planned = np.zeros(N_TASK + arm.n, bool)
-    is_planned[: gains.rows] = True
-    is_planned[N_TASK:] = settings.null_space == "planned" and arm.n > gains.rows
-    return is_planned
-
-
 class ReferenceSpace:
-    """Decision variables of a plan: Δx and Δq of each knot, without the components that have no effect.
+    """Decision variables of a plan: of each knot, the rows of Δx that law (1) controls, and Δq.
 
-    The solver searches points (N, B) in units of the bounds, within [-1, 1].
+    Δq is left out where it has no effect: under law (6), or where no joint is left to the null space. The solver
+    searches points (N, B) in units of the bounds, within [-1, 1].
 
     Attributes
     ----------
@@ -215,11 +201,11 @@ class ReferenceSpace:
 
     def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
         self.objective = make_objective(arm, settings, gains)
-        is_planned = planned(arm, settings, gains)
-        self.bounds = np.tile(knot_bounds(arm, settings)[is_planned], settings.horizon)
+        moves_posture = settings.null_space == "planned" and arm.n > gains.rows
+        self._planned = np.r_[: gains.rows, N_TASK : N_TASK + moves_posture * arm.n]
+        self.bounds = np.tile(knot_bounds(arm, settings)[self._planned], settings.horizon)
         self.spread = np.full_like(self.bounds, SIGMA) if settings.sampling == BOUNDS else PAPER_SIGMA / self.bounds
         self.vectors = settings.horizon
-        self._planned = np.flatnonzero(is_planned)
 
     def actions(self, points: jax.Array, problem: Problem) -> jax.Array:
         """Actions (H, 6 + n, B) of points (N, B), with zeros for the components that points leave out."""

@@ -9,6 +9,7 @@ Plans on it minimise the distance of the joints from that posture in place of th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -73,23 +74,14 @@ class Detour(NamedTuple):
         return {"goal": 0.0, "progress": 0.0, "orientation": 0.0, "contact": _ROOM * settings.contact_weight}
 
 
+@dataclass(frozen=True)
 class Detours:
-    """Follows the progress of plans towards their goals, and chooses detours.
+    """Follows the progress of plans towards their goals, and chooses detours."""
 
-    Parameters
-    ----------
-    arm
-        Arm that plans move.
-    settings
-        Of the planner.
-    permitted_force
-        ε of (4d), N.
-    """
-
-    def __init__(self, arm: Arm, settings: PlanningSettings, permitted_force: float) -> None:
-        self._arm = arm
-        self._settings = settings
-        self._permitted_force = permitted_force
+    arm: Arm
+    settings: PlanningSettings
+    permitted_force: float
+    """ε of (4d), N."""
 
     def target(self, request: Request, last: Request | None) -> Request:
         """The request with the progress towards its goal, and the detour that leads there.
@@ -101,7 +93,7 @@ class Detours:
         last
             The one that the last plan was made for; None after a reset.
         """
-        settings = self._settings
+        settings = self.settings
         # Law (6) pulls to a posture of its own.
         if settings.detour_patience == 0.0 or settings.null_space != "planned":
             return request
@@ -114,8 +106,8 @@ class Detours:
 
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
-        q, patience = request.q, self._settings.detour_patience
-        distance, offset, angle = _distance(self._arm, q, request.goal)
+        q, patience = request.q, self.settings.detour_patience
+        distance, offset, angle = _distance(self.arm, q, request.goal)
         remaining = float(np.linalg.norm(q - detour.posture)) if detour.is_on else distance
         # Less is expected of a slow arm.
         if remaining < detour.least - request.speed_scale * _SPEEDS[detour.is_on] * patience:
@@ -138,10 +130,10 @@ class Detours:
 
         None if there is none without rigid bodies in the way, and without more force than permitted.
         """
-        arm, q, spheres, permitted = self._arm, request.q, request.spheres, self._permitted_force
+        arm, q, spheres, permitted = self.arm, request.q, request.spheres, self.permitted_force
         softness = np.zeros(0)
         if len(spheres):
-            softness = 1.0 / self._settings.contact_stiffness + np.diag(Network(spheres).compliance)
+            softness = 1.0 / self.settings.contact_stiffness + np.diag(Network(spheres).compliance)
         best, least = None, np.inf
         for posture in _postures(arm, q, request.goal, detour):
             length = float(np.linalg.norm(posture - q))

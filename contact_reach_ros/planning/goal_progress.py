@@ -28,7 +28,6 @@ class GoalPhase(Enum):
     """The tip has stayed there, at rest; plans go on holding it."""
     REFUSED = "refused"
     WITHDRAWN = "withdrawn"
-    TIMED_OUT = "timed out"
 
     @property
     def is_open(self) -> bool:
@@ -38,7 +37,7 @@ class GoalPhase(Enum):
     @property
     def is_over(self) -> bool:
         """Whether the goal is not pursued any more."""
-        return self in (GoalPhase.REFUSED, GoalPhase.WITHDRAWN, GoalPhase.TIMED_OUT)
+        return self in (GoalPhase.REFUSED, GoalPhase.WITHDRAWN)
 
 
 class GoalState(NamedTuple):
@@ -64,49 +63,32 @@ class GoalProgress:
         What happened so far.
     """
 
-    def __init__(self, task: Task, timeout: float) -> None:
-        """Follow an accepted task.
-
-        Parameters
-        ----------
-        task
-            Decides where the tip has to be, and how quietly.
-        timeout
-            Time to settle, s; 0 for any.
-        """
+    def __init__(self, task: Task) -> None:
+        """Follow an accepted task, which decides where the tip has to be, and how quietly."""
         self.state = GoalState(GoalPhase.ACCEPTED)
         self._task = task
-        self._timeout_ns = round(timeout * NANOSECONDS)
         self._begun_ns: int | None = None
         self._there_ns: int | None = None
         """Since when the tip has been there, at rest."""
 
-    def update(self, target: Target, position: Array, rotation: Array, speed: float, stamp_ns: int) -> bool:
-        """Take the tip's pose, in the base frame, and its speed, m/s, at a time, ns.
-
-        Returns whether the time is over now.
-        """
-        phase, reason = self.state.phase, self.state.reason
+    def update(self, target: Target, position: Array, rotation: Array, speed: float, stamp_ns: int) -> None:
+        """Take the tip's pose, in the base frame, and its speed, m/s, at a time, ns."""
+        phase, elapsed = self.state.phase, self.state.elapsed
         if self._begun_ns is None or stamp_ns < self._begun_ns:
             self._begun_ns = stamp_ns
             self._there_ns = None
-        elapsed_ns = stamp_ns - self._begun_ns
         if phase.is_open:
+            elapsed = (stamp_ns - self._begun_ns) / NANOSECONDS
             if not self._task.settled(position, rotation, speed, target):
                 self._there_ns = None
             elif self._there_ns is None or stamp_ns < self._there_ns:
                 self._there_ns = stamp_ns
             if self._there_ns is not None and stamp_ns - self._there_ns >= SETTLE_NS:
                 phase = GoalPhase.SETTLED
-            elif phase is not GoalPhase.REACHED and self._task.reached(position, target):
+            elif self._task.reached(position, target):
                 phase = GoalPhase.REACHED
-            elif 0 < self._timeout_ns <= elapsed_ns:
-                phase, reason = GoalPhase.TIMED_OUT, f"not settled within {self._timeout_ns / NANOSECONDS:g} s"
-        was_open = self.state.phase.is_open
-        elapsed = elapsed_ns / NANOSECONDS if was_open else self.state.elapsed
         distance = float(np.linalg.norm(position - target.position))
-        self.state = GoalState(phase, reason, distance, target.angle(rotation), elapsed)
-        return was_open and phase is GoalPhase.TIMED_OUT
+        self.state = GoalState(phase, self.state.reason, distance, target.angle(rotation), elapsed)
 
     def planned(self) -> None:
         """Note that there is a plan."""

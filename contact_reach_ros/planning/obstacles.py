@@ -13,7 +13,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import shape_segments
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.planning.transfer.clearance import Bodies, bodies_of
+from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.collision import body_distances, clearances, nearest
@@ -46,8 +46,8 @@ class ObstacleReader:
         self._kept: NDArray[np.intp] = np.zeros(0, np.intp)
         self._modes: Modes | None = None
 
-    def read(self, q: Array, spheres: Spheres) -> tuple[Obstacles | None, int]:
-        """Convert the spheres for the transfer model, with one lane; also returns how many were left out.
+    def read(self, q: Array, spheres: Spheres) -> Obstacles | None:
+        """Convert the spheres for the transfer model, with one lane; None for a model without obstacles.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class ObstacleReader:
         """
         count = len(spheres)
         if self._capacity == 0:
-            return None, count
+            return None
         kept = np.arange(count)
         if count > self._capacity:
             # Sorted, so that a sphere keeps its index for as long as it is kept.
@@ -73,7 +73,7 @@ class ObstacleReader:
         def points(values: Array) -> jax.Array:
             return single(np.concatenate([values[kept], far_away]).T[:, :, None])
 
-        obstacles = Obstacles(
+        return Obstacles(
             center=points(spheres.center),
             rest=points(spheres.rest),
             radius=single(np.concatenate([spheres.radius[kept], np.zeros(missing)])[:, None]),
@@ -81,7 +81,6 @@ class ObstacleReader:
             amplitudes=single(self._modes.amplitudes),
             rates=single(self._modes.rates),
         )
-        return obstacles, count - len(kept)
 
 
 class Modes(NamedTuple):
@@ -135,6 +134,8 @@ PLANES, BLOCKS = 2, 2
 COLLISION_TOLERANCE = 0.002
 """Predicted depth in a rigid body, or of the arm in itself, up to which a plan is accepted, m: capsules are rounder
 than links."""
+_AWAY = 100.0
+"""How far away the bodies are that fill up these numbers, m: out of reach, near enough for single precision."""
 _DEEPER = 1e-3
 """By how much a motion may go deeper than it begins, m."""
 
@@ -151,7 +152,15 @@ def nearest_bodies(arm: Arm, q: Array, environment: Environment) -> Bodies:
 
         planes = tuple(sorted(planes, key=distance)[:PLANES])
         blocks = tuple(sorted(blocks, key=distance)[:BLOCKS])
-    return bodies_of(planes, blocks, (PLANES, BLOCKS))
+    planes += (Plane("", (0.0, 0.0, -_AWAY)),) * (PLANES - len(planes))
+    blocks += (Block("", (0.0, 0.0, -_AWAY), (1.0, 1.0, 1.0)),) * (BLOCKS - len(blocks))
+    return Bodies(
+        normal=single(np.array([plane.normal for plane in planes]).T[:, :, None]),
+        offset=single(np.array([plane.offset for plane in planes])[:, None]),
+        center=single(np.array([block.center for block in blocks]).T[:, :, None]),
+        axes=single(np.array([block.axes.T for block in blocks]).transpose(1, 2, 0)[..., None]),
+        half=single(np.array([block.half for block in blocks]).T[:, :, None]),
+    )
 
 
 def check_motion(arm: Arm, q: Array, environment: Environment) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.control.references import References
+from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -21,19 +21,8 @@ if TYPE_CHECKING:
     from contact_reach_ros.planning.detour import Detour
 
 
-class HeldReference(NamedTuple):
-    """x_d and q_d that are constant in time."""
-
-    position: Array
-    """(3,), m."""
-    rotation: Array
-    """(3, 3)."""
-    posture: Array
-    """(n,), rad."""
-
-
 Held = tuple[Any, ...]
-"""What is in force for a while, a NamedTuple of arrays: `HeldReference`, unless a method plans something different."""
+"""What is in force for a while, a NamedTuple of arrays: `Reference`, unless a method plans something different."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,7 +39,7 @@ class ReferenceTrajectory:
     """(H, 3, 3) rotation of x_d."""
     postures: Array
     """(H, n) q_d of law (2), rad."""
-    before: HeldReference | None = None
+    before: Reference | None = None
     """What is in force at the effect, from which the reference moves to knot 0; None if it steps."""
     ramp_s: float = 0.0
     """Time in which the reference moves to a knot, from its beginning on, s."""
@@ -83,7 +72,7 @@ class ReferenceTrajectory:
         knot = (time_ns - self.effect_ns - 1) // self.knot_duration_ns
         if knot >= len(self.positions):
             return None
-        target = HeldReference(self.positions[knot], self.rotations[knot], self.postures[knot])
+        target = Reference(self.positions[knot], self.rotations[knot], self.postures[knot])
         elapsed = (time_ns - self.effect_ns - knot * self.knot_duration_ns) * 1e-9
         if elapsed >= self.ramp_s or self.before is None:
             return target
@@ -114,10 +103,6 @@ class Plan(ReferenceTrajectory):
     """"stagnated", "max_steps" or "deadline"."""
     solve_s: float
     """Wall-clock time of the whole call, s."""
-    rejected: int
-    """Candidates whose cost was not finite."""
-    left_out: int
-    """Obstacle spheres beyond the planner's capacity, which were ignored."""
     speed_scale: float = 1.0
     """Share of γ that its actions are bounded by."""
 
@@ -125,18 +110,16 @@ class Plan(ReferenceTrajectory):
         """How the plan was found, by the keys of diagnostics and plan/statistics; the same for the same request."""
         return {
             "steps": self.steps,
-            "non-finite candidates": self.rejected,
-            "spheres left out": self.left_out,
             "speed scale": self.speed_scale,
             "cost": self.cost,
             **{f"cost {name}": value for name, value in self.cost_terms.items()},
         }
 
 
-def _between(start: HeldReference, end: HeldReference, share: float) -> HeldReference:
+def _between(start: Reference, end: Reference, share: float) -> Reference:
     """As `law.blend`, which is compiled for the controller's tick: planners need not wait for that when they start."""
     turn = Rotation.from_matrix(end.rotation @ start.rotation.T).as_rotvec()
-    return HeldReference(
+    return Reference(
         position=start.position + share * (end.position - start.position),
         rotation=Rotation.from_rotvec(share * turn).as_matrix() @ start.rotation,
         posture=start.posture + share * (end.posture - start.posture),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
@@ -17,10 +19,9 @@ from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
 from contact_reach_ros.planning.plan import Plan, PlanningCore, Request
-from contact_reach_ros.planning.settings import ReplanningSettings
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
+from contact_reach_ros.planning.settings import RETREAT, ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.timing import NANOSECONDS
-from contact_reach_ros.world.collision import check_goal
+from contact_reach_ros.world.collision import check_goal, clearances
 from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.spheres import Spheres
 
@@ -85,11 +86,80 @@ class KnownObstacles:
         )
 
 
+LEAST_FORCE = 5.0
+"""Least force of a contact that counts, N: above the observer's errors where contacts are located."""
+PATIENCE_NS = NANOSECONDS // 100
+"""Least duration of a contact that counts, ns: ten states, so that no single one leads to a retreat."""
+RETREAT_DISTANCE = 0.05
+"""Distance of the retreat, m: enough to free a hand."""
+
+_KNOWN_WITHIN = 0.01
+"""A contact is attributed to a known obstacle if one is nearer to the arm than this, m."""
+_STEP = 0.005
+"""Distance between remembered positions of the flange, m."""
+
+
+class ContactReaction:
+    """Turns contacts that the observer reports into a position where the arm came from.
+
+    Attributes
+    ----------
+    reason
+        Reason for the retreat in force; empty without one.
+    position
+        (3,) where the flange goes back to, m; None without a retreat.
+    """
+
+    def __init__(self, arm: Arm, settings: UnexpectedContactSettings) -> None:
+        self._arm = arm
+        self._retreats = settings.reaction == RETREAT
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, because the goal has changed or was withdrawn."""
+        self.reason = ""
+        self._since_ns: int | None = None
+        self._path: list[Array] = []
+        self.position: Array | None = None
+
+    def moved(self, flange: Array) -> None:
+        """Remember a position (3,) of the flange, m."""
+        if not self._path or math.dist(flange, self._path[-1]) > _STEP:
+            self._path.append(flange.copy())
+
+    def report(self, contact: Contact | None, q: Array, spheres: Spheres, stamp_ns: int) -> bool:
+        """Take a contact at joint angles `q` (n,), rad, or None for no contact; returns whether plans change.
+
+        `spheres`: the obstacles that the planner knows.
+        """
+        if not self._retreats or self.position is not None:
+            return False
+        known = len(spheres) > 0 and bool(clearances(self._arm, q, spheres).min() < _KNOWN_WITHIN)
+        if contact is None or known or contact.strength < LEAST_FORCE:
+            self._since_ns = None
+            return False
+        if self._since_ns is None:
+            self._since_ns = stamp_ns
+        if stamp_ns - self._since_ns < PATIENCE_NS or not self._path:
+            return False
+        self.reason = f"{RETREAT}: unexpected contact at {contact.link}, {contact.strength:.0f} N"
+        self.position = self._way_back()
+        return True
+
+    def _way_back(self) -> Array:
+        """The last position of the flange as far away as the retreat, or the first one."""
+        here = self._path[-1]
+        for position in reversed(self._path):
+            if math.dist(position, here) >= RETREAT_DISTANCE:
+                return position
+        return self._path[0]
+
+
 _ABANDONED_NS = 2_000_000_000
 """Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""
 
 _RECENT = 8
-"""Plans whose times the estimate of the latency is made from."""
+"""Plans whose times the latency of the next one is estimated from: on a busy machine they vary."""
 _MAX_LATENCY_NS = NANOSECONDS // 4
 
 
@@ -123,9 +193,8 @@ class Planner:
         self,
         arm: Arm,
         core: PlanningCore | None,
-        reaction: ContactReaction,
         settings: ReplanningSettings,
-        latency: Callable[[], int] | None = None,
+        unexpected_contact: UnexpectedContactSettings,
         refuse: Callable[[str, InputError], None] | None = None,
         task: str = POSE,
     ) -> None:
@@ -133,12 +202,12 @@ class Planner:
 
         Parameters
         ----------
-        arm, reaction, settings
-            Arm, reaction to unexpected contact, and when to plan.
+        arm
+            Arm to plan for.
         core
             Makes the plans; None for a planner that only makes requests.
-        latency
-            Returns the time from a state to the effect of its plan, ns; by default that of the settings.
+        settings, unexpected_contact
+            When to plan, and how to react to contact that no known obstacle explains.
         refuse
             Called for a goal that waited for a joint state and proved unreachable, and for plans that are due while it
             is not known where the obstacles are, whose errors are raised by default; also for a goal that is withdrawn
@@ -148,7 +217,7 @@ class Planner:
         """
         self.core = core
         self._task = task
-        self.reaction = reaction
+        self.reaction = ContactReaction(arm, unexpected_contact)
         self.goal: Target | None = None
         self.plan: Plan | None = None
         self.state: JointState | None = None
@@ -158,8 +227,8 @@ class Planner:
         self._arm = arm
         self._model = RobotModel(arm)
         self.settings = settings
-        self._latency = latency or (lambda: settings.latency_ns)
-        self._refuse, self._note = refuse or _raise, refuse or _ignore
+        self._took_ns = deque([settings.latency_ns], _RECENT)
+        self._refuse = refuse
         self._pending: Task | None = None
         self._progress: GoalProgress | None = None
         self.obstacles = KnownObstacles(settings.max_obstacle_age, settings.require_obstacles)
@@ -181,7 +250,7 @@ class Planner:
             self._pursue(target)
         else:
             self._pending = goal
-        self._progress = GoalProgress(goal, self.settings.goal_timeout)
+        self._progress = GoalProgress(goal)
 
     @property
     def goal_state(self) -> GoalState | None:
@@ -245,7 +314,8 @@ class Planner:
         if paused_ns > _ABANDONED_NS and self.goal is not None:
             why = f"joint states paused for {paused_ns / NANOSECONDS:.1f} s: send the goal again to go on"
             self.withdraw(why)
-            self._note("goals", InputError(why))
+            if self._refuse is not None:
+                self._refuse("goals", InputError(why))
         self.state = state
         self.obstacles.advance(stamp_ns)
         if self._pending is not None:
@@ -254,7 +324,7 @@ class Planner:
                 self._pursue(self.resolve(pending, state))
             except InputError as error:
                 self.withdraw(str(error), GoalPhase.REFUSED)
-                self._refuse("goals", error)
+                self._report("goals", error)
         self._follow_progress(state)
         if self.goal is None or stamp_ns < self.due_ns:
             return None
@@ -262,11 +332,13 @@ class Planner:
         self.reaction.moved(self._model.tip_pose(q)[0])
         problem = self.obstacles.problem(stamp_ns)
         if problem:
-            self._refuse("plans", InputError(problem))
+            self._report("plans", InputError(problem))
             return None
-        goal, spheres = self.reaction.goal(self.goal), self.obstacles.spheres
-        effect_ns, detours = stamp_ns + self._latency(), not self.reaction.is_retreating
-        return Request(q, v, stamp_ns, effect_ns, goal, spheres, self.speed_scale, detours)
+        goal, back, spheres = self.goal, self.reaction.position, self.obstacles.spheres
+        if back is not None:
+            goal = dataclasses.replace(goal, position=back)
+        effect_ns = stamp_ns + self._latency_ns
+        return Request(q, v, stamp_ns, effect_ns, goal, spheres, self.speed_scale, detours=back is None)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.
@@ -291,15 +363,22 @@ class Planner:
             self._progress.planned()
         return plan
 
+    def took(self, duration_ns: int) -> None:
+        """Take the time from a plan's request to its publication, ns: later ones take effect no earlier than that."""
+        self._took_ns.append(duration_ns)
+
+    @property
+    def _latency_ns(self) -> int:
+        """Time from a state to the effect of its plan, ns."""
+        return max(self.settings.latency_ns, min(max(self._took_ns), _MAX_LATENCY_NS))
+
     def _follow_progress(self, state: JointState) -> None:
         if self._progress is None or self.goal is None:
             return
         model = self._model
         model.update(state.q, state.v)
         speed = float(np.linalg.norm(model.twist[:3]))
-        if self._progress.update(self.goal, model.position, model.rotation, speed, state.stamp_ns):
-            self.withdraw()
-            self._note("goals", InputError(f"{self._progress.state.reason}: the goal is withdrawn"))
+        self._progress.update(self.goal, model.position, model.rotation, speed, state.stamp_ns)
 
     def resolve(self, goal: Task, state: JointState) -> Target:
         """The pose to plan for, without what of the orientation law (1) leaves to the null space.
@@ -317,36 +396,11 @@ class Planner:
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target
 
+    def _report(self, what: str, error: InputError) -> None:
+        if self._refuse is None:
+            raise error
+        self._refuse(what, error)
+
     def _pursue(self, goal: Target) -> None:
         self.goal = goal
         self.reaction.reset()
-
-
-class LatencyEstimate:
-    """Time until a plan begun now can take effect: as long as the last ones took, which varies on a busy machine.
-
-    Parameters
-    ----------
-    least_ns
-        Shortest estimate, ns.
-    """
-
-    def __init__(self, least_ns: int) -> None:
-        self._least_ns = least_ns
-        self._recent_ns: deque[int] = deque(maxlen=_RECENT)
-
-    def add(self, took_ns: int) -> None:
-        """Take the time from a plan's request to its publication, ns."""
-        self._recent_ns.append(took_ns)
-
-    def __call__(self) -> int:
-        """The estimate, ns."""
-        return max(self._least_ns, min(max(self._recent_ns, default=0), _MAX_LATENCY_NS))
-
-
-def _ignore(*_: object) -> None:
-    pass
-
-
-def _raise(_: str, error: InputError) -> None:
-    raise error

@@ -14,7 +14,8 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.planning.plan import Held, HeldReference, ReferenceTrajectory
+from contact_reach_ros.control.references import Reference
+from contact_reach_ros.planning.plan import Held, ReferenceTrajectory
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
@@ -24,10 +25,10 @@ MAX_PIECES = 128
 """Steps that one prediction may take."""
 
 
-def hold_at(arm: Arm, q: Array) -> HeldReference:
+def hold_at(arm: Arm, q: Array) -> Reference:
     """The reference that holds the arm at joint angles `q` (n,)."""
     rotations, origins = link_frames(arm, q)
-    return HeldReference(origins[-1], rotations[-1], q)
+    return Reference(origins[-1], rotations[-1], q)
 
 
 class Piece(NamedTuple):

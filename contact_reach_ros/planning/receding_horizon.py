@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -14,25 +14,25 @@ from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings, plan_basis
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, nearest_bodies
-from contact_reach_ros.planning.plan import Held, HeldReference, Plan, ReferenceTrajectory, Request
+from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory, Request
 from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, followed, hold_at, pieces_between, reference_at
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings, steady_speed
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver, State, shift_solution
 from contact_reach_ros.planning.terms import LEAST_SPEED, Approach, Number, Problem, Rollout, term_weights
+from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.planning.transfer.pipeline import Reference
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.rigid import Environment
 from contact_reach_ros.world.spheres import Spheres
 
 
@@ -99,7 +99,7 @@ class RecedingHorizonPlanner:
         permitted_force: float,
         capacity: int,
         max_position_error: float = SupervisionSettings().max_position_error,
-        solver: Callable[[CostFunction[Any], int, PlanningSettings], Solver[Any]] = HybridSolver,
+        solver: Callable[[CostFunction, int, PlanningSettings], Solver] = HybridSolver,
     ) -> None:
         configure_jax(cache_directory() / "jax")
         self.basis = plan_basis(arm, gains, max_position_error)
@@ -185,13 +185,14 @@ class RecedingHorizonPlanner:
         request = self._detours.target(request._replace(q=q, v=v), last)
         # The search of a posture takes longer than a plan.
         until = time.perf_counter() + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
-        obstacles, left_out = self._obstacles.read(q, spheres)
+        obstacles = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         hold = self._hold(q)
         plans = self._followed(q, state_ns)
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
-        bodies = self._bodies(q, spheres.environment)
-        before = self._before(reference_at(plans, effect_ns) or hold)
+        bodies = nearest_bodies(self._arm, q, spheres.environment)
+        # From which the reference moves, unless it steps.
+        before = Reference(*(reference_at(plans, effect_ns) or hold)) if self._ramp_s else None
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before)
 
         state, start_cost = self._start(problem, request)
@@ -207,7 +208,7 @@ class RecedingHorizonPlanner:
         predicted_q = np.asarray(rollout.q)[..., 0].astype(float)
         check_motion(self._arm, predicted_q, spheres.environment)
         self._number += 1
-        plan = self._plan_of(solution, rollout, terms, request, left_out, begin, before)
+        plan = self._plan_of(solution, rollout, terms, request, begin, before)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
         approach, trajectories = self._approach_of(plan, request), (*earlier, plan)
         self.memory = Memory(trajectories, request, solution.best, solution.state, approach, since_reset + 1)
@@ -240,7 +241,7 @@ class RecedingHorizonPlanner:
         """Progress towards the goal when the plan takes effect."""
         distance, memory = math.dist(plan.predicted_positions[0], request.goal.position), self.memory
         if memory is None or not request.goal.same_as(memory.request.goal) or request.on_detour:
-            return Approach.begin(distance)
+            return Approach(distance)
         settings = self._settings
         elapsed = (plan.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9
         is_firm = bool((plan.predicted_contact_forces > self._permitted_force).any())
@@ -270,22 +271,14 @@ class RecedingHorizonPlanner:
         if elapsed < 0.0 or (np.abs(q - last.q) > reachable).any():
             self.reset()
 
-    def _bodies(self, q: Array, environment: Environment) -> Bodies | None:
-        """Rigid bodies for a program, which has none where they cost nothing."""
-        return nearest_bodies(self._arm, q, environment) if self._settings.clearance_weight else None
-
-    def _before(self, held: Held) -> HeldReference | None:
-        """What is in force at the effect, from which the reference moves; None where it steps."""
-        return HeldReference(*held) if self._ramp_s else None
-
     def _problem(
         self,
         q: jax.Array,
         v: jax.Array,
         obstacles: Obstacles | None,
         request: Request,
-        bodies: Bodies | None,
-        before: HeldReference | None,
+        bodies: Bodies,
+        before: Reference | None,
     ) -> Problem:
         goal, detour = request.goal, request.detour
         rotation = np.eye(3) if goal.rotation is None else goal.rotation
@@ -299,7 +292,7 @@ class RecedingHorizonPlanner:
             permitted_force=single(self._permitted_force),
             bodies=bodies,
             speed_scale=single(request.speed_scale),
-            before=None if before is None else Reference(*(single(part[..., None]) for part in before)),
+            before=None if before is None else pipeline.Reference(*(single(part[..., None]) for part in before)),
             detour=None if detour is None else single(detour.posture[:, None]),
         )
         return jax.device_put(problem)
@@ -341,9 +334,8 @@ class RecedingHorizonPlanner:
         rollout: Rollout,
         terms: dict[str, jax.Array],
         request: Request,
-        left_out: int,
         begin: float,
-        before: HeldReference | None,
+        before: Reference | None,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
         cost_terms = {name: float(np.asarray(values)[0]) for name, values in terms.items()}
@@ -362,8 +354,6 @@ class RecedingHorizonPlanner:
             steps=solution.steps,
             stop_reason=solution.stop_reason,
             solve_s=time.perf_counter() - begin,
-            rejected=solution.rejected,
-            left_out=left_out,
             before=before,
             speed_scale=request.speed_scale,
             ramp_s=self._ramp_s,

@@ -45,18 +45,21 @@ def configure_jax(cache: Path | None = None) -> None:
         flags = os.environ.get("XLA_FLAGS", "")
         missing = (flag for name, flag in _FLAGS.items() if name not in flags)
         os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
-    if "JAX_PLATFORMS" not in os.environ and not _gpu_support():
+    # Without support for a GPU, JAX would only complain that there is none.
+    if "JAX_PLATFORMS" not in os.environ and not any(map(find_spec, _GPU_PLUGINS)):
         jax.config.update("jax_platforms", "cpu")
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         # The programs are few, and even the quick ones are worth keeping.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    _start_backend_with_one_worker()
-
-
-def _gpu_support() -> bool:
-    """Whether JAX was installed with support for a GPU; without it, JAX would only complain."""
-    return any(find_spec(package) is not None for package in _GPU_PLUGINS)
+    # The CPU client reads NPROC once at its start; child processes must not inherit it.
+    is_given = "NPROC" in os.environ
+    os.environ.setdefault("NPROC", "1")
+    try:
+        jax.devices()
+    finally:
+        if not is_given:
+            del os.environ["NPROC"]
 
 
 def _is_running() -> bool:
@@ -70,17 +73,3 @@ def _is_running() -> bool:
         return True
     jax.config.update("jax_num_cpu_devices", devices)
     return False
-
-
-def _start_backend_with_one_worker() -> None:
-    """Start the CPU client, which reads NPROC once at its start; child processes must not inherit NPROC."""
-    import jax
-
-    if "NPROC" in os.environ:
-        jax.devices()
-        return
-    os.environ["NPROC"] = "1"
-    try:
-        jax.devices()
-    finally:
-        del os.environ["NPROC"]

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.settings import Sections, Settings, setting
 from contact_reach_ros.timing import NANOSECONDS
@@ -66,7 +63,7 @@ class PlanningSettings(Settings):
     )
     clearance_weight: float = setting(
         100.0,
-        "squared intrusion of the arm into the margin around rigid bodies and its own links; 0 leaves it out",
+        "squared intrusion of the arm into the margin around rigid bodies and its own links",
         unit="1/m²",
         minimum=0.0,
         maximum=10000.0,
@@ -158,9 +155,6 @@ class ReplanningSettings(Settings):
     require_obstacles: bool = setting(
         True, "refuse goals and plans before the first message of obstacles; false declares the scene empty until then"
     )
-    goal_timeout: float = setting(
-        0.0, "time without settling after which a goal is withdrawn, 0 for none", unit="s", minimum=0.0, maximum=3600.0
-    )
 
     @property
     def period_ns(self) -> int:
@@ -223,18 +217,3 @@ def steady_speed(planning: PlanningSettings, impedance: ImpedanceSettings) -> fl
     if impedance.task_damping == 0.0:
         return math.inf if pull > 0.0 else 0.0
     return pull / impedance.task_damping
-
-
-def least_duration(
-    start_position: Array, target: Array, planning: PlanningSettings, impedance: ImpedanceSettings
-) -> float:
-    """Shortest time in which the flange can move from one position (3,) to another, m, base frame; in s.
-
-    The axis with the farthest to go determines it, at `steady_speed`; infinite without stiffness, unless the distance
-    is zero.
-    """
-    distance = float(np.abs(target - start_position).max())
-    if distance == 0.0:
-        return 0.0
-    speed = steady_speed(planning, impedance)
-    return distance / speed if speed > 0.0 else math.inf

@@ -73,8 +73,8 @@ class Rollout(NamedTuple):
     """(H, L, B) largest force within each knot on each of the arm's `contact_links`, N."""
     contact: jax.Array
     """(H, B) contact(·) of (4d): largest value within each knot, N."""
-    capsules: Capsules | None
-    """(H, ...) capsules of the links at the ends of the knots; None if no term needs them."""
+    capsules: Capsules
+    """(H, ...) capsules of the links at the ends of the knots."""
 
 
 JOINT_LIMIT_MARGIN = 0.1
@@ -128,19 +128,17 @@ class Term(NamedTuple):
     value: Value
     weight: str | float
     """The setting that holds the weight, or the weight itself."""
-    is_reward: bool
-    """Whether it lowers the cost."""
 
 
 TERMS: dict[str, Term] = {}
 """Terms by name, in the order of their definition."""
 
 
-def term(weight: str | float, is_reward: bool = False) -> Callable[[Value], Value]:
-    """Add a function to the terms, under its own name and with the fields of `Term`."""
+def term(weight: str | float) -> Callable[[Value], Value]:
+    """Add a function to the terms, under its own name."""
 
     def add(value: Value) -> Value:
-        TERMS[value.__name__] = Term(value, weight, is_reward)
+        TERMS[value.__name__] = Term(value, weight)
         return value
 
     return add
@@ -160,15 +158,11 @@ def term_weights(settings: PlanningSettings, changed: Mapping[str, float] | None
             where = f"{type(settings).__name__}.{entry.name}"
             raise SettingsError(f'{where}: expected a cost term with this weight, @term("{entry.name}")')
     known = vars(settings)
-    weights = {
+    return {
         name: known[own.weight] if isinstance(own.weight, str) else own.weight
         for name, own in TERMS.items()
         if not isinstance(own.weight, str) or own.weight in known
     } | dict(changed or {})
-    if settings.clearance_weight == 0.0:
-        # Its program then does without the term.
-        del weights["clearance"]
-    return weights
 
 
 def weighted_terms(context: Context) -> dict[str, jax.Array]:
@@ -177,8 +171,7 @@ def weighted_terms(context: Context) -> dict[str, jax.Array]:
     weights = context.problem.weights
     # Sums are rounded in the order of the terms, which the weights lose inside of JAX.
     for name in (name for name in TERMS if name in weights):
-        own = TERMS[name]
-        part = (-weights[name] if own.is_reward else weights[name]) * own.value(context)
+        part = weights[name] * TERMS[name].value(context)
         parts[name] = sum_over(part, 0) if part.ndim == 2 else part
     return parts
 
@@ -189,10 +182,10 @@ def goal(context: Context) -> jax.Array:
     return _length(context.position[:, 1:] - context.problem.goal_position[:, None])
 
 
-@term("progress_weight", is_reward=True)
+@term("progress_weight")
 def progress(context: Context) -> jax.Array:
-    """Distance of the flange from where the plan starts, m."""
-    return _length(context.position[:, 1:] - context.position[:, :1])
+    """Distance of the flange from where the plan starts, m, which lowers the cost."""
+    return -_length(context.position[:, 1:] - context.position[:, :1])
 
 
 @term("contact_limit_weight")
@@ -275,11 +268,8 @@ def lead_change(context: Context) -> jax.Array:
 @term("clearance_weight")
 def clearance(context: Context) -> jax.Array:
     """Squared intrusion into the margin around rigid bodies and the arm's own links at the ends of the knots, m²."""
-    problem, capsules = context.problem, context.rollout.capsules
-    if capsules is None:
-        return jnp.zeros_like(context.rollout.contact)
-    keep = make_keep(capsules.start)
-    return intrusion(context.arm, capsules, problem.bodies, CLEARANCE_MARGIN, keep)
+    capsules = context.rollout.capsules
+    return intrusion(context.arm, capsules, context.problem.bodies, CLEARANCE_MARGIN, make_keep(capsules.start))
 
 
 def _length(vectors: jax.Array) -> jax.Array:
@@ -305,17 +295,12 @@ class Approach(NamedTuple):
 
     distance: float
     """From flange to goal, m."""
-    share: float
+    share: float = 1.0
     """Share of the weight of permitted contact for the next plan."""
 
     def weights(self, settings: PlanningSettings) -> dict[str, float]:
         """Weights of terms for the next plan, by their names."""
         return {"contact": self.share * settings.contact_weight}
-
-    @classmethod
-    def begin(cls, distance: float) -> Approach:
-        """Progress at the moment of a new goal."""
-        return cls(distance, 1.0)
 
     def updated(
         self, distance: float, elapsed: float, patience: float, least_speed: float, is_firm: bool = False

@@ -73,8 +73,6 @@ class ReexecutedPlan:
 class _RecordedSolution:
     """Stands in for a solver: its searches end at once, with the recorded solution."""
 
-    max_steps = 1
-
     best = np.zeros(0)
 
     def reseed(self, seed: int) -> None:
@@ -88,7 +86,7 @@ class _RecordedSolution:
 
     def solve(self, problem: Problem, state: None, start_cost: float, number: int, until: float = 0.0) -> Solution:
         """The recorded solution."""
-        return Solution(self.best, 0.0, state, 1, "max_steps", 0, (0.0,))
+        return Solution(self.best, 0.0, state, 1, "max_steps", (0.0,))
 
 
 class RecordedPlans:
@@ -164,7 +162,7 @@ class RecordedPlans:
     def _evaluator(self) -> RecedingHorizonPlanner:
         return self._make_planner(self._settings, lambda *_: self._solution)
 
-    def _make_planner(self, settings: Mapping[str, Any], solver: Callable[..., Solver[Any]]) -> RecedingHorizonPlanner:
+    def _make_planner(self, settings: Mapping[str, Any], solver: Callable[..., Solver]) -> RecedingHorizonPlanner:
         # Results must not depend on how fast the machine is.
         planning = dataclasses.replace(settings["planning"], deadline=0.0)
         force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres

@@ -107,11 +107,6 @@ class ReportBag:
         begin = float(self.signals.position.time[0]) if len(self.signals.position.time) else 0.0
         return (begin if self.episode is None else max(begin, self.episode.shown_from)) - self.zero
 
-    @property
-    def round_trip_us(self) -> Array:
-        """From the sending of each joint state to the sending of its command, µs."""
-        return self.signals.answers_ns / 1000.0
-
 
 def read_report_bag(
     path: Path, label: str, end_ns: int | None = None, timeout: float = np.inf, settle: float = np.inf
@@ -175,8 +170,6 @@ def read_report_bag(
 
 _OF_SUMMARY: dict[str, tuple[str, Callable[[EpisodeSummary], float]]] = {
     "time to the goal": ("s", lambda summary: summary.duration_s),
-    "limit: the least time": ("s", lambda summary: summary.limit_s),
-    "time, over the limit": ("×", lambda summary: summary.time_ratio),
     "distance at the end": ("mm", lambda summary: 1000 * summary.final_error_m),
     "way to the goal": ("mm", lambda summary: 1000 * summary.distance_m),
     "largest contact force": ("N", lambda summary: summary.max_contact_force_N),

@@ -17,7 +17,7 @@ from contact_reach_ros.report.summary import SUCCESS_DISTANCE
 Chart = dict[str, Any]
 """`data` and `layout` of a plotly figure; empty data if the bag lacks the quantity.
 
-`linked` marks charts whose x axis is the page's time; they show the times from `from` to `to` at first.
+The x axis is the page's time; charts show the times from `from` to `to` at first.
 """
 Trace = dict[str, Any]
 
@@ -25,8 +25,6 @@ BINS = 1500
 """Number of bins that a long curve is cut into, about one per column of a screen."""
 _GAP = 0.05
 """Shortest time without messages that interrupts a curve, s."""
-_BARS = 60
-"""Number of bars of a histogram."""
 _MAXIMUM_LINES = 60
 _EVENT_COLOURS = {0: GREY, 1: ORANGE, 2: VERMILION, 3: VERMILION}
 _REASON_COLOURS = {"stagnated": BLUE, "max_steps": ORANGE, "deadline": VERMILION}
@@ -125,33 +123,6 @@ def cost_chart(bag: ReportBag) -> Chart:
         dash = "solid" if index < len(JOINT_COLOURS) - 1 else "dash"
         data.append(curve(time, costs[name], words, _other_colour(index), "", dash=dash))
     return _chart(bag, data, "cost of a plan [1]")
-
-
-def round_trip_chart(bag: ReportBag) -> Chart:
-    """Histogram of the time from a joint state to its command."""
-    values = bag.round_trip_us[np.isfinite(bag.round_trip_us)]
-    layout: dict[str, Any] = {
-        "xaxis": {"title": {"text": "joint state to command [µs]"}},
-        "yaxis": {"title": {"text": "number of ticks"}, "type": "log", "dtick": 1, "exponentformat": "none"},
-        "bargap": 0.03,
-    }
-    if not len(values):
-        return {"data": [], "layout": layout}
-    # The farthest thousandth on each side shares the outermost bar.
-    low, high = np.percentile(values, (0.1, 99.9))
-    margin = 0.1 * max(high - low, 1.0)
-    edges = np.linspace(low - margin, high + margin, _BARS + 1)
-    counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
-    bars = {
-        "type": "bar",
-        "x": _packed(0.5 * (edges[1:] + edges[:-1])),
-        "y": counts.tolist(),
-        "marker": {"color": GREEN},
-        "hovertemplate": "%{y} ticks near %{x:.0f} µs<extra></extra>",
-        "showlegend": False,
-    }
-    note = f"from {values.min():.0f} to {values.max():.0f} µs; values farther out are in the outermost bars"
-    return {"data": [bars], "layout": layout, "note": note}
 
 
 def curve(time: Array, values: Array, name: str, colour: str, unit: str, **line: Any) -> Trace:
@@ -260,7 +231,7 @@ def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart
     if not data:
         return {"data": [], "layout": layout}
     _mark_events(bag, data, layout)
-    return {"data": data, "layout": layout, "linked": True, "from": bag.shown_from, "to": _span(bag)[1]}
+    return {"data": data, "layout": layout, "from": bag.shown_from, "to": _span(bag)[1]}
 
 
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:

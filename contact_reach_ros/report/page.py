@@ -150,13 +150,6 @@ _SECTIONS = (
         "Solve time of each plan, by the reason that ended the search, and the terms of its cost.",
         [charts.solve_chart, charts.cost_chart],
     ),
-    _Section(
-        "timing",
-        "Timing",
-        "From the sending of a joint state to the sending of its command. In lockstep the robot's clock waits for the "
-        "nodes: the chart then shows their speed, not their punctuality.",
-        [charts.round_trip_chart],
-    ),
 )
 
 

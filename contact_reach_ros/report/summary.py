@@ -12,9 +12,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
-from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.planning.settings import PlanningSettings, least_duration
 from contact_reach_ros.settings import Settings
 
 SUCCESS_DISTANCE = 0.01
@@ -39,10 +37,6 @@ class EpisodeSummary:
         Time from the sending of the goal to the end of the episode.
     distance_m
         Distance from start to goal.
-    limit_s
-        Least time that the transfer model's speed bound permits for this distance, with the settings of the run.
-    time_ratio
-        `duration_s` over `limit_s`; NaN if the arm starts at the goal.
     max_contact_force_N
         Largest force on one robot body.
     max_external_torque_Nm
@@ -64,8 +58,6 @@ class EpisodeSummary:
     duration_s: float
     watched_s: float
     distance_m: float
-    limit_s: float
-    time_ratio: float
     max_contact_force_N: float  # noqa: N815 - the unit's letter
     max_external_torque_Nm: float  # noqa: N815
     ticks: int
@@ -134,17 +126,11 @@ class Episode:
         self.reached = float(self.distance.time[near][0]) if near.any() else None
         settled = np.inf if self.reached is None else self.reached + settle
         self._end = min(float(position.time[-1]), end, self.start + timeout, settled)
-        self._straight = self._limit = float("nan")
+        self._straight = float("nan")
         if self.has_goal:
             row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
-            start_position, target = tip_positions(arm, position.values[row : row + 1])[0], signals.goals.values[0]
-            self._straight = float(np.linalg.norm(target - start_position))
-            self._limit = least_duration(
-                start_position,
-                target,
-                recorded_section(signals, "planner", "planning", PlanningSettings(), []),
-                recorded_section(signals, "controller", "impedance", ImpedanceSettings(), []),
-            )
+            start_position = tip_positions(arm, position.values[row : row + 1])[0]
+            self._straight = float(np.linalg.norm(signals.goals.values[0] - start_position))
 
     @property
     def shown_from(self) -> float:
@@ -154,7 +140,6 @@ class Episode:
     def summary(self) -> EpisodeSummary:
         """The numbers."""
         signals = self._signals
-        duration = float("nan") if self.reached is None else self.reached - self.start
         ticks = signals.position.time[signals.position.time <= self._end]
         left = self.distance.between(-np.inf, self._end).values[-1:]
         took = np.array([plan.numbers.get("took ms", np.nan) for plan in signals.plans if plan.time <= self._end])
@@ -163,11 +148,9 @@ class Episode:
         return EpisodeSummary(
             reached=self.reached is not None and self.reached <= self._end,
             final_error_m=float(left[0, 0]) if len(left) else float("nan"),
-            duration_s=duration,
+            duration_s=float("nan") if self.reached is None else self.reached - self.start,
             watched_s=self._end - self.start,
             distance_m=self._straight,
-            limit_s=self._limit,
-            time_ratio=duration / self._limit if self._limit > 0.0 else float("nan"),
             max_contact_force_N=largest(contact.column("max")),
             max_external_torque_Nm=largest(np.abs(torque.values)),
             ticks=len(np.unique(ticks)),

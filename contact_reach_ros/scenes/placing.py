@@ -194,8 +194,8 @@ def on_middle(arm: Arm) -> NDArray[np.bool_]:
 
 def path_segments(arm: Arm, path: Array) -> tuple[Array, Array]:
     """Capsule segments along a path (N, n), rad: (N, C, 3) each, m."""
-    pairs = [capsule_segments(arm, q) for q in path]
-    return np.array([starts for starts, _ in pairs]), np.array([ends for _, ends in pairs])
+    starts, ends = shape_segments(arm, path)
+    return starts[:, 1:], ends[:, 1:]
 
 
 def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]:

@@ -37,15 +37,15 @@ OUT_OF_REACH = (0.0, 0.0, -100.0)
 _UNKNOWN_FRICTION = 0.2
 
 
-def obstacle_bodies(obstacle: Obstacle, scale: float = 1.0) -> list[Element]:
-    """Make a sphere for each of an obstacle's, without the springs of its edges.
+def obstacle_bodies(obstacle: Obstacle, index: int, scale: float) -> list[Element]:
+    """Make a sphere for each of those of the obstacle with this index in the scene, without the springs of its edges.
 
     Movable ones are on three sprung sliders. All stiffnesses are multiplied by `scale`.
     """
     material = obstacle.material
     bodies = []
     for number, (position, fixed) in enumerate(zip(obstacle.rest, obstacle.fixed, strict=True)):
-        name = f"{obstacle.kind}_{obstacle.id}_{number}"
+        name = f"{obstacle.kind}_{index}_{number}"
         if fixed:
             body = Element("body", name=name, pos=numbers(position))
         else:

@@ -78,7 +78,9 @@ class Plant:
         """
         self.arm = scene.arm
         mismatch = scene.mismatch
-        bodies = [body for obstacle in scene.true_obstacles for body in obstacle_bodies(obstacle, scene.foam_scale)]
+        bodies = []
+        for index, obstacle in enumerate(scene.true_obstacles):
+            bodies += obstacle_bodies(obstacle, index, scene.foam_scale)
         if unknown is not None:
             bodies.append(unknown_sphere(*unknown))
         self.model = mujoco.MjModel.from_xml_string(

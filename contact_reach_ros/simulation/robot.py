@@ -46,7 +46,6 @@ class SimulatedRobot:
     def __init__(
         self,
         scene: Scene,
-        sensors: SensorSettings | None = None,
         joints: JointSettings | None = None,
         watchdog: WatchdogSettings | None = None,
         faults: Sequence[Fault] = (),
@@ -59,7 +58,7 @@ class SimulatedRobot:
         ----------
         scene
             Scene, with its mismatch.
-        sensors, joints, watchdog
+        joints, watchdog
             Settings; None for the defaults.
         faults
             What goes wrong from `start_faults` on.
@@ -77,7 +76,7 @@ class SimulatedRobot:
         self.scene = scene
         self.plant = Plant(
             scene,
-            sensors or SensorSettings(),
+            SensorSettings(),
             joints or JointSettings(),
             noise_seed,
             next(((each.radius, each.stiffness) for each in faults if isinstance(each, UnknownObstacle)), None),

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import asyncio
 import html
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 import viser
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.palette import GREEN, GREY, ORANGE, VERMILION
+from contact_reach_ros.palette import GREEN, GREY, ORANGE, VERMILION, as_bytes
 from contact_reach_ros.viewer.arm import share_gradient
 from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.goal import Actions, GoalTab
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.playback import BagTab
 from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.scene import SceneView
+from contact_reach_ros.world.collision import check_goal
+from contact_reach_ros.world.goal import Goal
 
 _SLOW_PERIOD = 0.2
-"""Time between updates of plots and timeline, s."""
+"""Time between updates of plots, timeline and the goal's reach, s."""
 _SILENCE = 2.0
 """Time without a joint state after which the banner reports it, s."""
 _BANNER = {
@@ -40,6 +46,91 @@ _OVER = (
 _NOTES_BELOW = "<style>.mantine-Notifications-root{top:auto!important;bottom:16px!important}</style>"
 """Moves viser's own notes, such as one about the graphics card, out of the banner's corner."""
 _CONTROLLER = "controller"
+
+_MOVED = 0.02
+"""Joint motion after which the reach of an unchanged goal is checked again, rad."""
+
+
+class Actions(Protocol):
+    """Actions on the running stack. All may take seconds; they return their outcome as a line for the page."""
+
+    def send_goal(self, position: Array) -> str:
+        """Command a flange position (3,), m."""
+
+    def stop(self) -> str:
+        """Stop the arm."""
+
+    def reset(self) -> str:
+        """Release all stops."""
+
+
+class _GoalTab:
+    """A goal in the scene, green where the arm can reach it, and the button that sends it."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, actions: Actions, say: Callable[[str], None]) -> None:
+        self._arm = arm
+        self._checked: tuple[Array, Array] | None = None
+        self._position = np.zeros(3)
+        gui = server.gui
+        gui.add_markdown("Drag the arrows in the scene, or type. Nothing moves before you send it.")
+        self._field: Any = gui.add_vector3(
+            "Goal (m)", (0.0, 0.0, 0.0), step=0.001, hint=f"flange position in {arm.base_frame}: x, y, z"
+        )
+        self._reach_text = gui.add_markdown("")
+        self._send = gui.add_button("Send goal", color="blue", icon=viser.Icon.SEND)
+        size = arm.reach + 0.15
+        self._arrows = server.scene.add_transform_controls(
+            "/new_goal",
+            scale=0.18,
+            disable_rotations=True,
+            disable_sliders=True,
+            translation_limits=((-size, size), (-size, size), (0.0, size + arm.shoulder[2])),
+            depth_test=False,
+            visible=False,
+        )
+        self._ball = server.scene.add_icosphere("/new_goal/ball", radius=0.02, color=as_bytes(GREEN))
+
+        @self._arrows.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._position = np.array(event.target.position, float)
+            self._field.value = tuple(np.round(self._position, 4).tolist())
+
+        @self._field.on_update
+        async def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client_id is not None:
+                self._position = np.array(event.target.value, float)
+                self._arrows.position = self._position
+
+        @self._send.on_click
+        async def _(_: Any) -> None:
+            say(await asyncio.to_thread(actions.send_goal, self._position.copy()))
+
+    def show(self, frame: Frame | None) -> None:
+        """Show whether the running arm, whose present moment is `frame`, reaches the goal; None hides the goal."""
+        self._arrows.visible = frame is not None
+        self._send.disabled = frame is None
+        if frame is None:
+            return
+        if self._checked is None:
+            self._position = np.round(link_frames(self._arm, frame.q)[1][-1], 3)
+            self._arrows.position = self._position
+            self._field.value = tuple(self._position.tolist())
+        elif np.array_equal(self._checked[0], self._position) and np.abs(frame.q - self._checked[1]).max() < _MOVED:
+            return
+        self._checked = self._position.copy(), frame.q.copy()
+        refusal = self._refusal(frame)
+        self._ball.color = as_bytes(VERMILION if refusal else GREEN)
+        self._reach_text.content = f"✘ will be refused: {refusal}" if refusal else "✔ reachable"
+
+    def _refusal(self, frame: Frame) -> str:
+        """Why the planner would refuse the goal in the present orientation; empty if it would not."""
+        environment = () if frame.obstacles is None else frame.obstacles.environment
+        try:
+            target = Goal(self._position).resolve(self._arm, link_frames(self._arm, frame.q)[0][-1])
+            check_goal(self._arm, target, environment, frame.q)
+        except InputError as error:
+            return str(error)
+        return ""
 
 
 class Page:
@@ -93,7 +184,7 @@ class Page:
         group = server.gui.add_tab_group()
         tabs = {name: group.add_tab(name) for name in names}
         with tabs["Goal"]:
-            self._goal = GoalTab(server, arm, actions, self.say)
+            self._goal = _GoalTab(server, arm, actions, self.say)
         with tabs["Plots"]:
             self._plots = Plots(server, arm.joint_names, budget.permitted_force)
         with tabs["Bag"]:
@@ -121,7 +212,7 @@ class Page:
             self._bag.follow()
             history = self._live.history
             self._plots.show(history.table() if player is None else player.recording.table(player.time))
-        self._goal.show(live if player is None else None, clock)
+            self._goal.show(live if player is None else None)
 
     def say(self, text: str) -> None:
         """Show a line to all users."""

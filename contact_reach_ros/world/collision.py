@@ -18,7 +18,7 @@ from contact_reach_ros.arm.capsules import (
     shapes,
 )
 from contact_reach_ros.arm.inverse_kinematics import is_attainable
-from contact_reach_ros.arm.kinematics import link_frames, tip_turn
+from contact_reach_ros.arm.kinematics import tip_turn
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Environment, Plane, RigidBody
@@ -87,13 +87,9 @@ def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
 
 def capsule_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
     """Start and end points of the moving links' capsules at `q` (n,), rad, in the base frame, (C, 3) each, m."""
-    rotations, origins = link_frames(arm, q)
-    starts, ends = [], []
-    for capsule in arm.capsules:
-        rotation, origin = rotations[capsule.link - 1], origins[capsule.link - 1]
-        starts.append(origin + rotation @ capsule.start)
-        ends.append(origin + rotation @ capsule.end)
-    return np.array(starts), np.array(ends)
+    # The base is the first of the shapes.
+    starts, ends = shape_segments(arm, q[None])
+    return starts[0, 1:], ends[0, 1:]
 
 
 def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius: float | Array) -> Array:

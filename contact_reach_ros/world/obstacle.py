@@ -61,8 +61,6 @@ class Obstacle:
     """Material of spheres and edges."""
     fixed: NDArray[np.bool_]
     """(K,) true for the spheres that cannot move."""
-    id: int = 0
-    """Number that is unique in its scene."""
     edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     """(E, 2) indices of the spheres that each edge joins; none by default."""
 
@@ -209,10 +207,10 @@ KINDS: dict[str, type[ObstacleSettings]] = {kind.KIND: kind for kind in (BallSet
 
 
 def bodies(sections: Sequence[ObstacleSettings], centers: Sequence[Array]) -> tuple[Obstacle, ...]:
-    """The obstacles of sections around their centres (3,), m, with their numbers as ids; equal names get the id."""
+    """The obstacles of sections around their centres (3,), m; equal names get a number."""
     found = [body for section, center in zip(sections, centers, strict=True) for body in section.at(center)]
     count = Counter(body.name for body in found)
     return tuple(
-        dataclasses.replace(body, id=number, name=body.name if count[body.name] == 1 else f"{body.name} {number}")
+        body if count[body.name] == 1 else dataclasses.replace(body, name=f"{body.name} {number}")
         for number, body in enumerate(found)
     )

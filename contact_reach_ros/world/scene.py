@@ -8,7 +8,6 @@ import numpy as np
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.errors import SceneError
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment
@@ -46,13 +45,7 @@ NO_MISMATCH = MismatchSettings("nominal", payload=0.0, friction_scale=1.0, noise
 
 @dataclass(frozen=True)
 class Scene:
-    """A concrete scene.
-
-    Raises
-    ------
-    SceneError
-        If two obstacles have the same id.
-    """
+    """A concrete scene."""
 
     name: str
     """Name of the YAML file."""
@@ -74,11 +67,6 @@ class Scene:
     """Rigid bodies, which the arm must not touch."""
     offsets: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(len(obstacles), 3) from where each obstacle is seen to where it is in the simulation, m; empty for none."""
-
-    def __post_init__(self) -> None:
-        identifiers = [obstacle.id for obstacle in self.obstacles]
-        if len(set(identifiers)) < len(identifiers):
-            raise SceneError(f"scene '{self.name}': ids of obstacles are {identifiers}; expected each once")
 
     @property
     def true_obstacles(self) -> tuple[Obstacle, ...]:

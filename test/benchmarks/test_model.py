@@ -93,7 +93,7 @@ def predict(cases: list[Case]) -> list[Motion]:
     obstacles = None
     if cases[0].scene.obstacles:
         reader = ObstacleReader(ARM, 1)
-        each = [reader.read(case.scene.start, case.spheres)[0] for case in cases]
+        each = [reader.read(case.scene.start, case.spheres) for case in cases]
         centers = single(np.concatenate([one.center for one in each], axis=-1))
         obstacles = each[0]._replace(center=centers, rest=centers)
     q, v = stacked([case.scene.start for case in cases]), stacked([case.v for case in cases])

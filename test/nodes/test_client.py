@@ -101,7 +101,7 @@ def test_a_goal_is_taken_when_the_controller_follows_plans_for_it(client):
 
 
 def test_a_goal_that_planner_or_controller_refuse_comes_with_the_reason(client):
-    for phase in (GoalPhase.REFUSED, GoalPhase.WITHDRAWN, GoalPhase.TIMED_OUT):
+    for phase in (GoalPhase.REFUSED, GoalPhase.WITHDRAWN):
         outcome = judge(client, GoalState(phase, "out of reach"), BEFORE)
         assert not outcome.done and f"{phase.value}: out of reach" in outcome.text
     for what in ("references", "plans"):

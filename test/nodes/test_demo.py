@@ -50,7 +50,7 @@ def test_the_goal_is_reached_and_reported(ball):
     assert report["final_error_m"] <= 0.01
     assert 0.1 < report["distance_m"] < 0.8
     # Nothing moves faster than the limit that the bound on the step and the gains set.
-    assert report["time_ratio"] >= 1.0 - 1e-3 and report["duration_s"] > 0.0
+    assert report["duration_s"] > 0.0
     assert 0.0 <= report["max_contact_force_N"] < 30.0
     assert 0.0 < report["max_external_torque_Nm"] < 30.0
     assert report["ticks"] > 1000 * report["duration_s"]
@@ -146,7 +146,7 @@ STOPS = [{"time_s": 1.5, "source": "observer", "reason": "too much torque"}]
 
 def summary_of(reached: bool = False, missed: int = 0, stops: list[dict] | None = None) -> EpisodeSummary:
     unknown = dict.fromkeys(("p50", "p95", "p99", "p999", "max"), NAN)
-    numbers = (0.2, NAN, 30.0, 0.5, 4.0, NAN, 0.0, 1.0)
+    numbers = (0.2, NAN, 30.0, 0.5, 0.0, 1.0)
     return EpisodeSummary(reached, *numbers, 5000, missed, unknown, unknown, NAN, stops or [])
 
 

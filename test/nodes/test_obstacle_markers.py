@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, numbered
+from arm_simulation import ARM, HOME
 from hostile import garbage
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ColorRGBA
@@ -32,7 +32,7 @@ def scene() -> Scene:
     """Two balls and two walls, made of `MATERIAL`."""
     balls = [BallSettings(radius=0.05 * (k + 1)).at(np.array([0.1 * k, 0.2, 0.9])) for k in range(2)]
     obstacles = itertools.chain(*balls, WallSettings().at(np.array([0.5, 0.0, 0.3])))
-    return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(obstacles))
+    return Scene("test", ARM, 0, HOME, np.zeros(3), tuple(obstacles))
 
 
 def new_reader() -> ObstacleMarkerReader:

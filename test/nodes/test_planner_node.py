@@ -120,7 +120,8 @@ def leading(planner):
         send(planner, topics.SAFETY_STATE, to_status("observer", "contact", named, WARN))
         planner.tick += 40
         planner.show(planner.tick)
-        return planner._planner.reaction.goal(planner._planner.goal).position
+        back = planner._planner.reaction.position
+        return planner._planner.goal.position if back is None else back
 
     planner.report = report
     planner.show(1000)

@@ -87,7 +87,7 @@ def ball(*values: Any) -> Obstacles:
 
 def obstacles_of(spheres: Spheres, capacity: int | None = None) -> Obstacles:
     """Spheres as the transfer model takes them, all of them unless a capacity says otherwise."""
-    obstacles, _ = ObstacleReader(ARM, len(spheres) if capacity is None else capacity).read(HOME, spheres)
+    obstacles = ObstacleReader(ARM, len(spheres) if capacity is None else capacity).read(HOME, spheres)
     return jax.tree.map(jnp.asarray, obstacles)
 
 

@@ -173,8 +173,8 @@ class TestTerms:
             height_weight: float = setting(2.0, "height", minimum=0.0, maximum=10.0)
 
         # Over lanes alone, and over knots and lanes.
-        monkeypatch.setitem(TERMS, "height", Term(lambda context: context.position[2, -1], "height_weight", True))
-        monkeypatch.setitem(TERMS, "heights", Term(lambda context: context.position[2, 1:], "height_weight", False))
+        monkeypatch.setitem(TERMS, "height", Term(lambda context: -context.position[2, -1], "height_weight"))
+        monkeypatch.setitem(TERMS, "heights", Term(lambda context: context.position[2, 1:], "height_weight"))
         assert not {"height", "heights"} & set(term_weights(SMALL))
         problem = make_problem(HOME, FLANGE, None, Raised(deadline=0.0))
 
@@ -187,7 +187,3 @@ class TestTerms:
         np.testing.assert_allclose(terms["height"], -2.0 * heights[-1], rtol=1e-6)
         np.testing.assert_allclose(terms["heights"], 2.0 * heights.sum(axis=0), rtol=1e-6)
         np.testing.assert_allclose(cost, sum(terms.values()), rtol=1e-5)
-
-    def test_a_clearance_weight_of_zero_leaves_the_term_out(self):
-        assert "clearance" in term_weights(SMALL)
-        assert "clearance" not in term_weights(dataclasses.replace(SMALL, clearance_weight=0.0))

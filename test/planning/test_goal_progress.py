@@ -1,16 +1,15 @@
 """What happened to a goal: from accepted to settled, or to another end."""
 
-import dataclasses
 import itertools
 import math
 
 import numpy as np
 import pytest
 from arm_simulation import TICK_NS
-from test_planner import GOAL, SETTINGS, TIP, Core, make, report, state, touch
+from test_planner import GOAL, TIP, Core, make, report, state, touch
 
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
-from contact_reach_ros.planning.unexpected_contact import IGNORE, RETREAT
+from contact_reach_ros.planning.settings import IGNORE, RETREAT
 from contact_reach_ros.world.goal import Goal, Target
 
 TARGET = Target(np.zeros(3), np.eye(3))
@@ -24,10 +23,11 @@ def turned(angle: float) -> np.ndarray:
 class TestProgress:
     @pytest.fixture
     def progress(self) -> GoalProgress:
-        return GoalProgress(Goal(TARGET.position), timeout=1.0)
+        return GoalProgress(Goal(TARGET.position))
 
     def follow(self, progress, ticks, position=NEAR, angle=0.04, speed=0.009, target=TARGET):
-        return [progress.update(target, position, turned(angle), speed, tick * TICK_NS) for tick in ticks]
+        for tick in ticks:
+            progress.update(target, position, turned(angle), speed, tick * TICK_NS)
 
     def test_it_is_reached_at_once_and_settled_after_a_while_at_rest(self, progress):
         progress.planned()
@@ -55,12 +55,6 @@ class TestProgress:
         assert progress.state.phase is GoalPhase.SETTLED
         assert (progress.state.elapsed, progress.state.distance) == pytest.approx((0.2, 0.1))
 
-    def test_its_time_is_over_only_once_and_not_after_it_settled(self, progress):
-        assert self.follow(progress, [0, 999, 1000, 1001], FAR) == [False, False, True, False]
-        assert progress.state.phase is GoalPhase.TIMED_OUT and "1 s" in progress.state.reason
-        settled = GoalProgress(Goal(TARGET.position), 1.0)
-        assert not any(self.follow(settled, [*range(201), 2000]))
-
 
 class TestPlanner:
     def phases(self, planner, first, last):
@@ -79,16 +73,6 @@ class TestPlanner:
         planner.command(Goal(TIP))
         assert self.phases(planner, 0, 200) == [GoalPhase.ACCEPTED, GoalPhase.REACHED, GoalPhase.SETTLED]
         assert planner.goal is not None
-
-    def test_a_timeout_withdraws_it(self):
-        noted = []
-        settings = dataclasses.replace(SETTINGS, goal_timeout=0.1)
-        planner = make(Core(), settings=settings, refuse=lambda what, error: noted.append((what, str(error))))
-        planner.command(GOAL)
-        assert self.phases(planner, 0, 99)[-1] is GoalPhase.RUNNING
-        assert self.phases(planner, 100, 200) == [GoalPhase.RUNNING, GoalPhase.TIMED_OUT]
-        assert planner.goal is None
-        assert noted == [("goals", "not settled within 0.1 s: the goal is withdrawn")]
 
     @pytest.mark.parametrize(("reaction", "phase"), [(RETREAT, GoalPhase.WITHDRAWN), (IGNORE, GoalPhase.RUNNING)])
     def test_a_retreat_gives_it_up(self, reaction, phase):

@@ -66,11 +66,10 @@ def test_same_input_gives_the_same_solution_bit_for_bit():
         np.testing.assert_array_equal(a, b)
 
 
-def test_non_finite_candidates_are_counted_and_never_win():
+def test_non_finite_candidates_never_win():
     target = np.full(N, -0.3)
     target[0] = 0.5  # where the function would be smallest, it is not defined
     solution = solve(cost=half_undefined, target=target)
-    assert solution.rejected > 0
     assert solution.best[0] <= 0.0
     assert math.isfinite(solution.cost)
     np.testing.assert_allclose(solution.best[1:], -0.3, rtol=0, atol=0.1)

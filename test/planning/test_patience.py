@@ -18,7 +18,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def share_after(distances) -> float:
-    approach = Approach.begin(distances[0])
+    approach = Approach(distances[0])
     for distance in distances[1:]:
         approach = approach.updated(distance, elapsed=0.04, patience=0.5, least_speed=SPEED)
     return approach.share

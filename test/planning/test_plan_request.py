@@ -37,7 +37,7 @@ class Found:
         return None
 
     def solve(self, *_):
-        return Solution(self.best, 0.0, None, 1, "max_steps", 0, (0.0,))
+        return Solution(self.best, 0.0, None, 1, "max_steps", (0.0,))
 
 
 def plan_again(planner: RecedingHorizonPlanner, parts: Parts, like: Request) -> Plan:
@@ -82,7 +82,7 @@ def test_a_plan_on_a_detour_is_made_again(planner):
 
 def test_references_that_step_have_none_before():
     expected = make_plan(FLANGE + np.eye(3), np.tile(np.eye(3), (3, 1, 1)), np.tile(HOME, (3, 1)), effect_ns=40 * MS)
-    memory = Memory((expected,), request_at(0), np.zeros(39), None, Approach.begin(0.1), 1)
+    memory = Memory((expected,), request_at(0), np.zeros(39), None, Approach(0.1), 1)
     parts = request_parts(2, request_at(30), memory, memory.best)
     (trajectory,) = read_memory(parts, request_at(30), SMALL.knot_duration, 0.0).trajectories
     assert trajectory.before is None and trajectory.effect_ns == expected.effect_ns

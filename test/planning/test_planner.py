@@ -16,8 +16,8 @@ from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Request
-from contact_reach_ros.planning.planner import LatencyEstimate, Planner, ReplanningSettings
-from contact_reach_ros.planning.unexpected_contact import RETREAT, ContactReaction, UnexpectedContactSettings
+from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.settings import RETREAT, ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.rigid import Block
 from contact_reach_ros.world.spheres import Spheres
@@ -47,8 +47,7 @@ class Core:
 def make(
     core: Core | None = None, reaction: str = RETREAT, settings: ReplanningSettings = SETTINGS, **others
 ) -> Planner:
-    reacting = ContactReaction(ARM, UnexpectedContactSettings(reaction=reaction))
-    return Planner(ARM, core, reacting, settings, **others)
+    return Planner(ARM, core, settings, UnexpectedContactSettings(reaction=reaction), **others)
 
 
 def state(tick: int, q: np.ndarray = HOME) -> JointState:
@@ -157,7 +156,7 @@ class TestGoals:
     @pytest.mark.parametrize(("pause_ms", "stays"), [(1999, True), (2100, False)])
     def test_after_a_long_one_the_arm_goes_on_only_when_asked_again(self, planner, pause_ms, stays):
         noted = []
-        planner._note = lambda what, error: noted.append((what, str(error)))
+        planner._refuse = lambda what, error: noted.append((what, str(error)))
         planner.request(state(10))
         assert planner.goal is not None
         planner.request(state(10 + pause_ms))
@@ -241,9 +240,8 @@ def test_the_core_is_asked_for_what_was_requested_and_without_one_no_plan_is_mad
         make(None).solve(request)
 
 
-def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted():
-    latency = LatencyEstimate(40 * TICK_NS)
-    for took, expected in ((30, 40), (90, 90), (50, 90), *7 * [(50, None)]):
-        latency.add(took * TICK_NS)
-        assert expected is None or latency() == expected * TICK_NS
-    assert latency() == 50 * TICK_NS
+def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted(planner):
+    for number, (took, expected) in enumerate([(30, 40), (90, 90), *7 * [(50, 90)], (50, 50)], 1):
+        planner.took(took * TICK_NS)
+        request = planner.request(state(30 * number))
+        assert request.effect_ns - request.state_ns == expected * TICK_NS, number

@@ -74,7 +74,7 @@ def test_reference_moves_between_knots_as_the_controller_moves_it(milliseconds, 
     knots = np.array([[0.5, 0.0, 0.4], [0.6, -0.1, 0.4]]), np.array([HOLD.rotation, turned]), np.array([HOME, -HOME])
     plan = make_plan(*knots, effect_ns=0, before=HOLD, ramp_s=0.05)
     expected = blend(*(Reference(*(half[knot] for half in knots)) for knot in (0, 1)), share)
-    for found, part in zip(plan.in_force(milliseconds * MS), vars(expected).values(), strict=True):
+    for found, part in zip(plan.in_force(milliseconds * MS), expected, strict=True):
         np.testing.assert_allclose(found, part, rtol=0, atol=1e-9)
 
 

@@ -19,7 +19,6 @@ from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.planning.terms import Problem, term_weights
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.world.goal import Goal, Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -70,8 +69,7 @@ def test_goals_keep_only_as_much_of_the_orientation_as_the_task_controls():
     position = RobotModel(SIX_AXIS).tip_pose(state.q)[0] + np.array([0.0, 0.1, 0.0])
 
     def resolved(gains: ImpedanceSettings, *orientation: str) -> Target:
-        reaction = ContactReaction(SIX_AXIS, UnexpectedContactSettings())
-        planner = Planner(SIX_AXIS, None, reaction, ReplanningSettings(), task=gains.task)
+        planner = Planner(SIX_AXIS, None, ReplanningSettings(), UnexpectedContactSettings(), task=gains.task)
         return planner.resolve(Goal(position, *orientation), state)
 
     assert resolved(POSITION).rotation is None

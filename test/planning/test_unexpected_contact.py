@@ -1,19 +1,14 @@
 """The reaction to contact that no known obstacle explains."""
 
-import json
-
 import numpy as np
 from arm_simulation import ARM, HOME, TICK_NS
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.location import Contact
+from contact_reach_ros.planning.planner import ContactReaction
 from contact_reach_ros.planning.settings import UnexpectedContactSettings
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.world.collision import clearances
-from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
-
-GOAL = Target(np.array([0.5, 0.1, 0.3]))
 
 
 def touch(force: float = 10.0) -> Contact:
@@ -41,15 +36,14 @@ def test_by_default_the_flange_goes_back_the_way_it_came_and_stays_there():
     it = reaction(UnexpectedContactSettings().reaction)
     assert it.report(touch(), HOME, Spheres.none(), 0) is False
     assert it.report(touch(), HOME, Spheres.none(), 10 * TICK_NS)
-    target = it.goal(GOAL).position
-    assert it.values() == {"retreat to": json.dumps(target.tolist())}
+    target = it.position
     assert 0.05 <= np.linalg.norm(target - [0.499, 0.0, 0.4]) < 0.06 and target[0] < 0.45
     assert it.reason == "retreat: unexpected contact at lbr_link_7, 10 N"
     # Only a new goal ends it.
     assert not it.report(None, HOME, Spheres.none(), 50 * TICK_NS)
-    np.testing.assert_array_equal(it.goal(GOAL).position, target)
+    assert it.position is target
     it.reset()
-    assert it.goal(GOAL) is GOAL and not it.reason and not it.values()
+    assert it.position is None and not it.reason
 
 
 def test_what_is_known_weak_or_short_is_no_reason():
@@ -67,4 +61,4 @@ def test_what_is_known_weak_or_short_is_no_reason():
 def test_one_that_ignores_contact_does_nothing():
     it = reaction("ignore")
     assert not any(it.report(touch(), HOME, Spheres.none(), tick * TICK_NS) for tick in range(100))
-    assert it.goal(GOAL) is GOAL and not it.reason
+    assert it.position is None and not it.reason

@@ -62,25 +62,17 @@ def test_a_page_with_json(tmp_path: Path) -> None:
     assert text.count(library) == 1
     assert not re.search(r"https?://", text.replace(library, ""))
     found = titles(text)
-    assert len(found) == 8 and all("[" in title or "ticks" in title for title in found)
+    assert len(found) == 7 and all("[" in title for title in found)
     assert f"contact-reach view {SAMPLE}" in text
     (bag,) = json.loads((tmp_path / "r.json").read_text())["bags"]
     assert bag["verdict"] == "goal reached" and bag["good"] and bag["notes"] == []
     assert bag["settings"]["planner"]["planning.population"] == 200
 
 
-def test_the_limit_is_that_of_the_settings_of_the_run(signals: EpisodeSignals) -> None:
-    slower = {**signals.settings, "planner": {**signals.settings["planner"], "planning.translation_bound": 0.02}}
-    found = summary_of(dataclasses.replace(signals, settings=slower))
-    bound = signals.settings["planner"]["planning.translation_bound"]
-    assert found.limit_s == pytest.approx(summary_of(signals).limit_s * bound / 0.02)
-    assert found.time_ratio == pytest.approx(found.duration_s / found.limit_s)
-
-
 def test_a_recording_without_a_goal_has_the_numbers_that_need_none(signals: EpisodeSignals) -> None:
     goals = dataclasses.replace(signals.goals, time=np.zeros(0), values=np.zeros((0, 3)))
     with_goal, without = summary_of(signals), summary_of(dataclasses.replace(signals, goals=goals))
-    assert not without.reached and np.isnan([without.final_error_m, without.duration_s, without.limit_s]).all()
+    assert not without.reached and np.isnan([without.final_error_m, without.duration_s]).all()
     assert without.max_contact_force_N == with_goal.max_contact_force_N > 0.0
     assert without.round_trip_us == with_goal.round_trip_us
 

@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, numbered
+from arm_simulation import ARM, HOME
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
@@ -99,7 +99,7 @@ def test_swivelled_capsules_are_those_of_real_postures_with_the_same_flange_pose
 
 def test_balls_come_first_then_the_nodes_of_each_wall():
     (ball,) = BallSettings().at(np.array([0.1, 0.2, 0.9]))
-    obstacles = numbered([ball, *scene_of(0).obstacles])
+    obstacles = (ball, *scene_of(0).obstacles)
     scene = Scene("both", ARM, 0, HOME, np.zeros(3), obstacles)
     rests = rest_positions(scene)
     moved = rests + 0.01

@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, IDEAL_SENSORS, numbered
+from arm_simulation import ARM, HOME, IDEAL_SENSORS
 
 from benchmarks.press import lattice, press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.errors import SceneError
@@ -43,7 +43,7 @@ def scene_beside_the_forearm(depth: float, **changes) -> Scene:
     touching = end[lower.rest[end, 2].argmax()]
     place = middle + np.array([0.0, 0.08 + settings.node_radius - depth, 0.0]) - lower.rest[touching]
     moved = tuple(dataclasses.replace(wall, rest=wall.rest + place) for wall in (lower, upper))
-    return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(moved))
+    return Scene("test", ARM, 0, HOME, np.zeros(3), tuple(moved))
 
 
 def node_at(scene: Scene, wall: int, x: int, y: int, z: int) -> int:
@@ -97,7 +97,7 @@ def test_a_pressed_node_gives_way_as_the_planner_thinks(node, direction):
 
 class TestFoam:
     def scene(self, **changes) -> Scene:
-        return Scene("test", ARM, 0, HOME, np.zeros(3), numbered(WallSettings(**changes).at(np.zeros(3))))
+        return Scene("test", ARM, 0, HOME, np.zeros(3), WallSettings(**changes).at(np.zeros(3)))
 
     def test_small_displacements_are_answered_by_the_planners_stiffness(self):
         scene = self.scene()
@@ -130,7 +130,7 @@ def test_the_stiffest_mesh_that_is_accepted_comes_to_rest():
     """Half of what semi-implicit Euler steps hold, so that there is room for hardening."""
     scene = wall_scene()
     settings = WallSettings(edge_stiffness=1900.0, node_mass=0.01, damping=0.1)
-    walls = numbered(settings.at(np.array([0.55, 0.0, 0.4])))
+    walls = settings.at(np.array([0.55, 0.0, 0.4]))
     with pytest.raises(SceneError, match="use softer foam or more mass"):
         check_stable(dataclasses.replace(settings, edge_stiffness=1901.0).at(np.zeros(3))[0])
     scene = dataclasses.replace(scene, obstacles=walls)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION, ideal_plant, numbered
+from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION, ideal_plant
 
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.world.collision import nearest
@@ -19,7 +19,7 @@ FOLDED = np.array([-0.111, -1.675, -2.867, -1.939, 2.733, -1.506, -2.731])
 
 
 def plant_among(*bodies, start: np.ndarray = HOME, obstacles=()) -> Plant:
-    scene = Scene("test", ARM, 0, start, np.zeros(3), numbered(obstacles), environment=bodies)
+    scene = Scene("test", ARM, 0, start, np.zeros(3), tuple(obstacles), environment=bodies)
     return Plant(scene, IDEAL_SENSORS, NO_FRICTION)
 
 

@@ -6,8 +6,8 @@ from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.messages.safety_state import OK, WARN
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.viewer.contacts import arrows
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
+from contact_reach_ros.viewer.scene import arrows
 from contact_reach_ros.world.spheres import Spheres
 
 HOME = np.array(ARM.home)

@@ -6,7 +6,7 @@ import functools
 import math
 import time
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ import numpy as np
 
 from contact_reach_ros.planning.settings import PAPER, SOLVERS, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
-from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, ProblemT, Solution
+from contact_reach_ros.planning.solver.solver import CostFunction, Solution
 from contact_reach_ros.planning.transfer.lanes import single
 
 Draw = tuple[int | jax.Array, ...]
@@ -42,8 +42,6 @@ class Search(NamedTuple):
     """(n,) best mean so far."""
     best_cost: jax.Array
     """()."""
-    rejected: jax.Array | np.int32
-    """() number of points so far with a non-finite cost."""
 
 
 class Sample(NamedTuple):
@@ -66,11 +64,9 @@ class Elite(NamedTuple):
     """(k_top,) 1 where the cost was finite, else 0."""
     mean: jax.Array
     """(n,) the new mean, inside the box."""
-    rejected: jax.Array
-    """() number of candidates with a non-finite cost."""
 
 
-class HybridSolver(Generic[ProblemT]):
+class HybridSolver:
     """Algorithm 1 over the box [-1, 1]ⁿ; its state is the distribution of the candidates.
 
     Readings of Algorithm 1: line 9 takes a logarithm of the cost, which may be negative; α d_i, the logarithm's effect,
@@ -96,7 +92,10 @@ class HybridSolver(Generic[ProblemT]):
         Stagnant steps in a row that end it.
     """
 
-    def __init__(self, cost: CostFunction[Any], n: int, settings: PlanningSettings) -> None:
+    init = staticmethod(fresh)
+    shift = staticmethod(shift_distribution)
+
+    def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
         self._cost = cost
         self._settings = settings
         self._seed = settings.seed
@@ -110,21 +109,11 @@ class HybridSolver(Generic[ProblemT]):
         """Draw other random numbers from now on, without recompilation."""
         self._seed = seed
 
-    def init(self, mean: FloatArray, spread: FloatArray) -> Distribution:
-        """Independent variables about `mean` (n,) with standard deviations `spread` (n,)."""
-        return fresh(mean, spread)
-
-    def shift(
-        self, state: Distribution, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float
-    ) -> Distribution:
-        """The distribution `elapsed` knots later, about a new mean."""
-        return shift_distribution(state, mean, spread, knots, elapsed)
-
     def solve(
-        self, problem: ProblemT, state: Distribution, start_cost: float, number: int, until: float = math.inf
+        self, problem: Any, state: Distribution, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
         """Run Algorithm 1, as `Solver.solve`."""
-        search = Search(state, state.mean, single(start_cost), np.int32(0))
+        search = Search(state, state.mean, single(start_cost))
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
@@ -147,11 +136,10 @@ class HybridSolver(Generic[ProblemT]):
             state=search.distribution,
             steps=len(costs) - 1,
             stop_reason=reason,
-            rejected=int(search.rejected),
             costs=tuple(costs),
         )
 
-    def _advance(self, problem: ProblemT, search: Search, draw: Draw) -> Search:
+    def _advance(self, problem: Any, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
         sample = self._draw_sample(search.distribution, draw)
         with_outside = self._settings.sampling == PAPER
@@ -169,7 +157,7 @@ class HybridSolver(Generic[ProblemT]):
         return self._update_search(search, sample, elite, points, costs)
 
     def _search_lines(
-        self, problem: ProblemT, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
+        self, problem: Any, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
     ) -> tuple[Elite, jax.Array, jax.Array]:
         """The elite, the points (n, L) of the last line search and their costs (L,).
 
@@ -209,20 +197,19 @@ class HybridSolver(Generic[ProblemT]):
         """Lines 8 to 13 from the costs (k,) of the repaired candidates and, for line 9, of the unrepaired ones."""
         if outside is None:
             # In proportion to the spread among the best, so that cost and penalty have similar magnitudes.
-            best, _ = jax.lax.top_k(-ranked_costs(costs)[0], self._settings.elite)
+            best, _ = jax.lax.top_k(-ranked_costs(costs), self._settings.elite)
             spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
             distance = ((sample.points - sample.repaired) ** 2).sum(axis=0)
             penalty = _BOUNDARY_WEIGHT * spread * distance
         else:
             penalty = jnp.where((sample.points != sample.repaired).any(axis=0), jnp.abs(outside), 0.0)
-        ranked, rejected = ranked_costs(costs + penalty)
-        best, index = jax.lax.top_k(-ranked, self._settings.elite)
+        best, index = jax.lax.top_k(-ranked_costs(costs + penalty), self._settings.elite)
         valid = jnp.isfinite(best).astype(costs.dtype)
         steps = sample.steps[:, index]
         mean = distribution.mean + distribution.sigma * (steps @ valid) / jnp.maximum(valid.sum(), 1.0)
-        return Elite(steps, valid, jnp.clip(mean, -1.0, 1.0), rejected)
+        return Elite(steps, valid, jnp.clip(mean, -1.0, 1.0))
 
-    def _points_on_line(self, problem: ProblemT, mean: jax.Array, draw: Draw) -> jax.Array:
+    def _points_on_line(self, problem: Any, mean: jax.Array, draw: Draw) -> jax.Array:
         """Lines 14 and 15: points (n, L) to try along the descent direction, the mean itself first."""
         slope = gradient(self._cost, problem, mean)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
@@ -236,17 +223,15 @@ class HybridSolver(Generic[ProblemT]):
     ) -> Search:
         """Lines 16 to 18 from points (n, L) to choose the mean from and their costs (L,)."""
         mean, cost = cheapest(points, costs)
-        rejected = ranked_costs(costs)[1]
         better = cost < search.best_cost
         return Search(
             distribution=update(self._rates, search.distribution, elite.steps, elite.valid, mean),
             best=jnp.where(better, mean, search.best),
             best_cost=jnp.where(better, cost, search.best_cost),
-            rejected=search.rejected + elite.rejected + rejected,
         )
 
 
-def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Array:
+def gradient(cost: CostFunction, problem: Any, point: jax.Array) -> jax.Array:
     """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes.
 
     Reverse mode at one lane is slower for n = 39, and takes twice as long to compile. The lanes are filled up to whole
@@ -259,15 +244,14 @@ def gradient(cost: CostFunction, problem: ProblemT, point: jax.Array) -> jax.Arr
     return slopes[:n]
 
 
-def ranked_costs(costs: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Costs with infinity where they are not finite, so that those rank last, and the number of those."""
-    finite = jnp.isfinite(costs)
-    return jnp.where(finite, costs, jnp.inf), (~finite).sum().astype(jnp.int32)
+def ranked_costs(costs: jax.Array) -> jax.Array:
+    """Costs with infinity where they are not finite, so that those rank last."""
+    return jnp.where(jnp.isfinite(costs), costs, jnp.inf)
 
 
 def cheapest(points: jax.Array, costs: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The point (n,) with the least cost of points (n, B), and its cost."""
-    ranked, _ = ranked_costs(costs)
+    ranked = ranked_costs(costs)
     index = jnp.argmin(ranked)
     return points[:, index], ranked[index]
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-ProblemT = TypeVar("ProblemT")
-AnyProblem = TypeVar("AnyProblem", contravariant=True)
-CostFunction = Callable[[ProblemT, jax.Array], jax.Array]
+CostFunction = Callable[[Any, jax.Array], jax.Array]
 """Costs (B,) of candidates (n, B) for a problem, which is any tree of arrays."""
 
 State = Any
@@ -36,17 +34,12 @@ class Solution:
     steps: int
     stop_reason: str
     """"stagnated", "max_steps" or "deadline"."""
-    rejected: int
-    """Number of candidates with a non-finite cost."""
     costs: tuple[float, ...]
     """Best cost at the start and after each step."""
 
 
-class Solver(Protocol[AnyProblem]):
+class Solver(Protocol):
     """Minimises a cost over the box [-1, 1]ⁿ, step by step."""
-
-    max_steps: int
-    """Greatest number of steps in one call of `solve`."""
 
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on."""
@@ -60,9 +53,7 @@ class Solver(Protocol[AnyProblem]):
         `spread` (n,) is that of variables that the state does not cover.
         """
 
-    def solve(
-        self, problem: AnyProblem, state: State, start_cost: float, number: int, until: float = math.inf
-    ) -> Solution:
+    def solve(self, problem: Any, state: State, start_cost: float, number: int, until: float = math.inf) -> Solution:
         """Search for the minimum; the solution is never worse than the state's mean.
 
         Parameters

@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.transfer.dynamics import Capsules
-from contact_reach_ros.planning.transfer.lanes import Keep, dot, single, sum_over
+from contact_reach_ros.planning.transfer.lanes import Keep, dot, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
-from contact_reach_ros.world.rigid import Block, Plane
 
 _NEWTON_STEPS = 2
 """Of the search for the point of a segment that is nearest to a block: more than 1 mm off in 1 of 10,000 cases."""
@@ -33,24 +32,6 @@ class Bodies(NamedTuple):
     """(3, 3, Q, 1) axes of the blocks, indexed [axis, coordinate]."""
     half: jax.Array
     """(3, Q, 1) half of their size along these axes, m."""
-
-
-_AWAY = 100.0
-"""How far away the bodies are that fill up the capacity, m: out of reach, near enough for single precision."""
-
-
-def bodies_of(planes: tuple[Plane, ...], blocks: tuple[Block, ...], capacity: tuple[int, int]) -> Bodies:
-    """Bodies as compiled programs take them, filled up to a capacity for planes and blocks."""
-    planes = planes + (Plane("", (0.0, 0.0, -_AWAY)),) * (capacity[0] - len(planes))
-    blocks = blocks + (Block("", (0.0, 0.0, -_AWAY), (1.0, 1.0, 1.0)),) * (capacity[1] - len(blocks))
-    axes = [block.axes.T for block in blocks]
-    return Bodies(
-        normal=single(np.array([plane.normal for plane in planes]).reshape(-1, 3).T[:, :, None]),
-        offset=single(np.array([plane.offset for plane in planes])[:, None]),
-        center=single(np.array([block.center for block in blocks]).reshape(-1, 3).T[:, :, None]),
-        axes=single(np.array(axes).reshape(-1, 3, 3).transpose(1, 2, 0)[..., None]),
-        half=single(np.array([block.half for block in blocks]).reshape(-1, 3).T[:, :, None]),
-    )
 
 
 def intrusion(

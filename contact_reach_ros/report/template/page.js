@@ -10,10 +10,9 @@
   const BUTTONS = ["toImage", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "autoScale2d", "resetScale2d"];
   let chosen = null;
   try { chosen = localStorage.getItem("contact-reach-theme"); } catch { /* a file may have no storage */ }
-  const drawn = new Map();
-  const linked = charts.filter((chart) => "from" in chart);
+  const drawn = new Set();
   // What all time axes show; null for everything.
-  let range = linked.length ? [Math.min(...linked.map((chart) => chart.from)), Math.max(...linked.map((chart) => chart.to))] : null;
+  let range = charts.length ? [Math.min(...charts.map((chart) => chart.from)), Math.max(...charts.map((chart) => chart.to))] : null;
   let busy = false;
 
   const dark = () => (chosen ? chosen === "dark" : system.matches);
@@ -54,19 +53,19 @@
       legend: { orientation: "h", x: 0, yref: "container", y: 0.01, yanchor: "bottom", font: { size: narrow ? 10 : 11.5 } } };
     base.xaxis = merged(layout.xaxis);
     base.yaxis = merged(layout.yaxis);
-    if (chart.linked && range) base.xaxis = { ...base.xaxis, range: [...range], autorange: false };
+    if (range) base.xaxis = { ...base.xaxis, range: [...range], autorange: false };
     return base;
   }
 
   function draw(element) {
     const chart = charts[element.dataset.chart];
     const first = !drawn.has(element);
-    drawn.set(element, chart);
+    drawn.add(element);
     // Long legends do not take the room of the curves.
     element.style.height = `${300 + 19 * Math.max(1, legendRows(chart, element.clientWidth))}px`;
     Plotly.react(element, chart.data.map(recoloured), layoutOf(chart, element), { responsive: true, displaylogo: false,
       modeBarButtons: [BUTTONS] });
-    if (first && chart.linked) element.on("plotly_relayout", (change) => follow(element, change));
+    if (first) element.on("plotly_relayout", (change) => follow(element, change));
   }
 
   // All time axes show the same stretch.
@@ -77,14 +76,14 @@
     else return;
     busy = true;
     const update = range ? { "xaxis.range": [...range], "xaxis.autorange": false } : { "xaxis.autorange": true };
-    const others = [...drawn].filter(([element, chart]) => chart.linked && element !== source);
-    Promise.all(others.map(([element]) => Plotly.relayout(element, update))).finally(() => { busy = false; });
+    const others = [...drawn].filter((element) => element !== source);
+    Promise.all(others.map((element) => Plotly.relayout(element, update))).finally(() => { busy = false; });
   }
 
   function applyTheme() {
     root.dataset.theme = dark() ? "dark" : "light";
     button.textContent = dark() ? "☀ light" : "☾ dark";
-    for (const element of drawn.keys()) draw(element);
+    for (const element of drawn) draw(element);
   }
 
   button.addEventListener("click", () => {

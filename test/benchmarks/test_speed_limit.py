@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.metrics import least_duration
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.settings import PlanningSettings, least_duration
+from contact_reach_ros.planning.settings import PlanningSettings
 
 START = np.array([0.5, 0.1, 0.6])
 
