@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.bringup.children import Interruption
 from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
@@ -115,7 +114,6 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         ),
     )
     table = processes(bringup)
-    interruption = Interruption()
     interrupted, failure = False, ""
     end_ns: int | None = None
     with bare_node(DEMO) as node:
@@ -127,7 +125,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         options.output.mkdir(parents=True, exist_ok=True)
         follower = Follower(node, model, scene.target, _RECORDED)
         log = bag.with_suffix(".log")
-        with StackProcesses(follower, table, bringup.parameter_file, interruption, log) as stack:
+        with StackProcesses(follower, table, bringup.parameter_file, log) as stack:
             try:
                 end_ns = _drive_to_goal(stack, follower, options)
                 if options.view:

@@ -18,14 +18,16 @@ from visualization_msgs.msg import MarkerArray
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.plan_messages import to_markers, to_path, to_references, to_request, to_statistics
+from contact_reach_ros.messages.plan_request import request_parts
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
-from contact_reach_ros.nodes.planner_output import PlannerOutput
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
-from contact_reach_ros.planning.plan import Request
+from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.planner import LatencyEstimate, Planner
 from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
@@ -41,6 +43,12 @@ from contact_reach_ros.timing import Histogram
 from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
+_SHOWN_EVERY_NS = 100_000_000
+"""Period of markers and goal states."""
+_PUBLISHED = (
+    *(topics.REFERENCE_POSE, topics.REFERENCE_POSTURE, topics.GOAL_STATE),
+    *(topics.PLAN_PATH, topics.PLAN_MARKERS, topics.PLAN_STATISTICS, topics.PLAN_REQUEST),
+)
 OBSERVER, CONTROLLER = "observer", "controller"
 _GAINS, _SUPERVISION = "impedance", "supervision"
 """Sections of the controller's parameters that the planner reads, too: plans hold for these only."""
@@ -66,12 +74,16 @@ class PlannerNode(ManagedNode):
         self._budget = load_budget(settings.contact_budget).resolve(self.arm)
         sections: Sections = {_GAINS: ImpedanceSettings, _SUPERVISION: SupervisionSettings}
         self._controllers = settings_of(self.ARGUMENTS, CONTROLLER, sections, self.arm)
-        self._core: RecedingHorizonPlanner | None = None
+        self._core: RecedingHorizonPlanner
+        """Made by `configure`."""
         reaction = ContactReaction(self.arm, self.settings["unexpected_contact"])
         self._planner = Planner(
             self.arm, None, reaction, settings, self._latency, self.refuse, self._controllers[_GAINS].task
         )
-        self._output = PlannerOutput(self)
+        self._outputs = {topic: self.make_publisher(topic) for topic in _PUBLISHED}
+        self._markers_due_ns = self._goal_state_due_ns = 0
+        self._reported: tuple[int, GoalPhase] | None = None
+        """Stamp and phase of the goal that was published last."""
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, AssumedMaterial.of(settings))
         self._frames = Frames(self, self.arm.base_frame)
         self._goals = self._goal_ns = 0
@@ -142,41 +154,74 @@ class PlannerNode(ManagedNode):
                 self._make_plan(request)
             except ContactReachError as error:
                 self.refuse("plans", error)
-        self._output.follow_goal(self._planner, self._goal_ns)
+        self._follow_goal()
 
     def _make_plan(self, request: Request) -> None:
         began_ns, now_ns = time.monotonic_ns(), self.now_ns
-        memory = None if self._core is None else self._core.memory
+        start = self._core.memory
         plan = self._planner.solve(request)
-        self._output.publish(plan)
+        poses, postures = to_references(plan, self.arm)
+        self._publish(topics.REFERENCE_POSE, poses)
+        self._publish(topics.REFERENCE_POSTURE, postures)
+        self._publish(topics.PLAN_PATH, to_path(plan, self.arm))
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
         # Simulated time stands still while a plan is made.
         passed_ns = self.now_ns - now_ns
         self._latency.add(passed_ns)
         self._late += passed_ns > request.effect_ns - request.state_ns
-        self._output.show(plan)
-        found = None if self._core is None else self._core.memory
-        if found is not None:
-            self._report_detour(found)
-            values = {
-                "obstacles sent ns": self._seen_ns,
-                "took ms": took_ns / 1e6,
-                "contact share": found.approach.share,
-                **self._planner.reaction.values(),
-            }
-            if self._planner.goal is not None:
-                values |= goal_values(self._planner.goal.position)
-            # The planner has already counted this plan; an arm that jumped made it forget what it had.
-            self._output.record(plan, request, memory if found.plans > 1 else None, found, values)
+        if plan.effect_ns >= self._markers_due_ns:
+            self._publish(topics.PLAN_MARKERS, to_markers(plan, self.arm))
+            self._markers_due_ns = plan.effect_ns + _SHOWN_EVERY_NS
+        self._record(plan, request, start, took_ns)
 
-    def _report_detour(self, memory: Memory) -> None:
-        """Log a detour that begins: the arm moves away from its goal."""
-        detour, number = memory.request.detour, memory.request.on_detour
+    def _record(self, plan: Plan, request: Request, start: Memory | None, took_ns: int) -> None:
+        """Publish for bags how a plan was found, and what is needed to solve it again, from what `start` knew."""
+        found = self._core.memory
+        assert found is not None
+        detour, number = found.request.detour, found.request.on_detour
         if detour is not None and number > self._detour:
             posture = np.round(detour.posture, 2).tolist()
             self.get_logger().info(f"goal {self._goals}: no progress; a detour leads to the posture {posture} rad")
         self._detour = number
+        goal = self._planner.goal
+        values = {
+            "plan": plan.number,
+            "state ns": request.state_ns,
+            "plans since reset": found.plans - 1,
+            "stop reason": plan.stop_reason,
+            "solve ms": 1000 * plan.solve_s,
+            **plan.statistics(),
+            "obstacles sent ns": self._seen_ns,
+            "took ms": took_ns / 1e6,
+            "contact share": found.approach.share,
+            **self._planner.reaction.values(),
+            **({} if goal is None else goal_values(goal.position)),
+        }
+        self._publish(topics.PLAN_STATISTICS, to_statistics(plan, values, self.NAME, self.arm))
+        # The core has already counted this plan; an arm that jumped made it forget what it had.
+        start = start if found.plans > 1 else None
+        self._publish(topics.PLAN_REQUEST, to_request(request_parts(plan.number, request, start, found.best)))
+
+    def _report_goal(self, state: GoalState, stamp_ns: int) -> None:
+        """Publish what happened to a goal that was sent at `stamp_ns`."""
+        self._reported = None
+        self._publish(topics.GOAL_STATE, to_goal_state(state, stamp_ns, self.NAME, self.arm))
+
+    def _follow_goal(self) -> None:
+        """Publish what happened to the goal when that changes; on its way some times a second."""
+        state, now_ns = self._planner.goal_state, 0 if self._planner.state is None else self._planner.state.stamp_ns
+        if state is None:
+            return
+        phase = (self._goal_ns, state.phase)
+        # Also after the clock was set back.
+        is_due = not 0 < self._goal_state_due_ns - now_ns <= _SHOWN_EVERY_NS
+        if phase != self._reported or (state.phase.is_open and is_due):
+            self._report_goal(state, self._goal_ns)
+            self._reported, self._goal_state_due_ns = phase, now_ns + _SHOWN_EVERY_NS
+
+    def _publish(self, topic: topics.Topic, message: Any) -> None:
+        self._outputs[topic].publish(message)
 
     def _on_goal(self, message: PoseStamped) -> None:
         stamp_ns, before = nanoseconds(message.header.stamp), self._planner.goal_state
@@ -189,13 +234,13 @@ class PlannerNode(ManagedNode):
             goal = Goal(vector(pose.position), orientation, frame=frame)
             self._planner.command(goal)
         except InputError as error:
-            self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
+            self._report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
             raise
         if before is not None and before.phase.is_open:
             replaced = before._replace(phase=GoalPhase.WITHDRAWN, reason="another goal has replaced it")
-            self._output.report_goal(replaced, self._goal_ns)
+            self._report_goal(replaced, self._goal_ns)
         self._goal_ns = stamp_ns
-        self._output.follow_goal(self._planner, self._goal_ns)
+        self._follow_goal()
         if self.rivals:
             why = f"{self.rivals}: no goal is taken; end the others"
             self._withdraw(why)
@@ -234,9 +279,9 @@ class PlannerNode(ManagedNode):
     def _withdraw(self, why: str) -> None:
         """Forget the goal: after a stop the arm moves again only with a new one."""
         if self._planner.plan is not None:
-            self._output.clear()
+            self._publish(topics.PLAN_MARKERS, to_markers(None, self.arm))
         self._planner.withdraw(why)
-        self._output.follow_goal(self._planner, self._goal_ns)
+        self._follow_goal()
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import pick
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.ros.client import Services
+from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -137,7 +137,7 @@ class _StackActions:
         self._node = node
         self._live = live
         self._goals = node.make_publisher(topics.GOAL_POSE)
-        self._services = Services(node)
+        self._client = Client(node, is_served=True)
 
     def send_goal(self, position: Array) -> str:
         """See `Actions`."""
@@ -149,12 +149,12 @@ class _StackActions:
 
     def stop(self) -> str:
         """See `Actions`."""
-        return self._services.stop().text
+        return self._client.stop().text
 
     def reset(self) -> str:
         """See `Actions`."""
         stopped = [name for name, status in self._live.safety.items() if status.level == ERROR]
-        return self._services.release(stopped).text
+        return self._client.release(stopped).text
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:
