@@ -26,7 +26,7 @@ _RELIABLE = topics.NEWEST._replace(reliable=True)
 
 
 class Follower(StackClient):
-    """Hears where the flange is and what touches the arm, and sends its target when the stack is ready.
+    """Hears where the flange is and what touches the arm, and waits until the stack is ready.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Follower(StackClient):
     model
         Of the arm.
     target
-        (3,) m in the base frame: what `distance` is measured to, and `send_target` sends.
+        (3,) m in the base frame: what `distance` is measured to.
     recorded
         What the recorder must hear before the arm moves.
 
@@ -89,10 +89,6 @@ class Follower(StackClient):
             **{f"{topic.name} by the {RECORDER}": self.hears(RECORDER, topic) for topic in self._recorded},
         }
         return super().missing() + [what for what, is_heard in heard.items() if not is_heard]
-
-    def send_target(self) -> None:
-        """Make `target` the goal from the newest joint state on."""
-        self.send_goal(self.target, stamp_ns=self.stamp_ns)
 
     @property
     def state(self) -> str:

@@ -106,7 +106,7 @@ def _drive(stack: StackProcesses, follower: Follower, goals: Iterator[Array], se
         if arrived or time.monotonic() > due:
             reached += arrived
             follower.target = next(goals)
-            follower.send_target()
+            follower.send_goal(follower.target, stamp_ns=follower.stamp_ns)
             due = time.monotonic() + _GOAL_S
             follower.distance = float("nan")
         stack.watch(_LOOK_S)

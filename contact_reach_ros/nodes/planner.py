@@ -173,12 +173,15 @@ class PlannerNode(ManagedNode):
         if plan.effect_ns >= self._markers_due_ns:
             self._publish(topics.PLAN_MARKERS, to_markers(plan, self.arm))
             self._markers_due_ns = plan.effect_ns + _SHOWN_EVERY_NS
-        self._record(plan, request, start, took_ns)
-
-    def _record(self, plan: Plan, request: Request, start: Memory | None, took_ns: int) -> None:
-        """Publish for bags how a plan was found, and what is needed to solve it again, from what `start` knew."""
         found = self._core.memory
-        assert found is not None
+        if found is not None:
+            self._record(plan, request, start, found, took_ns)
+
+    def _record(self, plan: Plan, request: Request, start: Memory | None, found: Memory, took_ns: int) -> None:
+        """Publish for bags how a plan was found, and what is needed to solve it again.
+
+        `start` and `found` are what the solver knew before, None after a reset, and knows now.
+        """
         detour, number = found.request.detour, found.request.on_detour
         if detour is not None and number > self._detour:
             posture = np.round(detour.posture, 2).tolist()
