@@ -19,7 +19,7 @@ from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client
-from contact_reach_ros.ros.graph import running
+from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
@@ -107,6 +107,8 @@ class StackProcesses:
         ------
         StackError
             If a process died, or it takes too long; the missing ones are named with their last state.
+        InputError
+            If another stack has been discovered meanwhile.
         KeyboardInterrupt
             If it was interrupted.
         """
@@ -115,9 +117,7 @@ class StackProcesses:
         for wave in Wave:
             if wave is Wave.LOOPS:
                 # Once more: discovery has settled while the first processes got ready.
-                others = running(self.client.node, [process.name for process in self._table], self._running)
-                if others:
-                    raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
+                refuse_beside_another(self.client.node, [each.name for each in self._table], 0.0, self._running)
             processes = [process for process in self._table if process.wave is wave]
             for process in processes:
                 self._start(process)
