@@ -10,8 +10,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-from contact_reach_ros.bringup.children import end_with_parent
 from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.executables import end_with_parent
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")

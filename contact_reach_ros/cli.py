@@ -150,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_json(doctor)
 
     arm = commands.add_parser("arm", help="look at an arm's description").add_subparsers(required=True, metavar="WHAT")
-    check = arm.add_parser("check", help="what a URDF says, lacks and leaves to rules, and whether the arm moves")
+    check = arm.add_parser("check", help="what a URDF says, lacks and leaves to rules")
     check.add_argument("name", metavar="ARM", help="a name, or the path of a URDF or YAML file")
     check.add_argument("--table", type=Path, metavar="FILE", help="write all numbers as a table, a YAML file")
     check.set_defaults(run=_later("doctor.arm_check:check_arm"))

@@ -6,6 +6,7 @@ that the imports take. The node then installs its own signal handling.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import runpy
@@ -19,6 +20,7 @@ from contact_reach_ros.settings import NODES, declared_parameters
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _watcher: threading.Thread | None = None
+_PR_SET_PDEATHSIG = 1
 
 
 def end_at_signals() -> None:
@@ -35,6 +37,11 @@ def end_at_signals() -> None:
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         _watcher = threading.Thread(target=_watch, args=[reader], name="starting", daemon=True)
         _watcher.start()
+
+
+def end_with_parent() -> None:
+    """In a child: be ended by the kernel when its parent is killed, so that no orphan moves an arm."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -165,7 +165,7 @@ def adapted(line: str) -> str:
     line = re.sub(r"\bOTHER_BAG\b", "bags/first", re.sub(r"\bBAG\b", "bags/sample", line))
     # Commands of other pages have left bags, too.
     line = re.sub(r"(\S+)<date>", r"$(ls -dt \1*[0-9] | head -1)", line)
-    line = re.sub(r"(--bag |bag:=|--output )bags/(first|sample)", r"\1bags/new_\2", line).replace(" --loop", "")
+    line = re.sub(r"(--bag |bag:=|--output )bags/(first|sample)", r"\1bags/new_\2", line)
     if re.search(r"contact-reach (demo|up)", line):
         line += " --lockstep" * ("--lockstep" not in line)
     if ".venv/bin/replay" in line:

@@ -12,10 +12,9 @@ from typing import Any
 
 from rclpy.node import Node
 
-from contact_reach_ros.bringup.children import Interruption, StackError
 from contact_reach_ros.bringup.processes import processes
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
-from contact_reach_ros.bringup.stack_processes import StackProcesses
+from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
@@ -39,7 +38,6 @@ def up(namespace: str = "", **options: Any) -> int:
 
 def run_bringup(arguments: list[str]) -> int:
     """Run with a command line, program name first; returns the exit code."""
-    interruption = Interruption()
     try:
         arm = check_arguments(arguments, NAME, BRINGUP_SECTIONS)
         (wanted,) = (entry for entry in BringupOptions.declared() if entry.name == "discovery")
@@ -52,7 +50,7 @@ def run_bringup(arguments: list[str]) -> int:
             refuse_beside_another(node, [process.name for process in table], began)
             passed_on = _remappings(arguments)
             file = options.parameter_file
-            with StackProcesses(Client(node), table, file, interruption, passed_on=passed_on) as stack:
+            with StackProcesses(Client(node), table, file, passed_on=passed_on) as stack:
                 try:
                     _supervise(node, stack)
                 except KeyboardInterrupt:
@@ -91,14 +89,11 @@ def _check_own_files(arguments: Sequence[str], options: BringupOptions) -> None:
 
 
 def _say_discovery(node: Node, wanted: str) -> None:
-    heard = reach(os.environ)
-    line = heard.text
-    if heard.choice != wanted:
+    choice, line = reach(os.environ)
+    if choice != wanted:
         line += f"; the environment decides, parameter discovery = '{wanted}' has no effect"
-    if heard.choice == wanted == "host":
-        node.get_logger().info(line)
-    else:
-        node.get_logger().warning(line)
+    log = node.get_logger()
+    (log.info if choice == wanted == "host" else log.warning)(line)
 
 
 def _supervise(node: Node, stack: StackProcesses) -> None:

@@ -45,7 +45,7 @@ def goto(
     """
     rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
     with connect(discovery, namespace) as client:
-        client.wait_ready()
+        client.wait_for(client.missing)
         orientation = client.settings[PLANNER].get("goal_orientation")
         if (rpy is not None) != (orientation == POSE):
             remedy = "give the orientation with --rpy" if rpy is None else "give no --rpy, or start it with pose"
@@ -61,14 +61,14 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
     from contact_reach_ros.arm.model import RobotModel
 
     with connect(discovery, namespace) as client:
-        client.wait_ready()
+        client.wait_for(client.missing)
         return _go(client, *RobotModel(client.arm).tip_pose(np.array(client.arm.home)), wait, timeout)
 
 
 def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
     """Let the planner use this share, 0.01 to 1, of the speed that its bounds permit, from the next plan on."""
     with connect(discovery, namespace) as client:
-        client.wait_ready()
+        client.wait_for(client.missing)
         outcome = client.change(PLANNER, {SPEED_SCALE: scale})
         return _report(outcome if not outcome.done else Outcome(True, f"{SPEED_SCALE} = {scale:g}"))
 
@@ -76,14 +76,12 @@ def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
 def stop(discovery: str = "host", namespace: str = "") -> int:
     """Stop the arm."""
     with connect(discovery, namespace) as client:
-        client.find()
         return _report(client.stop())
 
 
 def reset(discovery: str = "host", namespace: str = "") -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
     with connect(discovery, namespace) as client:
-        client.find()
         return _report(client.release_all())
 
 

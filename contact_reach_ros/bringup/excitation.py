@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
+from contact_reach_ros.arm.joint_state import JointState
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -18,7 +19,7 @@ from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.topics import Qos, Topic
+from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
@@ -26,10 +27,9 @@ from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import POSE
 from contact_reach_ros.world.spheres import Spheres
 
-_T = TypeVar("_T")
 _OBSERVER = "observer"
-_DEPTH = 2000
-"""Joint states that may wait to be read: those of two seconds."""
+_QOS = Qos(2000)
+"""Joint states of two seconds may wait to be read."""
 _HEARD_S = 4.0
 _GOAL_S = 8.0
 """Time of the robot's clock for a goal; then comes the next one, reached or not."""
@@ -60,19 +60,19 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
     no room, or is stopped on the way.
     """
     with connect(discovery, namespace) as client:
-        client.wait_ready()
-        if not client.until(lambda: _OBSERVER in client.settings, _HEARD_S):
-            raise ContactReachError("not heard: settings of the observer; run contact-reach doctor")
+        client.wait_for(client.missing)
+        client.wait_for(lambda: [] if _OBSERVER in client.settings else ["settings of the observer"])
         reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
-        states = _hear(client, topics.JOINT_STATES, reader.read, qos=Qos(_DEPTH))
-        if not states:
-            raise ContactReachError("not heard: joint_states; run contact-reach doctor")
+        states: list[JointState] = []
+        client.inbox.add(topics.JOINT_STATES, lambda data: states.append(reader.read(data)), _QOS, serialized=True)
+        client.wait_for(lambda: [] if states else [topics.JOINT_STATES.name])
         if client.settings[PLANNER].get("goal_orientation") != POSE:
             raise InputError(
                 "the motion turns the wrist: start the stack with --set planner:goal_orientation=pose, or give a bag"
             )
         check_clearance(client.arm, states[-1].q, _obstacles(client))
         states.clear()
+        before = _contacts(client)
         try:
             _move(client)
         except KeyboardInterrupt:
@@ -81,24 +81,26 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
                 client.until(lambda: client.goal_state is not None, _HEARD_S)
             print("interrupted: the arm is held where it is", flush=True)
             raise
+        if contacts := _contacts(client) - before:
+            print(f"the observer reported contact {contacts} times; what touched the arm spoils the fit", flush=True)
         return recording_of(states), client.settings
-
-
-def _hear(client: StackClient, topic: Topic, read: Callable[[bytes], _T], **options: Any) -> list[_T]:
-    """What messages say, which come to the list while the client is served; the first is waited for."""
-    found: list[_T] = []
-    client.inbox.add(topic, lambda data: found.append(read(data)), serialized=True, **options)
-    client.until(lambda: bool(found), _HEARD_S)
-    return found
 
 
 def _obstacles(client: StackClient) -> Spheres:
     """What stands around the arm; raises `InputError` if that has to be known and is not."""
     reader = ObstacleMarkerReader(client.arm.base_frame, AssumedMaterial.of(PlannerNodeSettings()))
-    found = _hear(client, topics.OBSTACLES, reader.read, largest=LARGEST_SCENE)
-    if not found and client.settings[PLANNER].get("require_obstacles", True):
+    found: list[Spheres] = []
+    client.inbox.add(
+        topics.OBSTACLES, lambda data: found.append(reader.read(data)), serialized=True, largest=LARGEST_SCENE
+    )
+    if not client.until(lambda: bool(found), _HEARD_S) and client.settings[PLANNER].get("require_obstacles", True):
         raise InputError("nothing heard on obstacles: it is not known whether the arm has room")
     return found[-1] if found else Spheres.none()
+
+
+def _contacts(client: StackClient) -> int:
+    """Number of contacts that the observer has reported."""
+    return int(client.diagnostics.get(_OBSERVER, {}).get("contacts", 0))
 
 
 def _move(client: StackClient) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,8 +10,7 @@ from sensor_msgs.msg import JointState
 
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.bringup.children import StackError
-from contact_reach_ros.bringup.stack_processes import StackProcesses
+from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, pick
@@ -23,13 +21,12 @@ from contact_reach_ros.timing import NANOSECONDS
 _READY_S = 60.0
 """For nodes that are up to hear each other, and for the brakes to open."""
 _NOT_READY = (topics.WAITING_FOR_STATE, topics.WAITING_FOR_OBSTACLES, topics.WAITING_FOR_CONTROLLER)
-_LOOK_S = 0.1
 _RELIABLE = topics.NEWEST._replace(reliable=True)
 """For joint states: the last one before simulated time stands still must not get lost."""
 
 
 class Follower(StackClient):
-    """Hears where the flange is and what touches the arm, and sends its target when the stack is ready.
+    """Hears where the flange is and what touches the arm, and waits until the stack is ready.
 
     Parameters
     ----------
@@ -38,7 +35,7 @@ class Follower(StackClient):
     model
         Of the arm.
     target
-        (3,) m in the base frame: what `distance` is measured to, and `send_target` sends.
+        (3,) m in the base frame: what `distance` is measured to.
     recorded
         What the recorder must hear before the arm moves.
 
@@ -71,15 +68,16 @@ class Follower(StackClient):
     def wait_to_start(self, stack: StackProcesses) -> None:
         """Wait until brakes are open, planner and recorder hear what they need, and the planner is heard.
 
-        Raises `StackError` if a process died, something stopped the arm, or it takes too long.
+        Raises `ContactReachError` if a process died, something stopped the arm, or it takes too long.
         """
-        deadline = time.monotonic() + _READY_S
-        while missing := self.missing():
-            stack.watch(_LOOK_S)
+
+        def missing() -> list[str]:
+            stack.check()
             if self.stops:
                 raise StackError(self.state)
-            if time.monotonic() > deadline:
-                raise StackError(f"not heard after {_READY_S:.0f} s: {', '.join(missing)}")
+            return self.missing()
+
+        self.wait_for(missing, _READY_S)
 
     def missing(self) -> list[str]:
         """As `StackClient`, and what keeps the arm from being moved."""
@@ -91,10 +89,6 @@ class Follower(StackClient):
             **{f"{topic.name} by the {RECORDER}": self.hears(RECORDER, topic) for topic in self._recorded},
         }
         return super().missing() + [what for what, is_heard in heard.items() if not is_heard]
-
-    def send_target(self) -> None:
-        """Make `target` the goal from the newest joint state on."""
-        self.send_goal(self.target, stamp_ns=self.stamp_ns)
 
     @property
     def state(self) -> str:

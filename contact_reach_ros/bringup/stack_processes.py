@@ -13,13 +13,13 @@ import numpy as np
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import JointState
 
-from contact_reach_ros.bringup.children import Interruption, StackError, end_with_parent
 from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client
-from contact_reach_ros.ros.graph import running
+from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
@@ -34,8 +34,16 @@ _WATCHDOG_S = 0.3
 """Time in which the driver's watchdog brings the arm to rest when nobody commands it."""
 
 
+class StackError(ContactReachError):
+    """The stack did not come up, or one of its processes died."""
+
+
 class StackProcesses:
     """The processes of the running stack, which end with the context that this manages.
+
+    From its creation on SIGINT and SIGTERM are only noted, and `check` raises `KeyboardInterrupt`. Python would raise
+    it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C would
+    leave processes behind.
 
     Parameters
     ----------
@@ -45,8 +53,6 @@ class StackProcesses:
         From `processes`.
     parameter_file
         Given to every process.
-    interruption
-        Checked by `check`, and so during every wait.
     log
         File for the output of the processes; their own terminal when None.
     passed_on
@@ -58,13 +64,14 @@ class StackProcesses:
         client: Client,
         table: Sequence[Process],
         parameter_file: Path,
-        interruption: Interruption,
         log: Path | None = None,
         passed_on: Sequence[str] = (),
     ) -> None:
         self.client = client
         self._passed_on = passed_on
-        self._interruption = interruption
+        self._interrupted = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._interrupt)
         self._table = list(table)
         self.parameter_file = parameter_file
         self._log_path = log
@@ -100,6 +107,8 @@ class StackProcesses:
         ------
         StackError
             If a process died, or it takes too long; the missing ones are named with their last state.
+        InputError
+            If another stack has been discovered meanwhile.
         KeyboardInterrupt
             If it was interrupted.
         """
@@ -108,9 +117,7 @@ class StackProcesses:
         for wave in Wave:
             if wave is Wave.LOOPS:
                 # Once more: discovery has settled while the first processes got ready.
-                others = running(self.client.node, [process.name for process in self._table], self.process_ids)
-                if others:
-                    raise StackError(f"another stack is running in this ROS domain: {', '.join(others)}")
+                refuse_beside_another(self.client.node, [each.name for each in self._table], 0.0, self._running)
             processes = [process for process in self._table if process.wave is wave]
             for process in processes:
                 self._start(process)
@@ -141,9 +148,10 @@ class StackProcesses:
         StackError
             Naming a process that died, and how.
         KeyboardInterrupt
-            If there was an interruption.
+            If a signal came, at every call.
         """
-        self._interruption.check()
+        if self._interrupted:
+            raise KeyboardInterrupt
         for name, process in list(self._running.items()):
             code = process.poll()
             if code is None:
@@ -154,10 +162,8 @@ class StackProcesses:
             print(f"{name} ended ({how}); the stack goes on without it", file=sys.stderr)
             del self._running[name]
 
-    @property
-    def process_ids(self) -> dict[str, int]:
-        """Of the processes that were started, by name."""
-        return {name: process.pid for name, process in self._running.items()}
+    def _interrupt(self, *_: object) -> None:
+        self._interrupted = True
 
     def _start(self, process: Process) -> None:
         file = self.parameter_file

@@ -65,7 +65,6 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
     try:
         # rclpy is only needed, and only has to be installed, for what follows.
         from contact_reach_ros.doctor import stack
-        from contact_reach_ros.doctor.listening import look_around
         from contact_reach_ros.messages import topics
         from contact_reach_ros.ros.discovery import environment
     except ImportError as error:
@@ -75,7 +74,7 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
     os.environ.update(environment(discovery))
     report["software"]["discovery"] = attempt(stack.discovery_in_use)
     try:
-        graph, record = look_around(discovery, _LISTEN_S, arm)
+        graph, record = stack.look_around(discovery, _LISTEN_S, arm)
     except ContactReachError as error:
         fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
         report["stack"] = {"nodes": failed(str(error), fix)}

@@ -1,26 +1,53 @@
-"""Checks of the running stack: who can hear it, its nodes, its topics, and whether the arm is stopped."""
+"""Checks of the running stack: who can hear it, its nodes, its topics, and whether the arm is stopped.
+
+`look_around` does not disturb it: it looks at the graph, and listens for a second.
+"""
 
 from __future__ import annotations
 
 import os
+import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import JointState
 
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_observer
+from contact_reach_ros.messages.topics import Qos, Topic
+from contact_reach_ros.messages.values import nanoseconds, read_settings
+from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
-from contact_reach_ros.ros.interfaces import ALONE, INTERFACES, MANAGED, VIEWER
+from contact_reach_ros.ros.graph import full_name, node_of
+from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, INTERFACES, MANAGED, VIEWER
+from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.timing import PERIOD
 
 _NEEDED_NODES = ("controller", "observer", "planner")
 """A real robot's driver may have any name; recorder and bring-up are not needed."""
 
 _NEEDED_TOPICS = (*ALONE, topics.SAFETY_STATE, topics.EXTERNAL_TORQUE)
+
+_EFFORT_CONTROLLER = "effort_controller"
+"""Name of the ros2_control controller that takes the commands, where there is one."""
+_ANYTHING = Qos(2000, reliable=False)
+"""Matches every publisher."""
+_SETTLED_S = 3.5
+"""A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
+_MATCHING_S = 1.0
 
 
 class Endpoint(NamedTuple):
@@ -76,11 +103,113 @@ class Graph:
         )
 
 
+def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointRecord]:
+    """Look at the stack with a node of its own; returns its graph and the joint states that came.
+
+    Raises `ContactReachError` if ROS does not start a node.
+
+    Parameters
+    ----------
+    discovery
+        How far to look, one of `discovery.CHOICES`.
+    seconds
+        How long to listen, if anything is there.
+    arm
+        Whose joint states are expected.
+    """
+    with bare_node(DOCTOR, discovery) as node:
+        client = Client(node)
+        time.sleep(_SETTLED_S)
+        names, states, order = _nodes(node), {}, None
+        for name in (name for name in MANAGED if f"/{name}" in names):
+            answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
+            states[name] = answer.current_state.label if answer is not None else ""
+        # The adapter puts commands into the controller's order.
+        if f"/{_EFFORT_CONTROLLER}" in names and f"/{ADAPTER}" not in names:
+            request = GetParameters.Request(names=["joints"])
+            answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, request)
+            order = list(answer.values[0].string_array_value) if answer is not None and answer.values else None
+        safety: dict[str, DiagnosticStatus] = {}
+        settings: dict[str, Mapping[str, Any]] = {}
+        heard: list[tuple[JointState, int]] = []
+        _hear(client, topics.SAFETY_STATE, topics.ALL_EVENTS, lambda status: safety.update({status.name: status}))
+        _hear(
+            client,
+            topics.SETTINGS,
+            topics.ALL_EVENTS,
+            lambda status: settings.update({status.name: read_settings(status)}),
+        )
+        _hear(
+            client,
+            topics.JOINT_STATES,
+            _ANYTHING,
+            lambda state: heard.append((state, client.inbox.received_ns or time.time_ns())),
+        )
+        # What comes before every subscription is matched is no measure of rates.
+        client.spin(_MATCHING_S)
+        heard.clear()
+        client.spin(seconds)
+        graph = Graph(
+            _nodes(node),
+            {topic.name: _endpoints(node.get_publishers_info_by_topic(topic.name)) for topic in topics.ALL},
+            {topic.name: _endpoints(node.get_subscriptions_info_by_topic(topic.name)) for topic in topics.ALL},
+            states,
+            [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
+            all(map(requires_observer, safety.values())),
+            settings,
+            order,
+        )
+        client.close()
+    return graph, _joint_record(heard, arm)
+
+
+def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
+    """The answer of a service; None without any."""
+    try:
+        return client.call(service, kind, request)
+    except ContactReachError:
+        return None
+
+
+def _hear(client: Client, topic: Topic, qos: Qos, handle: Callable[[Any], None]) -> None:
+    """Subscribe, if somebody publishes messages of the topic's type."""
+    infos = client.node.get_publishers_info_by_topic(topic.name)
+    if any(info.topic_type == topic.type_name for info in infos):
+        client.inbox.add(topic, handle, qos)
+
+
+def _joint_record(heard: Sequence[tuple[JointState, int]], arm: Arm) -> JointRecord:
+    """Joint states with their arrival on the system clock, ns, as arrays."""
+
+    def column(name: str) -> Any:
+        """Values of the arm's joints in its order, NaN for those that a message lacks."""
+        read = [dict(zip(state.name, getattr(state, name), strict=False)) for state, _ in heard]
+        return np.array([[each.get(joint, np.nan) for joint in arm.joint_names] for each in read]).reshape(-1, arm.n)
+
+    return JointRecord(
+        tuple(dict.fromkeys(tuple(state.name) for state, _ in heard)),
+        np.array([nanoseconds(state.header.stamp) for state, _ in heard], dtype=np.int64),
+        np.array([received_ns for _, received_ns in heard], dtype=np.int64),
+        column("position"),
+        column("velocity"),
+        column("effort"),
+    )
+
+
+def _nodes(node: Node) -> list[str]:
+    found = (full_name(namespace, name) for name, namespace in node.get_node_names_and_namespaces())
+    return sorted(name for name in found if name != f"/{DOCTOR}")
+
+
+def _endpoints(infos: Sequence[TopicEndpointInfo]) -> list[Endpoint]:
+    return [Endpoint(node_of(info), info.topic_type, info.qos_profile) for info in infos if info.node_name != DOCTOR]
+
+
 def discovery_in_use() -> Finding:
     """Check who can hear nodes that are started from here."""
-    heard, domain = reach(os.environ), os.environ.get("ROS_DOMAIN_ID", "0")
+    (choice, line), domain = reach(os.environ), os.environ.get("ROS_DOMAIN_ID", "0")
     fix = "leave discovery at host and unset the variable, or use a network of its own or SROS 2: docs/security.md"
-    return graded(f"{heard.text}, domain {domain}", fix, warn=heard.choice != "host")
+    return graded(f"{line}, domain {domain}", fix, warn=choice != "host")
 
 
 def nodes(graph: Graph) -> Finding:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from lifecycle_msgs.msg import State
 from rclpy.node import Node
-from sensor_msgs.msg import JointState as JointStateMessage
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
@@ -19,7 +18,6 @@ from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import encode
 from contact_reach_ros.messages.topics import NEWEST, Qos, Topic
-from contact_reach_ros.messages.values import pick
 from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -44,8 +42,8 @@ _RATE_TOLERANCE = 0.01
 _DRIFT = 1e-4
 """By how much, at most, the robot's clock runs faster than this machine's, as a share."""
 _CLOCK_SET_NS = NANOSECONDS // 2
-_MEAN_S = 1.0
-"""Time constant of the mean external torques that are compared."""
+_PAUSE_S = 1.0
+"""After a longer pause the velocity is unknown again."""
 
 
 class LbrTarget:
@@ -91,8 +89,6 @@ class LbrTarget:
         self._v = np.zeros(arm.n)
         self._robot_ns = self._ahead_ns = 0
         """Time of the last state on the robot's clock, and how far this machine's is ahead of it."""
-        self._external = self._observed = np.zeros(arm.n)
-        """Mean external torques: KUKA's, and the observer's."""
         self._switch = None
         if not settings.component:
             return
@@ -106,10 +102,7 @@ class LbrTarget:
             self._switch = node.create_client(SetHardwareComponentState, service)
 
     def listen(self, inbox: Inbox, take: Callable[[JointState], None], qos: Qos = NEWEST) -> None:
-        """Read the driver's states, and the external torques of the observer, from an inbox; `take` gets the former.
-
-        `qos`: what to request for states.
-        """
+        """Read the driver's states from an inbox, requested with `qos`; `take` gets them."""
 
         def on_state(message: Any) -> None:
             state = self.read(message, self._node.get_clock().now().nanoseconds)
@@ -117,7 +110,6 @@ class LbrTarget:
                 take(state)
 
         inbox.add(self._source, on_state, qos)
-        inbox.add(topics.EXTERNAL_TORQUE, self._on_external, NEWEST, hurried=False)
 
     def read(self, message: Any, now_ns: int) -> JointState | None:
         """The joint state in a message, which arrived at `now_ns` of this machine's clock; None for one that repeats.
@@ -133,10 +125,9 @@ class LbrTarget:
         elapsed = (robot_ns - self._robot_ns) / NANOSECONDS
         if robot_ns == self._robot_ns and not self._is_synchronous:
             return None
-        if self._q is not None and 0.0 < elapsed <= _MEAN_S:
+        if self._q is not None and 0.0 < elapsed <= _PAUSE_S:
             share = -math.expm1(-2.0 * math.pi * self._settings.velocity_cutoff * elapsed)
             self._v = self._v + (share or 1.0) * ((q - self._q) / elapsed - self._v)
-            self._external = self._mean(self._external, np.array(message.external_torque, float), elapsed)
         elif elapsed:
             self._v = np.zeros(self._arm.n)
         self._q, self._robot_ns = q, robot_ns
@@ -195,18 +186,8 @@ class LbrTarget:
         """Do nothing: the driver has to be started again, with the application on the smartPAD."""
 
     def diagnosis(self) -> dict[str, Any]:
-        """KUKA's mean external torque, and its difference from the observer's."""
-        return {
-            "external torque by KUKA Nm": _text(self._external),
-            "difference from the observer's Nm": _text(self._external - self._observed),
-        }
-
-    def _on_external(self, message: JointStateMessage) -> None:
-        torque = pick(message, self.order, "effort", topics.EXTERNAL_TORQUE.name)
-        self._observed = self._mean(self._observed, torque, self._period)
-
-    def _mean(self, mean: Array, value: Array, elapsed: float) -> Array:
-        return mean - math.expm1(-elapsed / _MEAN_S) * (value - mean)
+        """There is nothing to report."""
+        return {}
 
     def _on_switched(self, future: Any) -> None:
         logger, name = self._node.get_logger(), self._settings.component
@@ -218,7 +199,3 @@ class LbrTarget:
 
 def _name(names: tuple[str, ...], index: int) -> str:
     return names[index] if 0 <= index < len(names) else f"state {index}"
-
-
-def _text(values: Array) -> str:
-    return " ".join(f"{value:.2f}" for value in values.tolist())

@@ -19,7 +19,7 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.topics import CDR, OfferedQos
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.nodes.topic_recorder import message_class
+from contact_reach_ros.nodes.recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import REPLAY

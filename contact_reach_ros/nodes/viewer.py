@@ -24,7 +24,7 @@ from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import pick
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.ros.client import Services
+from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -41,12 +41,10 @@ from contact_reach_ros.viewer.settings import BAGS, MAX_RATE, VIEWER_SECTIONS, V
 TITLE = "contact_reach_ros"
 
 _FEW = topics.Qos(20, reliable=False)
-_MOST_NODES = 20
-"""Greatest number of nodes whose safety state is kept."""
 
 
 class ViewerNode(ManagedNode):
-    """Keeps the page up to date."""
+    """Keeps the page up to date, and does its `Actions` on the stack: in threads of the server, where they may wait."""
 
     NAME = VIEWER
     SECTIONS = VIEWER_SECTIONS
@@ -72,9 +70,10 @@ class ViewerNode(ManagedNode):
         recording = Recording(bag, self.arm) if settings.bag else None
         arm = recording.arm if recording else self.arm
         budget = load_budget(settings.contact_budget).resolve(self.arm)
-        actions = _StackActions(self, self.live)
+        self._goals = self.make_publisher(topics.GOAL_POSE)
+        self._client = Client(self, is_served=True)
         self._server = serve(settings.port, TITLE)
-        self._page = call(self._server, lambda: Page(self._server, arm, self.live, actions, bags, budget, recording))
+        self._page = call(self._server, lambda: Page(self._server, arm, self.live, self, bags, budget, recording))
         port = self._server.get_port()
         self.get_logger().info(
             f"open {settings.page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"
@@ -96,6 +95,21 @@ class ViewerNode(ManagedNode):
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Number of browsers."""
         return "", {"browsers": len(self._server.get_clients())}
+
+    def send_goal(self, position: Array) -> str:
+        """See `Actions`."""
+        if not self._goals.get_subscription_count():
+            return "nobody subscribes to goal_pose: is the planner running?"
+        self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, self.get_clock().now().to_msg()))
+        return f"goal {np.round(position, 3).tolist()} m is sent"
+
+    def stop(self) -> str:
+        """See `Actions`."""
+        return self._client.stop().text
+
+    def reset(self) -> str:
+        """See `Actions`."""
+        return self._client.release([name for name, status in self.live.safety.items() if status.level == ERROR]).text
 
     def _on_state(self, data: bytes) -> None:
         stamp_ns, q, _, _ = self._states.read(data)
@@ -124,37 +138,7 @@ class ViewerNode(ManagedNode):
         self.live.on_contacts(forces, largest)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        name = message.name
-        if name not in self.live.safety and len(self.live.safety) == _MOST_NODES:
-            raise InputError(f"safety_state: name = '{name}' is one node more than the {_MOST_NODES} that are kept")
-        self.live.safety[name] = safety_status(message, self.arm)
-
-
-class _StackActions:
-    """The page's `Actions` on the stack; each method is called in a thread of the server, where it may wait."""
-
-    def __init__(self, node: ManagedNode, live: LiveState) -> None:
-        self._node = node
-        self._live = live
-        self._goals = node.make_publisher(topics.GOAL_POSE)
-        self._services = Services(node)
-
-    def send_goal(self, position: Array) -> str:
-        """See `Actions`."""
-        if not self._goals.get_subscription_count():
-            return "nobody subscribes to goal_pose: is the planner running?"
-        stamp = self._node.get_clock().now().to_msg()
-        self._goals.publish(to_goal_pose(position.tolist(), self._node.arm.base_frame, stamp))
-        return f"goal {np.round(position, 3).tolist()} m is sent"
-
-    def stop(self) -> str:
-        """See `Actions`."""
-        return self._services.stop().text
-
-    def reset(self) -> str:
-        """See `Actions`."""
-        stopped = [name for name, status in self._live.safety.items() if status.level == ERROR]
-        return self._services.release(stopped).text
+        self.live.safety[message.name] = safety_status(message, self.arm)
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:

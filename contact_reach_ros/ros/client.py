@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -59,19 +58,31 @@ class Outcome(NamedTuple):
     text: str
 
 
-class Services:
-    """Calls services of the stack, from any thread.
+class Client:
+    """Calls services of the stack, and has an inbox for its topics.
 
     Parameters
     ----------
     node
-        That calls; another thread serves it.
+        That calls.
+    is_served
+        Whether another thread serves the node. Then services may be called from any thread; else whoever calls a
+        method serves the node meanwhile.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, is_served: bool = False) -> None:
         self.node = node
+        # Malformed messages are reported by the nodes that receive them.
+        self.inbox = Inbox(node, lambda what, error: None)
         self._clients: dict[str, ServiceClient] = {}
-        self._lock = threading.Lock()
+        self._executor = None if is_served else SingleThreadedExecutor()
+        if self._executor is not None:
+            self._executor.add_node(node)
+
+    def close(self) -> None:
+        """Serve the node no longer."""
+        if self._executor is not None:
+            self._executor.shutdown()
 
     def trigger(self, name: str, service: str) -> Outcome:
         """Call a Trigger service of a node; not done where no node offers it, or none answers."""
@@ -108,7 +119,9 @@ class Services:
 
         Raises `ContactReachError` if no node offers it within `patience`, s, or it does not answer within `timeout`, s.
         """
-        client = self._client(service, kind)
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+        client = self._clients[service]
         if not self.until(client.service_is_ready, patience):
             raise ContactReachError(f"{service}: there is no such service")
         future = client.call_async(request)
@@ -135,42 +148,9 @@ class Services:
 
     def spin(self, seconds: float) -> None:
         """Let the node be served for a while."""
-        time.sleep(seconds)
-
-    def _client(self, service: str, kind: Any) -> ServiceClient:
-        with self._lock:
-            if service not in self._clients:
-                self._clients[service] = self.node.create_client(kind, service)
-            return self._clients[service]
-
-
-class Client(Services):
-    """A node with services and an inbox, served by whoever calls its methods.
-
-    Parameters
-    ----------
-    node
-        No other executor may serve it.
-    """
-
-    def __init__(self, node: Node) -> None:
-        super().__init__(node)
-        # Malformed messages are reported by the nodes that receive them.
-        self.inbox = Inbox(node, lambda what, error: None)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
-
-    def close(self) -> None:
-        """Leave the executor."""
-        self._executor.shutdown()
-
-    def hears(self, name: str, topic: Topic) -> bool:
-        """Whether the node of this name is known to subscribe to a topic."""
-        found = self.node.get_subscriptions_info_by_topic(self.node.resolve_topic_name(topic.name))
-        return any(endpoint.node_name == name for endpoint in found)
-
-    def spin(self, seconds: float) -> None:
-        """Serve the node for a while."""
+        if self._executor is None:
+            time.sleep(seconds)
+            return
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
@@ -217,6 +197,11 @@ class StackClient(Client):
         self.inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
 
+    def hears(self, name: str, topic: Topic) -> bool:
+        """Whether the node of this name is known to subscribe to a topic."""
+        found = self.node.get_subscriptions_info_by_topic(self.node.resolve_topic_name(topic.name))
+        return any(endpoint.node_name == name for endpoint in found)
+
     def missing(self) -> list[str]:
         """Topics on which something is not heard yet that goals need."""
         heard = {
@@ -236,14 +221,13 @@ class StackClient(Client):
                 "or set ROS_DOMAIN_ID to its domain, and --namespace and --discovery to what it was started with"
             )
 
-    def wait_ready(self) -> None:
-        """Wait until planner and controller have reported what they do, and the planner hears goals.
+    def wait_for(self, missing: Callable[[], Collection[str]], timeout: float | None = None) -> None:
+        """Wait until nothing is missing any more, for `timeout`, s, or long enough for nodes that are up.
 
-        Raises `ContactReachError` if they do not within some seconds, with the topics that are missing.
+        Raises `ContactReachError` with what is missing then.
         """
-        self.find()
-        if not self.until(lambda: not self.missing(), _FOUND_S):
-            raise ContactReachError(f"not heard: {', '.join(self.missing())}; run contact-reach doctor")
+        if not self.until(lambda: not missing(), timeout or _FOUND_S):
+            raise ContactReachError(f"not heard: {', '.join(missing())}; run contact-reach doctor")
 
     def hear_everybody(self) -> None:
         """Wait until the safety states of the controller and of all who publish one are known.
@@ -362,10 +346,11 @@ class StackClient(Client):
 
 @contextmanager
 def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClient]:
-    """A client of the stack that is found within `discovery`, in a namespace."""
+    """A client of the stack that is found within `discovery`, in a namespace; raises as `StackClient.find`."""
     with bare_node(OPERATOR, discovery, namespace=namespace) as node:
         client = StackClient(node)
         try:
+            client.find()
             yield client
         finally:
             client.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
@@ -19,27 +18,6 @@ PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 _FAST_DDS = "rmw_fastrtps"
 _PROFILE_OF = {"host": "fastdds.xml", "subnet": "fastdds_subnet.xml"}
-
-
-class Reach(NamedTuple):
-    """Range in which the nodes of this process and its children can be heard.
-
-    Attributes
-    ----------
-    choice
-        One of `CHOICES`; empty where a file of the user decides.
-    why
-        Variable or file that decides.
-    """
-
-    choice: str
-    why: str
-
-    @property
-    def text(self) -> str:
-        """One line for the log."""
-        words = {"host": "this host only", "subnet": "OPEN to the subnet, to everybody on it"}
-        return f"discovery: {words.get(self.choice, 'as set in a file of yours')} ({self.why})"
 
 
 def environment(choice: str = "host") -> dict[str, str]:
@@ -57,15 +35,20 @@ def environment(choice: str = "host") -> dict[str, str]:
     return {PROFILES[0]: str(config_file(_PROFILE_OF[choice])), RANGE: "SYSTEM_DEFAULT"}
 
 
-def reach(env: Mapping[str, str]) -> Reach:
-    """Range of a process with these environment variables, after those of `environment` are set."""
+def reach(env: Mapping[str, str]) -> tuple[str, str]:
+    """Return who hears a process with these environment variables, after those of `environment` are set.
+
+    One of `CHOICES`, empty where a file of the user decides, and a line for the log with the variable or file.
+    """
     chosen = env.get(RANGE, "SUBNET").upper()
-    if chosen in ("LOCALHOST", "OFF"):
-        return Reach("host", f"{RANGE}={chosen}")
     profile = next((env[name] for name in PROFILES if env.get(name)), "")
-    if profile and get_rmw_implementation_identifier().startswith(_FAST_DDS):
-        for choice, name in _PROFILE_OF.items():
-            if profile == str(config_file(name)):
-                return Reach(choice, profile)
-        return Reach("", profile)
-    return Reach("subnet", f"{RANGE}={chosen}")
+    reads_profile = bool(profile) and get_rmw_implementation_identifier().startswith(_FAST_DDS)
+    why = f"{RANGE}={chosen}"
+    if chosen in ("LOCALHOST", "OFF"):
+        choice = "host"
+    elif reads_profile:
+        choice, why = next((key for key, name in _PROFILE_OF.items() if profile == str(config_file(name))), ""), profile
+    else:
+        choice = "subnet"
+    words = {"host": "this host only", "subnet": "OPEN to the subnet, to everybody on it"}
+    return choice, f"discovery: {words.get(choice, 'as set in a file of yours')} ({why})"

@@ -118,15 +118,15 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
     return sorted(found)
 
 
-def refuse_beside_another(node: Node, planned: Collection[str], since: float) -> None:
-    """Look for another stack until `LOOK_S` after `since`, on the monotonic clock.
+def refuse_beside_another(node: Node, planned: Collection[str], since: float, own: Collection[str] = ()) -> None:
+    """Look for another stack, as `running` does, until `LOOK_S` after `since`, on the monotonic clock.
 
     Raises `InputError` if there is one, with its nodes, the domain, and how to choose another.
     """
-    found = running(node, planned)
+    found = running(node, planned, own)
     while not found and time.monotonic() < since + LOOK_S:
         time.sleep(_POLL_S)
-        found = running(node, planned)
+        found = running(node, planned, own)
     if found:
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         other = (int(domain) + 1) % _DOMAINS if domain.isdigit() else 1

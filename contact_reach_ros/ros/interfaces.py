@@ -142,7 +142,7 @@ INTERFACES = {
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],
-        [topics.GOAL_STATE, *_REPORTS, topics.SETTINGS, topics.JOINT_STATES, topics.OBSTACLES],
+        [topics.GOAL_STATE, *_REPORTS, topics.SETTINGS, topics.JOINT_STATES],
         calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
     ),
     REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], []),

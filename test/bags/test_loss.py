@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.nodes.topic_recorder import LossCounter
+from contact_reach_ros.nodes.recorder import LossCounter
 
 
 @given(first=st.integers(1, 10**6), arrived=st.lists(st.booleans(), min_size=1, max_size=60))

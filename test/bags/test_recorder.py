@@ -29,8 +29,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.settings import RecorderSettings
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.nodes.recorder import RecorderNode
-from contact_reach_ros.nodes.topic_recorder import TopicRecorder
+from contact_reach_ros.nodes.recorder import RecorderNode, TopicRecorder
 
 PATIENCE = 60.0
 """How long a test waits for another process before it fails, s."""

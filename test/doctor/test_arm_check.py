@@ -1,6 +1,4 @@
-"""`contact-reach arm check`: what there is, what was assumed, a table, and whether the arm moves."""
-
-import dataclasses
+"""`contact-reach arm check`: what there is, what was assumed, and a table."""
 
 import pytest
 from arm_simulation import ARM
@@ -8,26 +6,18 @@ from arm_simulation import ARM
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.cli import main
-from contact_reach_ros.doctor import arm_check
 
 
-def test_a_urdf_is_checked_moved_and_written_as_a_table(tmp_path, capsys):
+def test_a_urdf_is_checked_and_written_as_a_table(tmp_path, capsys):
     (tmp_path / "arm.urdf").write_text(build_urdf(ARM))
     table = tmp_path / "table.yaml"
     with pytest.raises(SystemExit) as ended:
         main(["arm", "check", str(tmp_path / "arm.urdf"), "--table", str(table)])
     said = capsys.readouterr().out
     assert ended.value.code == 0
-    for expected in ("7 joints from lbr_link_0 to lbr_link_ee", "assumed: home", "moved by 30 mm and back in 2 s"):
+    for expected in ("7 joints from lbr_link_0 to lbr_link_ee", "assumed: home"):
         assert expected in said.replace("\n", " ")
     assert load_arm(str(table)).joint_names == ARM.joint_names
-
-
-def test_an_arm_that_does_not_move_as_it_should_is_told_so(monkeypatch, capsys):
-    weak = [dataclasses.replace(joint, torque_limit=joint.torque_limit / 100.0) for joint in ARM.joints]
-    monkeypatch.setattr(arm_check, "load_arm", lambda name: dataclasses.replace(ARM, joints=tuple(weak)))
-    assert arm_check.check_arm("iiwa14") == 1
-    assert "the simulated arm" in capsys.readouterr().out
 
 
 def test_what_is_refused_ends_with_the_message(tmp_path, capsys):

@@ -61,11 +61,11 @@ def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
 def test_without_a_planner_it_is_named(client, monkeypatch):
     monkeypatch.setattr(client_module, "_FOUND_S", 0.1)
     with pytest.raises(ContactReachError, match="no stack answers in ROS domain"):
-        client.wait_ready()
+        client.find()
     client.node.create_publisher(DiagnosticStatus, topics.SAFETY_STATE.name, 1)
     hear(client, topics.DIAGNOSTICS, diagnostics("controller"))
     with pytest.raises(ContactReachError, match="not heard: diagnostics of the planner, settings of the planner, goal"):
-        client.wait_ready()
+        client.wait_for(client.missing)
 
 
 def test_stops_are_those_in_force_by_node(client):

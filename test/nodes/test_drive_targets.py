@@ -147,16 +147,6 @@ def test_a_driver_that_is_not_ready_is_explained_and_gives_states_nevertheless(f
     assert not target.problem
 
 
-def test_kukas_external_torque_is_compared_with_the_observers():
-    target = make_lbr()
-    for tick in range(5000):
-        target.read(message(tick, external_torque=np.full(7, 3.0)), START_NS)
-        target._on_external(JointState(name=list(ARM.joint_names), effort=[1.0] * 7))
-    said = target.diagnosis()
-    assert said["external torque by KUKA Nm"].split()[0] == "3.00"
-    assert said["difference from the observer's Nm"].split()[0] == "2.00"
-
-
 def test_a_stop_deactivates_the_component_unless_it_has_no_name():
     node = Node()
     make_lbr(node, driver="left").stop()

@@ -6,11 +6,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from stack_helpers import environment, running, wait_for
 
-from contact_reach_ros.bringup.children import Interruption
+from contact_reach_ros.bringup.stack_processes import StackProcesses
 
 
 @pytest.fixture
@@ -24,12 +25,12 @@ def handlers():
 @pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_is_raised_where_it_is_asked_for_and_ignored_while_all_is_ended(number):
-    interruption = Interruption()
-    interruption.check()
+    stack = StackProcesses(Mock(), [], Path("none.yaml"))
+    stack.check()
     os.kill(os.getpid(), number)
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
-            interruption.check()
+            stack.check()
 
 
 def executable(name):
