@@ -1,83 +1,20 @@
-"""Joint-limit repulsion, and the cap on torques and on their rates."""
+"""Joints stay within their limits, torques and their rates within the caps."""
 
 import numpy as np
 import pytest
-from arm_simulation import (
-    ARM,
-    HOME,
-    POSITION_LIMITS,
-    REST,
-    TICK_NS,
-    TORQUE_LIMITS,
-    ClosedLoop,
-    ideal_plant,
-    offer_plan,
-)
+from arm_simulation import ARM, HOME, POSITION_LIMITS, TICK_NS, TORQUE_LIMITS, ClosedLoop, ideal_plant, offer_plan
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.constants import REPULSION_MARGIN, REPULSION_SHARE, make_constants, torque_rates
-from contact_reach_ros.control.kernels import (
-    limit_torque,
-    repulsion_torque,
-)
+from contact_reach_ros.control.constants import REPULSION_MARGIN, make_constants, torque_rates
+from contact_reach_ros.control.kernels import limit_torque
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import LimitSettings
 
 SETTINGS = LimitSettings()
 CONSTANTS = make_constants(ARM, limits=SETTINGS)
 
-joints = st.integers(0, ARM.n - 1)
-sides = st.sampled_from([-1.0, 1.0])
-speeds = st.floats(-3.0, 3.0)
 torques = st.lists(st.floats(-1e4, 1e4), min_size=ARM.n, max_size=ARM.n).map(np.array)
-
-
-def repulsion_at(joint: int, side: float, depth: float, v: np.ndarray = REST) -> np.ndarray:
-    """Torque with one joint `depth` rad inside the margin before its limit."""
-    q = HOME.copy()
-    q[joint] = side * (POSITION_LIMITS[joint] - REPULSION_MARGIN + depth)
-    return repulsion_torque(CONSTANTS, q, v)
-
-
-@given(st.lists(st.floats(-1, 1), min_size=ARM.n, max_size=ARM.n), st.lists(speeds, min_size=ARM.n, max_size=ARM.n))
-def test_no_repulsion_outside_of_the_margin(shares, v):
-    q = np.array(shares) * (POSITION_LIMITS - REPULSION_MARGIN)
-    assert not repulsion_torque(CONSTANTS, q, np.array(v)).any()
-
-
-@given(joints, sides, st.floats(1e-3, 0.5), speeds)
-def test_repulsion_pushes_inwards_and_only_the_joint_concerned(joint, side, depth, speed):
-    torque = repulsion_at(joint, side, depth, speed * np.eye(ARM.n)[joint])
-    assert side * torque[joint] < 0
-    assert not np.delete(torque, joint).any()
-
-
-@given(joints, sides, st.floats(-0.01, 0.3), speeds)
-def test_repulsion_is_continuous(joint, side, depth, speed):
-    v = speed * np.eye(ARM.n)[joint]
-    step = 1e-7
-    change = repulsion_at(joint, side, depth + step, v) - repulsion_at(joint, side, depth, v)
-    steepest = 1e4  # Nm/rad, more than the stiffest joint has
-    assert np.abs(change).max() <= steepest * step
-
-
-@given(joints, sides)
-def test_repulsion_at_the_limit_is_the_declared_share(joint, side):
-    torque = repulsion_at(joint, side, REPULSION_MARGIN)
-    assert -side * torque[joint] == pytest.approx(REPULSION_SHARE * TORQUE_LIMITS[joint])
-    # It grows with the square, so that it begins without a kink.
-    halfway = repulsion_at(joint, side, 0.5 * REPULSION_MARGIN)
-    assert halfway[joint] == pytest.approx(0.25 * torque[joint])
-
-
-@given(joints, sides, st.floats(0.01, 0.3), st.floats(0.01, 3.0))
-def test_only_motion_towards_the_limit_is_damped(joint, side, depth, speed):
-    at_rest = repulsion_at(joint, side, depth)
-    away = repulsion_at(joint, side, depth, -side * speed * np.eye(ARM.n)[joint])
-    towards = repulsion_at(joint, side, depth, side * speed * np.eye(ARM.n)[joint])
-    np.testing.assert_array_equal(away, at_rest)
-    assert side * towards[joint] < side * at_rest[joint]
 
 
 @given(torques, st.lists(st.tuples(torques, st.floats(0.0, 0.01)), min_size=1, max_size=20))

@@ -1,7 +1,6 @@
 """Contact and the stop above the contact budget: debounced, latched, reset only by an arm that is free and at rest."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -62,16 +61,13 @@ def test_short_peaks_are_ignored(monitor):
         push(monitor, residual(3, 5.0), SETTINGS.debounce - 1)
         push(monitor, residual(3, 0.9), 1)
     assert not monitor.stopped
-    push(monitor, residual(3, 5.0))
-    assert monitor.stopped
 
 
 def test_stop_is_latched_and_the_first_reason_kept(monitor):
     push(monitor, residual(2, 2.0))
-    reason = monitor.stop_reason
     push(monitor, residual(5, 9.0), 50)
     monitor.stop("another")
-    assert monitor.stop_reason == reason and monitor.stops == 1
+    assert "lbr_A3" in monitor.stop_reason and monitor.stops == 1
 
 
 @pytest.mark.parametrize(
@@ -129,15 +125,13 @@ class TestContact:
     def monitor(self) -> SafetyMonitor:
         return SafetyMonitor(ARM, SETTINGS, self.budget)
 
-    @pytest.mark.parametrize(("joint", "side"), [(joint, (-1.0) ** joint) for joint in range(ARM.n)])
-    def test_each_joint_has_its_threshold(self, monitor, joint, side):
-        push(monitor, 0.95 * side * self.thresholds * np.eye(ARM.n)[joint], 50)
-        assert monitor.level is SafetyLevel.FREE
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
-        push(monitor, 1.1 * side * self.thresholds * np.eye(ARM.n)[joint], SETTINGS.contact_debounce)
-        assert monitor.level is SafetyLevel.CONTACT
-        assert not monitor.stopped
-        assert monitor.contacts == 1
+    def test_each_joint_has_its_threshold(self):
+        for torque in np.diag((-1.0) ** np.arange(ARM.n) * self.thresholds):
+            below, above = (SafetyMonitor(ARM, SETTINGS, self.budget) for _ in range(2))
+            push(below, 0.95 * torque, 50)
+            assert below.level is SafetyLevel.FREE
+            push(above, 1.1 * torque, SETTINGS.contact_debounce)
+            assert above.level is SafetyLevel.CONTACT and not above.stopped
 
     def test_contact_ends_only_well_below_the_threshold_and_after_a_while(self, monitor):
         push(monitor, 1.5 * self.thresholds, 5)
@@ -156,6 +150,13 @@ class TestContact:
         assert monitor.contacts == 0
         push(monitor, weight + np.array([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 3)
         assert monitor.in_contact
+
+    def test_at_rest_a_torque_is_no_error_of_the_model_however_slowly_it_grows(self, monitor):
+        noise = 1e-4 * np.random.default_rng(0).standard_normal((20_000, ARM.n))
+        for share, angles in zip(np.linspace(0.0, 2.0, len(noise)), noise, strict=True):
+            monitor.update(share * self.thresholds, HOME + angles, REST)
+        assert monitor.in_contact and not monitor.stopped
+        np.testing.assert_array_less(self.thresholds, monitor.sudden)
 
     def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
         torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(ARM.n)[1]
@@ -181,34 +182,24 @@ def test_weight_that_the_model_does_not_know_stops_the_arm_at_hand_over_and_is_n
     assert monitor.distrust == monitor.stop_reason and monitor.stops == 1
 
 
-@pytest.mark.parametrize("period", (0.001, 0.005, 0.01))
-class TestOtherRates:
-    """Debounces last as long at every rate, and at least two states; means follow as fast."""
+@pytest.mark.parametrize(
+    ("debounce", "period", "states"),
+    [(1, 0.01, 1), (3, 0.001, 3), (3, 0.005, 2), (100, 0.001, 100), (100, 0.005, 20), (100, 0.01, 10)],
+)
+def test_a_debounce_lasts_as_long_at_every_rate_and_at_least_two_states(debounce, period, states):
+    monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
+    push(monitor, 1.1 * THRESHOLDS, states - 1)
+    assert not monitor.stopped
+    push(monitor, 1.1 * THRESHOLDS, 1)
+    assert monitor.stopped
 
+
+@pytest.mark.parametrize("period", [0.001, 0.01])
+def test_the_slow_mean_follows_as_fast_at_every_rate(period):
     budget = ContactBudget().resolve(ARM)
-
-    def states(self, monitor: SafetyMonitor, torque: np.ndarray, ends: str, known_for: float = math.inf) -> int:
-        """Number of states with a torque until an attribute changes."""
-        before, count = getattr(monitor, ends), 0
-        while getattr(monitor, ends) == before and count < 10000:
-            monitor.update(torque, HOME, REST, known_for)
-            count += 1
-        return count
-
-    def check(self, states: int, milliseconds: int, period: float) -> None:
-        least = min(milliseconds, 2)
-        assert states >= least
-        assert states == least or abs(1000 * period * states - milliseconds) <= 1000 * period / 2
-
-    @pytest.mark.parametrize("debounce", [1, 3, 100])
-    def test_of_a_stop(self, period, debounce):
-        monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
-        self.check(self.states(monitor, 1.1 * THRESHOLDS, "stopped"), debounce, period)
-
-    def test_the_slow_mean_follows_in_as_long(self, period):
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
-        torque = 0.9 * np.array(self.budget.contact_thresholds)
-        for state in range(round(1e-3 * MEAN_TIME / period)):
-            monitor.update(torque, HOME + 0.05 * state, REST)
-        assert not monitor.in_contact
-        np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
+    monitor = SafetyMonitor(ARM, SETTINGS, budget, period)
+    torque = 0.9 * np.array(budget.contact_thresholds)
+    for state in range(round(1e-3 * MEAN_TIME / period)):
+        monitor.update(torque, HOME + 0.05 * state, REST)
+    assert not monitor.in_contact
+    np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
