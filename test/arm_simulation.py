@@ -53,12 +53,6 @@ def mobility(model: RobotModel) -> np.ndarray:
     return model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T)
 
 
-def null_space_projection(model: RobotModel) -> np.ndarray:
-    """N of law (2), (n, n), for the state of the last update, which must not be singular."""
-    inverse_mass, jacobian = np.linalg.inv(model.mass_matrix), model.jacobian
-    return np.eye(ARM.n) - inverse_mass @ jacobian.T @ np.linalg.inv(mobility(model)) @ jacobian
-
-
 def ideal_plant(
     start: np.ndarray = HOME,
     obstacles: tuple[Obstacle, ...] = (),
