@@ -112,10 +112,6 @@ def check_program(arguments):
         BringupOptions.from_mapping({name: value for name, value in options.items() if name in names}, "up")
 
 
-def check_benchmark(name, *arguments):
-    check_module(f"benchmarks.{name.removeprefix('NAME=')}", " ".join(arguments).removeprefix("ARGS="))
-
-
 def check_module(module, arguments):
     main_of = importlib.import_module(module).main
     with contextlib.redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit):
@@ -136,7 +132,8 @@ def test_every_command_is_one_that_there_is(command):
     elif program == "ros2":
         check_ros2(arguments)
     elif program == "make" and arguments[0] == "bench":
-        check_benchmark(*arguments[1:])
+        module, options = f"benchmarks.{arguments[1].removeprefix('NAME=')}", " ".join(arguments[2:])
+        check_module(module, options.removeprefix("ARGS="))
     elif program == "make":
         assert arguments[0] in TARGETS or arguments[0] == "-C", command
         for text in arguments[1:]:

@@ -134,12 +134,6 @@ class TestPerJoint:
         with pytest.raises(SettingsError, match=f"^file: thresholds = 0.4: {expected}$"):
             PerJoint.from_mapping({"thresholds": [1.0, 0.4, 1.0]}, "file")
 
-    def test_for_an_arm_the_declaration_has_its_length_and_default(self):
-        declared = {entry.name: entry.for_arm(ThreeJoints()) for entry in PerJoint.declared()}
-        assert declared["thresholds"].default == (1.0, 2.0, 3.0)
-        assert declared["friction"].accepts == "a list of 3 values, each a number in [0, inf]"
-        assert declared["gain"].default == 0.5
-
 
 def test_yaml_files_hold_mappings_and_the_lists_of_launch(tmp_path):
     file = tmp_path / "a.yaml"

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.capsules import pair_distances, self_pairs
 from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arm.table import table_text
-from contact_reach_ros.arms import ARMS, DEFAULT_ARM, is_shipped, load_arm
+from contact_reach_ros.arms import ARMS, is_shipped, load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.errors import SettingsError
@@ -49,10 +49,6 @@ def test_the_digest_of_the_iiwa_is_that_in_bags():
 
 
 class TestLoadArm:
-    def test_it_gives_the_same_object_each_time(self):
-        assert load_arm() is load_arm(DEFAULT_ARM)
-        assert load_arm(ARM.name) is ARM
-
     @pytest.mark.parametrize("name", ["iiwa15", "", "../arms/iiwa14"])
     def test_an_unknown_name_is_refused_and_the_known_ones_are_listed(self, name):
         with pytest.raises(SettingsError, match=f"arm '{name}' is unknown; expected one of .*{', '.join(ARMS)}"):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, offer_plan
+from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, references_of
 
 from contact_reach_ros.arm.joint_state import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
@@ -158,7 +158,7 @@ def displacement_after_silence(is_guarded):
             if tick == 1:
                 position, rotation = controller.model.tip_pose(HOME)
                 there = Reference(position + np.array([0.0, 0.2, 0.0]), rotation, HOME)
-                offer_plan(controller, [there], 2 * TICK_NS, (1000 * TICK_NS,), now_ns)
+                controller.follow(references_of([there], 2 * TICK_NS, (1000 * TICK_NS,)))
         elif is_guarded:
             sent = guard.watch(now_ns)
         if tick == 400:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, VELOCITY_LIMITS, ClosedLoop, ideal_plant, offer_plan
+from arm_simulation import ARM, HOME, VELOCITY_LIMITS, ClosedLoop, ideal_plant
 
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.references import Reference
@@ -25,8 +25,7 @@ def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:
         Reference(now.position + np.array([-0.01 * k, 0.008 * k, 0.01 * k]), now.rotation, now.posture)
         for k in range(count)
     ]
-    ends = tuple(100 * MS * (index + 1) for index in range(count))
-    offer_plan(loop.controller, knots, loop.now_ns, ends, loop.now_ns)
+    loop.plan(knots, *(100 * MS * (index + 1) for index in range(count)))
 
 
 @pytest.mark.parametrize(("arm", "period"), [({}, 0.001), (REAL, 0.005)], ids=["ideal", "friction and noise at 200 Hz"])

@@ -2,17 +2,7 @@
 
 import numpy as np
 import pytest
-from arm_simulation import (
-    ARM,
-    HOME,
-    POSITION_LIMITS,
-    TICK_NS,
-    TORQUE_LIMITS,
-    VELOCITY_LIMITS,
-    ClosedLoop,
-    ideal_plant,
-    offer_plan,
-)
+from arm_simulation import ARM, HOME, POSITION_LIMITS, TICK_NS, TORQUE_LIMITS, VELOCITY_LIMITS, ClosedLoop, ideal_plant
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -70,8 +60,7 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
 
     def replan() -> None:
         if loop.now_ns % period_ns == 0:
-            plan = greedy_reference(loop, joint, side)
-            offer_plan(loop.controller, [plan], loop.now_ns, (3 * period_ns,), loop.now_ns)
+            loop.plan([greedy_reference(loop, joint, side)], 3 * period_ns)
 
     for _ in loop.run(1.5, replan):
         near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - REPULSION_MARGIN
@@ -100,7 +89,7 @@ def test_a_joint_that_a_plan_pulls_too_fast_is_braked_and_no_stop_is_needed(pull
                 ahead = Reference(start.position, start.rotation, loop.q + 0.2 * null_direction(loop))
             else:
                 ahead = Reference(loop.reference().position + np.array([0.0, 0.12, 0.0]), start.rotation, loop.q)
-            offer_plan(loop.controller, [ahead], loop.now_ns, (100 * TICK_NS,), loop.now_ns)
+            loop.plan([ahead], 100 * TICK_NS)
 
     for _ in loop.run(0.5, replan):
         fastest = max(fastest, float((np.abs(loop.v) / VELOCITY_LIMITS).max()))
@@ -127,7 +116,7 @@ def test_references_that_jump_about_near_a_singularity_do_not_make_a_joint_too_f
             here = loop.reference()
             turned = Rotation.from_rotvec(0.2 * wish[3:]).as_matrix() @ here.rotation
             wanted = Reference(here.position + 0.01 * wish[:3], turned, here.posture)
-            offer_plan(loop.controller, [wanted], loop.now_ns, (60 * TICK_NS,), loop.now_ns)
+            loop.plan([wanted], 60 * TICK_NS)
 
     for _ in loop.run(1.0, replan):
         if loop.controller.stop_reason:

@@ -31,14 +31,6 @@ def test_the_picture_in_the_docs_is_the_table():
     assert drawn == table
 
 
-def test_every_state_can_be_stopped_and_only_reset_leads_out():
-    stops = {Mode.STOPPED, Mode.SILENT}
-    assert all(TRANSITIONS[mode, Event.STOP] is Mode.STOPPED for mode in set(Mode) - stops)
-    outs = {(start, event) for (start, event), end in TRANSITIONS.items() if start in stops and end not in stops}
-    assert outs == {(Mode.STOPPED, Event.RESET), (Mode.SILENT, Event.RESET)}
-    assert TRANSITIONS[Mode.STOPPED, Event.NO_REST] is Mode.SILENT
-
-
 def test_events_that_do_not_belong_to_a_state_change_nothing():
     supervisor = Supervisor(ARM, SupervisionSettings())
     for event in (Event.PLAN, Event.PLAN_ENDED, Event.RESET):

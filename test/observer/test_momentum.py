@@ -121,17 +121,6 @@ def test_torque_measured_behind_the_rotors_does_not_hold_what_accelerates_them(r
     assert np.abs(residual).max() < 0.05
 
 
-def test_time_since_the_hand_over():
-    observer, gravity = MomentumObserver(SETTINGS, RobotModel(ARM)), RobotModel(ARM).gravity_at(HOME)
-    for tick, torque in enumerate([None] * 3 + [gravity] * 10):
-        observer.update(HOME, REST, torque, tick * TICK_NS)
-    assert observer.known_for == pytest.approx(10 * TICK)
-    observer.update(HOME, REST, gravity, 40 * TICK_NS)
-    assert observer.known_for == pytest.approx(38 * TICK)
-    observer.update(HOME, REST, None, 41 * TICK_NS)
-    assert observer.known_for == 0.0
-
-
 def test_steps_of_varying_length_are_taken_as_they_come():
     external, gravity = np.array([4.0, -6.0, 2.0, 3.0, -1.0, 1.0, 0.5]), RobotModel(ARM).gravity_at(HOME)
     stamps = np.cumsum(np.random.default_rng(0).integers(300_000, 2_500_000, 150))

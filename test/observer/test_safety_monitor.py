@@ -1,4 +1,4 @@
-"""Contact and the stop above the contact budget: debounced, latched, reset only by an arm that is free and at rest."""
+"""Contact, and the stop above the contact budget: debounced, latched, reset only by a free arm at rest."""
 
 import dataclasses
 
@@ -8,8 +8,8 @@ from arm_simulation import ARM, HOME, REST
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.safety import (
     HANDOVER_TIME,
     MEAN_TIME,
@@ -151,12 +151,15 @@ class TestContact:
         push(monitor, weight + np.array([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 3)
         assert monitor.in_contact
 
-    def test_at_rest_a_torque_is_no_error_of_the_model_however_slowly_it_grows(self, monitor):
+    @pytest.mark.parametrize(("torque", "moved"), [(5.0, 0.0), (5.0, 0.2), (15.0, 5.0)])
+    def test_a_torque_is_a_contact_however_slowly_it_grows_beyond_what_the_posture_explains(
+        self, monitor, torque, moved
+    ):
         noise = 1e-4 * np.random.default_rng(0).standard_normal((20_000, ARM.n))
-        for share, angles in zip(np.linspace(0.0, 2.0, len(noise)), noise, strict=True):
-            monitor.update(share * self.thresholds, HOME + angles, REST)
+        for share, angles in zip(np.linspace(0.0, 1.0, len(noise)), noise, strict=True):
+            angles[0] += share * moved
+            monitor.update(share * torque * np.eye(ARM.n)[1], HOME + angles, REST)
         assert monitor.in_contact and not monitor.stopped
-        np.testing.assert_array_less(self.thresholds, monitor.sudden)
 
     def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
         torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(ARM.n)[1]
@@ -203,3 +206,31 @@ def test_the_slow_mean_follows_as_fast_at_every_rate(period):
         monitor.update(torque, HOME + 0.05 * state, REST)
     assert not monitor.in_contact
     np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
+
+
+def test_the_packages_file_says_what_the_code_says_and_another_replaces_what_it_names(tmp_path):
+    assert load_budget() == ContactBudget()
+    file = tmp_path / "budget.yaml"
+    file.write_text("permitted_force: 4")
+    assert load_budget(str(file)) == ContactBudget(permitted_force=4.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        ("permited_force: 4", "unknown key 'permited_force'"),
+        ("handover_time: 0.3", "'handover_time' was removed in 0.3.0: leave it out; it is fixed at 0.3 s"),
+        ("permitted_force: -1", "permitted_force = -1: expected"),
+        ("torque_thresholds: [30, 30, 25, 25, 15, 10, 0]", "torque_thresholds = 0: expected"),
+    ],
+)
+def test_file_and_key_are_named_when_it_is_refused(tmp_path, content, key):
+    file = tmp_path / "budget.yaml"
+    file.write_text(content)
+    with pytest.raises(SettingsError, match=f"^{file}: {key}"):
+        load_budget(file)
+
+
+def test_thresholds_for_another_number_of_joints_are_refused_for_the_arm():
+    with pytest.raises(SettingsError, match=r"torque_thresholds = .*: expected a list of 7 values"):
+        ContactBudget(torque_thresholds=(30.0, 30.0, 25.0)).resolve(ARM)
